@@ -1,0 +1,185 @@
+"""A recording: what every column of a measurement *is* (the manifest), and its rows.
+
+The manifest is version 1 of the recording manifest; nothing is guessed from a column's name. A
+`Recording` always holds canonical units (mm, deg, s, mm/s, mm/min, rpm, degC, hPa, N, kg, um, urad, N):
+the door that read it has converted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+
+Role = Literal[
+    "run", "time", "group", "position", "command", "direction", "velocity", "acceleration", "feed",
+    "spindle_speed", "temperature", "pressure", "humidity", "coolant", "force", "load", "depth_of_cut",
+    "overhang", "cut_length", "error", "simulated", "ignore",
+]  # fmt: skip
+
+# Allowed units of each role, the canonical one first; () means the role has none.
+ROLE_UNITS: dict[str, tuple[str, ...]] = {
+    "run": (), "group": (), "ignore": (), "direction": (), "coolant": (),
+    "time": ("s", "ms", "min", "h", "d"),
+    "position": ("mm", "deg", "m", "um", "inch", "rad"),
+    "command": ("mm", "deg", "m", "um", "inch", "rad"),
+    "velocity": ("mm/s", "deg/s", "m/s", "mm/min", "m/min"),
+    "acceleration": ("mm/s2", "deg/s2", "m/s2"),
+    "feed": ("mm/min", "m/min", "mm/s", "deg/min"),
+    "spindle_speed": ("rpm", "1/s"),
+    "temperature": ("degC", "degF", "K"),
+    "pressure": ("hPa", "Pa", "kPa", "bar", "mbar"),
+    "humidity": ("%",),
+    "force": ("N", "kN"),
+    "load": ("kg", "g", "t"),
+    "depth_of_cut": ("mm", "um"),
+    "overhang": ("mm", "m"),
+    "cut_length": ("m", "mm", "km"),
+    "error": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad"),
+    "simulated": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad"),
+}  # fmt: skip
+
+# Roles whose canonical unit is optional to state (the contract writes them without one).
+UNITLESS_BY_DEFAULT = {"pressure": "hPa", "humidity": "%", "spindle_speed": "rpm", "time": "s", "feed": "mm/min"}
+
+
+class Frozen(BaseModel):
+    """Immutable, and a key it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Column(Frozen):
+    """What one column of the tables is."""
+
+    role: Role
+    unit: str | None = None
+    axis: str | None = None
+    component: str | None = None
+    location: str | None = None
+    of: str | None = None
+    epoch: str | None = None
+
+    @model_validator(mode="after")
+    def _unit_of_the_role(self) -> Column:
+        allowed = ROLE_UNITS[self.role]
+        if not allowed and self.unit is not None:
+            raise ValueError(f"a column of role {self.role} has no unit (found {self.unit!r})")
+        if allowed and self.unit is not None and self.unit not in allowed:
+            raise ValueError(f"unit {self.unit!r} is not a unit of role {self.role} (allowed: {', '.join(allowed)})")
+        if self.role in ("error", "simulated") and self.component is None:
+            raise ValueError(f"a column of role {self.role} needs a component, such as EXX or E_Z")
+        if self.role in ("position", "command", "direction", "velocity", "acceleration") and self.axis is None:
+            raise ValueError(f"a column of role {self.role} needs an axis, such as X")
+        return self
+
+
+class Constant(Frozen):
+    """A fact about the set-up: an axis (role: axis) or a plain value with its unit."""
+
+    role: Literal["axis"] | None = None
+    kind: Literal["linear", "rotary"] | None = None
+    travel: tuple[float, float] | None = None
+    screw_lead: float | None = None
+    encoder_period: float | None = None
+    drive_end: float | None = None
+    value: float | str | None = None
+    unit: str | None = None
+
+
+class Manifest(Frozen):
+    """Recording manifest, version 1."""
+
+    recording: Literal[1]
+    title: str = ""
+    machine: str = ""
+    tables: tuple[str, ...] = Field(min_length=1)
+    constants: dict[str, Constant] = {}
+    columns: dict[str, Column]
+
+    def names(self, role: str, *, axis: str | None = None, component: str | None = None) -> tuple[str, ...]:
+        """Column names of a role, in manifest order."""
+        return tuple(
+            name
+            for name, c in self.columns.items()
+            if c.role == role and (axis is None or c.axis == axis) and (component is None or c.component == component)
+        )
+
+    def axis(self, letter: str) -> Constant | None:
+        """The constants of one axis, or None."""
+        found = self.constants.get(letter)
+        return found if found is not None and found.role == "axis" else None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A manifest and its rows in canonical units.
+
+    frame: one pandas column per manifest column that is not `ignore`; numbers are float64 (missing = NaN),
+    labels (run, group) are strings.
+    """
+
+    manifest: Manifest
+    frame: pd.DataFrame
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def names(self, role: str, *, axis: str | None = None, component: str | None = None) -> tuple[str, ...]:
+        """Column names of a role that are present in the rows, in manifest order."""
+        return tuple(n for n in self.manifest.names(role, axis=axis, component=component) if n in self.frame.columns)
+
+    def name(self, role: str, *, axis: str | None = None, component: str | None = None) -> str | None:
+        """The first column of a role, or None."""
+        found = self.names(role, axis=axis, component=component)
+        return found[0] if found else None
+
+    def array(self, name: str) -> np.ndarray:
+        """One column as float64, shape (rows,)."""
+        return self.frame[name].to_numpy(dtype=float)
+
+    @cached_property
+    def _codes(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        import numpy as np
+        import pandas as pd
+
+        column = self.name("run")
+        if column is None:
+            return np.zeros(len(self.frame), dtype=np.int64), ("1",)
+        codes, labels = pd.factorize(self.frame[column], sort=False)
+        return codes.astype(np.int64), tuple(map(str, labels))
+
+    def run_codes(self) -> np.ndarray:
+        """Run number of each row, 0-based in order of appearance, shape (rows,)."""
+        return self._codes[0]
+
+    def run_labels(self) -> tuple[str, ...]:
+        """Labels of the runs, in order of appearance."""
+        return self._codes[1]
+
+    def time(self) -> np.ndarray:
+        """Time in s, shape (rows,); the row number where the recording has no time column."""
+        import numpy as np
+
+        column = self.name("time")
+        return np.arange(len(self.frame), dtype=float) if column is None else self.array(column)
+
+    def components(self) -> tuple[str, ...]:
+        """Components with an error column, in manifest order."""
+        return tuple(str(self.manifest.columns[n].component) for n in self.names("error"))
+
+    def take(self, rows: Any) -> Recording:
+        """The recording with only the rows of a boolean mask or an index array."""
+        frame = self.frame[rows] if getattr(rows, "dtype", None) == bool else self.frame.iloc[rows]
+        return Recording(self.manifest, frame.reset_index(drop=True))
+
+    def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:
+        """The recording with further columns (arrays) of the given kinds."""
+        manifest = self.manifest.model_copy(update={"columns": {**self.manifest.columns, **kinds}})
+        return Recording(manifest, self.frame.assign(**columns))

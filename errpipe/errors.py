@@ -1,0 +1,86 @@
+"""Everything errpipe refuses, and the exit code each refusal has.
+
+    ErrpipeError            1   never raised itself; anything outside this tree is a bug
+    |-- UsageError          2   the command line
+    |   `-- ConfigError     2   a configuration file: carries every problem of the file
+    |-- DataError           3   measurements that cannot be used
+    |   `-- NotIdentifiable 3   the data cannot tell two parameters apart
+    |-- GateError           4   a quality gate said no
+    |-- ChangesPending      5   `plan --exit-code` found stages to run
+    `-- VerifyError         6   a file on disk is not what it claims to be
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+
+class ErrpipeError(Exception):
+    """Base of all refusals. `exit_code` is what the command line returns."""
+
+    exit_code = 1
+
+
+class UsageError(ErrpipeError):
+    """The command line or an argument cannot be used."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, order=True)
+class Problem:
+    """One thing wrong in one place. Lines and columns count from 1; 0 means unknown."""
+
+    file: str
+    line: int
+    column: int
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        place = self.file + (f":{self.line}" if self.line else "") + (f":{self.column}" if self.line and self.column else "")
+        return f"{place}  {self.key}: {self.message}" if self.key else f"{place}  {self.message}"
+
+
+class ConfigError(UsageError):
+    """A configuration file is wrong; `problems` holds everything found, in file order."""
+
+    def __init__(self, problems: Sequence[Problem]):
+        self.problems = tuple(sorted(problems))
+        super().__init__("\n".join(map(str, self.problems)))
+
+
+class DataError(ErrpipeError):
+    """Measurements are rejected: the message says where, what was found, what is allowed."""
+
+    exit_code = 3
+
+
+class NotIdentifiable(DataError):
+    """Two parameters cannot be told apart on these data; the message names them."""
+
+
+class GateError(ErrpipeError):
+    """A quality gate said no (not better than nothing, outside validity, over a limit)."""
+
+    exit_code = 4
+
+
+class ChangesPending(ErrpipeError):
+    """Stages would run."""
+
+    exit_code = 5
+
+
+class VerifyError(ErrpipeError):
+    """A file is damaged, truncated, foreign, or does not say what its model says."""
+
+    exit_code = 6
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """' Did you mean X?' for the nearest allowed word, or '' where none is near."""
+    near = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6)
+    return f" Did you mean {near[0]}?" if near else ""

@@ -1,0 +1,72 @@
+"""Canonical JSON out, whole files only, and the fingerprint of a value.
+
+Equal values give equal bytes: keys sorted, floats in shortest round-trip form, UTF-8, one newline at
+the end. NaN and infinity are refused: a reader on a controller would not know them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from errpipe.errors import VerifyError
+
+
+def dumps(value: Any, *, indent: int | None = 1) -> str:
+    """Canonical text of `value`. Raises ValueError for NaN or infinity."""
+    separators = (",", ":") if indent is None else (",", ": ")
+    return json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators) + "\n"
+
+
+def fingerprint(value: Any) -> str:
+    """SHA-256 of the canonical text, as 64 hexadecimal digits."""
+    return hashlib.sha256(dumps(value, indent=None).encode()).hexdigest()
+
+
+def fingerprint_bytes(data: bytes) -> str:
+    """SHA-256 of raw bytes, as 64 hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def write_bytes(path: Path, data: bytes) -> bool:
+    """Write `data` whole (temporary file, fsync, rename), only if the bytes change. True if written."""
+    path = Path(path)
+    if path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data:
+        return False
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return True
+
+
+def write_text(path: Path, text: str) -> bool:
+    """`write_bytes` for UTF-8 text."""
+    return write_bytes(path, text.encode())
+
+
+def write(path: Path, value: Any) -> bool:
+    """Write canonical JSON. True if the bytes changed."""
+    return write_text(path, dumps(value))
+
+
+def read(path: Path) -> Any:
+    """Read a JSON file. Raises VerifyError naming line and column where it is not JSON."""
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except json.JSONDecodeError as err:
+        raise VerifyError(f"{path}:{err.lineno}:{err.colno}  not JSON: {err.msg}") from None
+    except UnicodeDecodeError as err:
+        raise VerifyError(f"{path}: not UTF-8 text at byte {err.start}") from None

@@ -1,0 +1,142 @@
+"""Causal responses of one signal over many runs: lag, switch, direction, approach, first value.
+
+`run` holds an integer per row; a state starts anew wherever it changes. Times in s, lengths in mm.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.kernels import kernel
+
+
+@kernel
+def first_value(run, u):
+    """Value of u at the first finite row of each run, held over the run; NaN before it."""
+    y = np.empty(u.size)
+    held = np.nan
+    for i in range(u.size):
+        if i == 0 or run[i] != run[i - 1]:
+            held = np.nan
+        if np.isnan(held):
+            held = u[i]
+        y[i] = held
+    return y
+
+
+@kernel
+def lag(run, t, u, tau_up, tau_down, start_at_input):
+    """First-order lag, exact for u held between rows; a missing u holds the one before it."""
+    y = np.empty(u.size)
+    state = 0.0
+    held = np.nan
+    for i in range(u.size):
+        if i == 0 or run[i] != run[i - 1]:
+            held = u[i]
+            state = u[i] if start_at_input else 0.0
+        else:
+            if np.isnan(held):
+                if start_at_input:
+                    state = u[i]
+            else:
+                tau = tau_up if held >= state else tau_down
+                state = held + (state - held) * np.exp(-(t[i] - t[i - 1]) / tau)
+            if not np.isnan(u[i]):
+                held = u[i]
+        y[i] = state
+    return y
+
+
+@kernel
+def lag_tau_derivative(run, t, u, tau):
+    """d(lag)/d(tau) of a symmetric lag started at its input, same shape as u."""
+    d = np.empty(u.size)
+    state = 0.0
+    slope = 0.0
+    for i in range(u.size):
+        if i == 0 or run[i] != run[i - 1]:
+            state = u[i]
+            slope = 0.0
+        else:
+            dt = t[i] - t[i - 1]
+            decay = np.exp(-dt / tau)
+            slope = slope * decay + (state - u[i - 1]) * decay * dt / (tau * tau)
+            state = u[i - 1] + (state - u[i - 1]) * decay
+        d[i] = slope
+    return d
+
+
+@kernel
+def switch(run, u, on, off):
+    """1 once u >= on, 0 once u <= off, else the value before; a run starts at 0 unless u >= on."""
+    y = np.empty(u.size)
+    state = 0.0
+    for i in range(u.size):
+        if i == 0 or run[i] != run[i - 1]:
+            state = 0.0
+        if u[i] >= on:
+            state = 1.0
+        elif u[i] <= off:
+            state = 0.0
+        y[i] = state
+    return y
+
+
+@kernel
+def direction_of_travel(run, x, threshold, start):
+    """+1 or -1 per row: turns once x has gone back by more than `threshold` from its extreme."""
+    d = np.empty(x.size)
+    state = float(start)
+    extreme = 0.0
+    for i in range(x.size):
+        if i == 0 or run[i] != run[i - 1]:
+            state = float(start)
+            extreme = x[i]
+        if state > 0:
+            if x[i] >= extreme:
+                extreme = x[i]
+            elif extreme - x[i] > threshold:
+                state = -1.0
+                extreme = x[i]
+        else:
+            if x[i] <= extreme:
+                extreme = x[i]
+            elif x[i] - extreme > threshold:
+                state = 1.0
+                extreme = x[i]
+        d[i] = state
+    return d
+
+
+@kernel
+def approach(run, x, d, length):
+    """z -> d exponentially over travelled length; starts saturated at the first direction of a run."""
+    z = np.empty(x.size)
+    state = 0.0
+    for i in range(x.size):
+        if i == 0 or run[i] != run[i - 1]:
+            state = d[i]
+        else:
+            state = d[i] - (d[i] - state) * np.exp(-abs(x[i] - x[i - 1]) / length)
+        z[i] = state
+    return z
+
+
+@kernel
+def lookup(u, start, step, values):
+    """Linear interpolation in a uniform table, held at its ends; NaN stays NaN."""
+    y = np.empty(u.size)
+    last = values.size - 1
+    for i in range(u.size):
+        s = (u[i] - start) / step
+        if np.isnan(s):
+            y[i] = np.nan
+        elif s <= 0.0:
+            y[i] = values[0]
+        elif s >= last:
+            y[i] = values[last]
+        else:
+            j = int(s)
+            f = s - j
+            y[i] = values[j] * (1.0 - f) + values[j + 1] * f
+    return y

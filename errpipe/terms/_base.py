@@ -1,0 +1,204 @@
+"""What a term is: one piece of physics, stated once, used for fitting, diagnosis, simulation, tables and docs.
+
+A term's value is linear in some parameters and may have non-linear ones inside its basis:
+
+    value(columns; linear, nonlinear) = basis(columns, *nonlinear) @ linear
+
+so a solver eliminates the linear part (variable projection) and searches only the few non-linear
+parameters. A term knows columns and units; it never knows how it will be solved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Frozen, Recording
+from errpipe.kernels import responses
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a term. typical: sizes seen on machines; bounds: what physics allows."""
+
+    name: str
+    unit: str
+    typical: tuple[float, float]
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Lowered:
+    """One compiled pair: profile(position of `axis`) * driver(state), in the response's unit.
+
+    profile: vectorised function of positions in mm (deg), or None for the constant 1.
+    period: repeat length of the profile, where it has one.
+    """
+
+    driver: d.Driver
+    axis: str | None = None
+    profile: Callable[[np.ndarray], np.ndarray] | None = None
+    period: float | None = None
+
+
+@dataclass(frozen=True)
+class Example:
+    """A worked case for generic tests: a bound term, rows, and parameters it can be recovered from."""
+
+    term: Term
+    recording: Recording
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+class Term(Frozen):
+    """Base of all terms. A subclass sets `term: Literal[id]`, binds columns by fields, and states its basis."""
+
+    term: str
+    fixed: dict[str, float] = {}
+
+    reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
+    family: ClassVar[str] = ""
+    compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
+
+    def linear(self) -> tuple[Parameter, ...]:
+        """Parameters the value is linear in, in the order of the basis' columns."""
+        raise TypeError(f"{type(self).__name__} does not state its linear parameters")
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        """Parameters inside the basis that are to be solved for (those in `fixed` are left out by `free`)."""
+        return ()
+
+    def free(self) -> tuple[Parameter, ...]:
+        """The non-linear parameters that are not fixed."""
+        return tuple(p for p in self.nonlinear() if p.name not in self.fixed)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        """Design columns, shape (rows, len(linear())), in response units per unit of each parameter.
+
+        nonlinear: values of *all* non-linear parameters, in the order of `nonlinear()`. Rows where a
+        column is missing hold NaN.
+        """
+        raise TypeError(f"{type(self).__name__} does not state its basis")
+
+    def basis_derivative(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        """d(basis)/d(nonlinear), shape (rows, linear, nonlinear); central differences unless overridden."""
+        out = np.empty((len(recording), len(self.linear()), len(nonlinear)))
+        for j, value in enumerate(nonlinear):
+            step = 1e-5 * max(abs(value), 1e-6)
+            up = [*nonlinear[:j], value + step, *nonlinear[j + 1 :]]
+            down = [*nonlinear[:j], value - step, *nonlinear[j + 1 :]]
+            out[:, :, j] = (self.basis(recording, *up) - self.basis(recording, *down)) / (2 * step)
+        return out
+
+    def value(self, recording: Recording, parameters: Mapping[str, float]) -> np.ndarray:
+        """Deviation in the response's unit, shape (rows,)."""
+        gains = np.array([parameters[p.name] for p in self.linear()])
+        return self.basis(recording, *self.nonlinear_values(parameters)) @ gains
+
+    def nonlinear_values(self, parameters: Mapping[str, float]) -> list[float]:
+        """Values of all non-linear parameters, fixed ones included."""
+        return [self.fixed[p.name] if p.name in self.fixed else parameters[p.name] for p in self.nonlinear()]
+
+    def drivers(self) -> tuple[str, ...]:
+        """Names of the columns the term reads."""
+        raise TypeError(f"{type(self).__name__} does not state its columns")
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        """The compiled form, or None where a controller cannot or must not compensate this effect."""
+        return None
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Term]:
+        """Every sensible binding of the term to the recording's columns for a response."""
+        return iter(())
+
+    @classmethod
+    def example(cls) -> Example:
+        """A worked case; generic tests derive the rest from it."""
+        raise TypeError(f"{cls.__name__} has no example")
+
+    def says(self, parameters: Mapping[str, float]) -> str:
+        """One plain sentence for a person, with numbers and units."""
+        parts = [f"{p.name} = {parameters[p.name]:.4g} {p.unit}" for p in (*self.linear(), *self.free())]
+        return f"{self.term.replace('_', ' ')}: " + ", ".join(parts)
+
+
+def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
+    """Evaluate a driver causally over a recording, shape (rows,). Missing inputs give NaN."""
+    match driver:
+        case d.Constant():
+            return np.full(len(recording), driver.value)
+        case d.Input():
+            return recording.array(driver.name)
+        case d.Affine():
+            total = np.full(len(recording), driver.offset)
+            for weight, of in zip(driver.weights, driver.of, strict=True):
+                total = total + weight * drive(of, recording)
+            return total
+        case d.First():
+            return responses.first_value(recording.run_codes(), drive(driver.of, recording))
+        case d.Lag():
+            source = drive(driver.of, recording)
+            at_input = driver.start == "input"
+            return responses.lag(
+                recording.run_codes(), recording.time(), source, driver.tau_up, driver.tau_down, at_input
+            )
+        case d.Product():
+            return np.prod([drive(of, recording) for of in driver.of], axis=0)
+        case d.Power():
+            source = drive(driver.of, recording)
+            return np.sign(source) * np.abs(source) ** driver.exponent
+        case d.Clip():
+            return np.clip(drive(driver.of, recording), driver.low, driver.high)
+        case d.Switch():
+            return responses.switch(recording.run_codes(), drive(driver.of, recording), driver.on, driver.off)
+        case d.Direction():
+            return direction(recording, driver.axis, driver.threshold, driver.start)
+        case d.Approach():
+            side = direction(recording, driver.axis, driver.threshold, driver.start)
+            return responses.approach(recording.run_codes(), position(recording, driver.axis), side, driver.length)
+        case d.Lookup():
+            values = np.asarray(driver.values)
+            return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)
+    raise TypeError(f"unknown driver {driver!r}")
+
+
+def position(recording: Recording, axis: str) -> np.ndarray:
+    """Position of an axis in mm or deg, shape (rows,); the command where no position is recorded."""
+    name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
+    if name is None:
+        raise KeyError(f"the recording has no position of axis {axis}")
+    return recording.array(name)
+
+
+def direction(recording: Recording, axis: str, threshold: float = 0.001, start: int = 1) -> np.ndarray:
+    """Side an axis was last moved from, +1 or -1: its direction column, else its velocity's sign, else its travel."""
+    name = recording.name("direction", axis=axis)
+    if name is not None:
+        return recording.array(name)
+    name = recording.name("velocity", axis=axis)
+    if name is not None:
+        moving = np.sign(recording.array(name))
+        moving[moving == 0] = np.nan
+        held = responses_hold(recording.run_codes(), moving)
+        return np.where(np.isnan(held), float(start), held)
+    return responses.direction_of_travel(recording.run_codes(), position(recording, axis), threshold, start)
+
+
+def responses_hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Last finite value of each run, shape (rows,); NaN before the first."""
+    index = np.where(np.isnan(values), -1, np.arange(values.size))
+    starts = np.r_[True, run[1:] != run[:-1]]
+    first = np.maximum.accumulate(np.where(starts, np.arange(values.size), 0))
+    last = np.maximum.accumulate(index)
+    return np.where(last >= first, values[np.maximum(last, 0)], np.nan)
+
+
+def plain(term: Term) -> dict[str, Any]:
+    """The term as declared, without defaults: what an error model stores."""
+    return term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term}

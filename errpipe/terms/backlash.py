@@ -1,0 +1,42 @@
+"""Constant step between the two directions of approach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Direction
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, direction, drive
+
+
+class Backlash(Term):
+    """The axis stops short on the side it came from: a step between the two directions of approach.
+
+    Equation   deviation(d) = -lost_motion / 2 * d,  d = +1 or -1
+    Assumes    the gap is closed within the approach (else `friction_hysteresis`); the same all along the axis
+               (else `screw_windup`)
+    Typical    2..20 um
+    Moves      positive lost motion: approached from below the axis stops short of the target (deviation negative)
+    Source     ISO 230-2 (reversal value); Ni 1997, geometric errors
+    """
+
+    term: Literal["backlash"] = "backlash"
+    axis: str
+    reports_as = "backlash"
+    family = "reversal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("lost_motion", "um", (2.0, 20.0), (-200.0, 200.0), "step between the directions"),)
+
+    def drivers(self) -> tuple[str, ...]:
+        return (self.axis,)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return -0.5 * direction(recording, self.axis)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        half = -0.5 * parameters["lost_motion"]
+        return (Lowered(Direction(axis=self.axis), None, lambda x: np.full(np.shape(x), half)),)
