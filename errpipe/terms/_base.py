@@ -104,8 +104,8 @@ class Term(Frozen):
         """Values of all non-linear parameters, fixed ones included."""
         return [self.fixed[p.name] if p.name in self.fixed else parameters[p.name] for p in self.nonlinear()]
 
-    def drivers(self) -> tuple[str, ...]:
-        """Names of the columns the term reads."""
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        """Names of the recording's columns that drive the term, the telling one first."""
         raise TypeError(f"{type(self).__name__} does not state its columns")
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
@@ -168,6 +168,15 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
     raise TypeError(f"unknown driver {driver!r}")
 
 
+def direction_column(recording: Recording, axis: str) -> str:
+    """Name of the column that tells an axis' direction: its direction, else velocity, else position column."""
+    for role in ("direction", "velocity", "position", "command"):
+        name = recording.name(role, axis=axis)
+        if name is not None:
+            return name
+    raise KeyError(f"nothing in the recording tells the direction of axis {axis}")
+
+
 def position(recording: Recording, axis: str) -> np.ndarray:
     """Position of an axis in mm or deg, shape (rows,); the command where no position is recorded."""
     name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
@@ -185,12 +194,12 @@ def direction(recording: Recording, axis: str, threshold: float = 0.001, start: 
     if name is not None:
         moving = np.sign(recording.array(name))
         moving[moving == 0] = np.nan
-        held = responses_hold(recording.run_codes(), moving)
+        held = hold(recording.run_codes(), moving)
         return np.where(np.isnan(held), float(start), held)
     return responses.direction_of_travel(recording.run_codes(), position(recording, axis), threshold, start)
 
 
-def responses_hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
+def hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Last finite value of each run, shape (rows,); NaN before the first."""
     index = np.where(np.isnan(values), -1, np.arange(values.size))
     starts = np.r_[True, run[1:] != run[:-1]]

@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, direction, drive
+from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column
 
 
 class Backlash(Term):
@@ -31,8 +31,14 @@ class Backlash(Term):
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("lost_motion", "um", (2.0, 20.0), (-200.0, 200.0), "step between the directions"),)
 
-    def drivers(self) -> tuple[str, ...]:
-        return (self.axis,)
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (direction_column(recording, self.axis),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Backlash]:
+        axis = component[-1]
+        if recording.names("direction", axis=axis) and component == f"E{axis}{axis}":
+            yield cls(axis=axis)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return -0.5 * direction(recording, self.axis)[:, None]
