@@ -40,7 +40,9 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
-        place = self.file + (f":{self.line}" if self.line else "") + (f":{self.column}" if self.line and self.column else "")
+        place = self.file
+        if self.line:
+            place += f":{self.line}" + (f":{self.column}" if self.column else "")
         return f"{place}  {self.key}: {self.message}" if self.key else f"{place}  {self.message}"
 
 

@@ -176,7 +176,7 @@ class Recording:
 
     def take(self, rows: Any) -> Recording:
         """The recording with only the rows of a boolean mask or an index array."""
-        frame = self.frame[rows] if getattr(rows, "dtype", None) == bool else self.frame.iloc[rows]
+        frame = self.frame[rows] if getattr(rows, "dtype", None) == "bool" else self.frame.iloc[rows]
         return Recording(self.manifest, frame.reset_index(drop=True))
 
     def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:

@@ -15,7 +15,8 @@ def _cache_folder() -> str:
     """A writable cache folder: the user's, else one below the temporary folder (containers without a home)."""
     from platformdirs import user_cache_dir
 
-    for folder in (Path(user_cache_dir("errpipe")) / "numba", Path(tempfile.gettempdir()) / f"errpipe-numba-{os.getuid()}"):
+    own = Path(tempfile.gettempdir()) / f"errpipe-numba-{os.getuid()}"
+    for folder in (Path(user_cache_dir("errpipe")) / "numba", own):
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK):
