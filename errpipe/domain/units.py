@@ -1,0 +1,101 @@
+"""Units at the door: what each role may be written in, and how it becomes canonical.
+
+A conversion is affine, `canonical = (value - zero) * factor`, so that degF and K are as plain as inch.
+Everything behind the door is mm, deg, s, mm/s, mm/s2, mm/min, rpm, degC, hPa, N, kg; deviations um, urad.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from errpipe.domain.recording import ROLE_UNITS, UNITLESS_BY_DEFAULT
+from errpipe.errors import did_you_mean
+
+# canonical unit -> {unit: (zero, factor)}; factors are exact by definition of the units.
+_INTO: dict[str, dict[str, tuple[float, float]]] = {
+    "mm": {"mm": (0, 1), "m": (0, 1e3), "um": (0, 1e-3), "inch": (0, 25.4), "km": (0, 1e6)},
+    "m": {"m": (0, 1), "mm": (0, 1e-3), "km": (0, 1e3)},
+    "deg": {"deg": (0, 1), "rad": (0, 180 / math.pi)},
+    "s": {"s": (0, 1), "ms": (0, 1e-3), "min": (0, 60), "h": (0, 3600), "d": (0, 86400)},
+    "mm/s": {"mm/s": (0, 1), "m/s": (0, 1e3), "mm/min": (0, 1 / 60), "m/min": (0, 1e3 / 60)},
+    "deg/s": {"deg/s": (0, 1)},
+    "mm/s2": {"mm/s2": (0, 1), "m/s2": (0, 1e3)},
+    "deg/s2": {"deg/s2": (0, 1)},
+    "mm/min": {"mm/min": (0, 1), "m/min": (0, 1e3), "mm/s": (0, 60)},
+    "deg/min": {"deg/min": (0, 1)},
+    "rpm": {"rpm": (0, 1), "1/s": (0, 60)},
+    "degC": {"degC": (0, 1), "degF": (32, 5 / 9), "K": (273.15, 1)},
+    "hPa": {"hPa": (0, 1), "mbar": (0, 1), "Pa": (0, 1e-2), "kPa": (0, 10), "bar": (0, 1e3)},
+    "%": {"%": (0, 1)},
+    "N": {"N": (0, 1), "kN": (0, 1e3)},
+    "kg": {"kg": (0, 1), "g": (0, 1e-3), "t": (0, 1e3)},
+    "um": {"um": (0, 1), "mm": (0, 1e3), "nm": (0, 1e-3)},
+    "urad": {"urad": (0, 1), "mrad": (0, 1e3), "arcsec": (0, math.pi / 648e3 * 1e6)},
+}
+
+# Canonical units of each role, the usual one first; the unit written decides between several.
+_CANONICAL: dict[str, tuple[str, ...]] = {
+    "time": ("s",),
+    "position": ("mm", "deg"), "command": ("mm", "deg"),
+    "velocity": ("mm/s", "deg/s"), "acceleration": ("mm/s2", "deg/s2"), "feed": ("mm/min", "deg/min"),
+    "spindle_speed": ("rpm",), "temperature": ("degC",), "pressure": ("hPa",), "humidity": ("%",),
+    "force": ("N",), "load": ("kg",),
+    "depth_of_cut": ("mm",), "overhang": ("mm",), "cut_length": ("m",),
+    "error": ("um", "urad", "N"), "simulated": ("um", "urad", "N"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """canonical = (value - zero) * factor, in `unit`."""
+
+    unit: str
+    zero: float = 0.0
+    factor: float = 1.0
+
+    @property
+    def identity(self) -> bool:
+        """True where the written unit is already canonical."""
+        return self.zero == 0.0 and self.factor == 1.0
+
+    def __call__(self, value: float) -> float:
+        """One number or an array, converted."""
+        return value if self.identity else (value - self.zero) * self.factor
+
+
+def conversion(role: str, unit: str | None) -> Conversion | None:
+    """How a column of `role` written in `unit` becomes canonical; None where the role has no unit.
+
+    Raises ValueError where the unit is not one of the role's, or is missing and not implied.
+    """
+    if role not in _CANONICAL:
+        return None
+    if unit is None:
+        unit = UNITLESS_BY_DEFAULT.get(role)
+        if unit is None:
+            raise ValueError(f"a column of role {role} needs a unit (allowed: {', '.join(ROLE_UNITS[role])})")
+    for canonical in _CANONICAL[role]:
+        found = _INTO[canonical].get(unit)
+        if found is not None and unit in ROLE_UNITS[role]:
+            return Conversion(canonical, *map(float, found))
+    allowed = ROLE_UNITS[role]
+    raise ValueError(
+        f"{unit!r} is not a unit of role {role} (allowed: {', '.join(allowed)}).{did_you_mean(unit, allowed)}"
+    )
+
+
+def length(unit: str | None) -> Conversion:
+    """A length or an angle among the constants: mm or deg. Raises ValueError for other units."""
+    return conversion("position", unit or "mm")  # type: ignore[return-value]
+
+
+def constant(unit: str) -> Conversion | None:
+    """The conversion of a constant's unit into the canonical unit of its dimension; None where unknown.
+
+    A deviation's unit is a length here: constants are facts such as a tool length.
+    """
+    for canonical in ("mm", "deg", "s", "mm/min", "mm/s", "rpm", "degC", "hPa", "%", "N", "kg", "urad", "mm/s2"):
+        if unit in _INTO[canonical]:
+            return Conversion(canonical, *map(float, _INTO[canonical][unit]))
+    return None
