@@ -1,0 +1,135 @@
+"""The page a pipeline run ends with: what went in, what was fitted, and what held on rows that had no say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from errpipe.reporting import page, svg
+
+
+@dataclass(frozen=True)
+class Response:
+    """One response on rows that had no say in the model that predicts them.
+
+    deviation, predicted: shape (rows,), in `unit`; groups: label of the left-out group per row;
+    inputs: label with unit -> values, shape (rows,), the telling one first.
+    """
+
+    component: str
+    unit: str
+    deviation: np.ndarray
+    predicted: np.ndarray
+    groups: Sequence[str]
+    inputs: Mapping[str, np.ndarray]
+    rms_before: float
+    rms_after: float
+    noise_floor: float | None
+    terms: Sequence[Mapping[str, Any]] = ()
+    table: Sequence[Mapping[str, Any]] = ()
+    scheme: str = ""
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """Everything the page says. `sources`, `removed`, `validity`, `exported`: rows of plain values."""
+
+    title: str
+    machine: str
+    version: str
+    fingerprint: str
+    sources: Sequence[Mapping[str, Any]] = ()
+    removed: Sequence[Mapping[str, Any]] = ()
+    responses: Sequence[Response] = ()
+    validity: Sequence[Mapping[str, Any]] = ()
+    exported: Sequence[Mapping[str, Any]] = ()
+    extra_figures: Sequence[tuple[str, str, str]] = ()  # heading, SVG, caption
+    notes: Sequence[str] = ()
+    next_step: str = ""
+    iso230: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
+
+
+def render(report: RunReport) -> str:
+    """The whole page as HTML text."""
+    blocks = [
+        {
+            "response": r,
+            "before_after": before_after(r),
+            "groups": by_group(r) if len(r.table) > 1 else "",
+            "residuals": residuals(r),
+        }
+        for r in report.responses
+    ]
+    return page.render("run.html.j2", {"title": report.title or "errpipe run", "report": report, "blocks": blocks})
+
+
+def before_after(r: Response) -> str:
+    """Deviation and what is left of it, over the input that carries most of it."""
+    label, x = next(iter(r.inputs.items()), ("row", np.arange(r.deviation.size, dtype=float)))
+    rows = svg.thin(r.deviation.size)
+    with svg.figure(7.2, 3.2) as (canvas, axes):
+        axes.plot(x[rows], r.deviation[rows], ".", ms=3, color=svg.BEFORE, label="before", alpha=0.75)
+        left = r.deviation - r.predicted
+        axes.plot(x[rows], left[rows], ".", ms=3, color=svg.AFTER, label="after, held out", alpha=0.75)
+        _floor(axes, r.noise_floor)
+        axes.set(xlabel=label, ylabel=f"{r.component} deviation in {r.unit}")
+        axes.legend(loc="best", markerscale=3)
+        return svg.to_svg(canvas, f"{r.component} before and after on held-out rows")
+
+
+def by_group(r: Response) -> str:
+    """One pair of bars per left-out group."""
+    names = [str(row["group"]) for row in r.table]
+    height = max(1.6, 0.34 * len(names) + 0.9)
+    with svg.figure(7.2, min(height, 9.0)) as (canvas, axes):
+        y = np.arange(len(names))
+        axes.barh(y - 0.19, [row["rms_before"] for row in r.table], 0.36, color=svg.BEFORE, label="before")
+        axes.barh(y + 0.19, [row["rms_after"] for row in r.table], 0.36, color=svg.AFTER, label="after, held out")
+        if r.noise_floor:
+            axes.axvline(r.noise_floor, color=svg.FLOOR, ls="--", lw=1, label="noise floor")
+        axes.set(yticks=y, yticklabels=names, xlabel=f"rms in {r.unit}")
+        axes.invert_yaxis()
+        axes.grid(axis="y", visible=False)
+        axes.legend(loc="best")
+        return svg.to_svg(canvas, f"{r.component} rms by left-out group")
+
+
+def residuals(r: Response, most: int = 9) -> str:
+    """Held-out residual against every input: structure left here is physics left out."""
+    chosen = list(r.inputs.items())[:most]
+    if not chosen:
+        return ""
+    columns = min(3, len(chosen))
+    lines = -(-len(chosen) // columns)
+    left = r.deviation - r.predicted
+    rows = svg.thin(left.size, 600)
+    with svg.figure(7.2, 2.1 * lines, lines, columns) as (canvas, grid):
+        cells = np.atleast_1d(grid).ravel()
+        for axes, (label, x) in zip(cells, chosen, strict=False):
+            axes.plot(x[rows], left[rows], ".", ms=2.5, color=svg.AFTER, alpha=0.6)
+            _trend(axes, x, left)
+            axes.set_xlabel(label, fontsize=8)
+            axes.tick_params(labelsize=7)
+        for axes in cells[len(chosen) :]:
+            axes.set_axis_off()
+        cells[0].set_ylabel(f"residual in {r.unit}", fontsize=8)
+        return svg.to_svg(canvas, f"{r.component} held-out residual against every input")
+
+
+def _trend(axes: Any, x: np.ndarray, y: np.ndarray, bins: int = 12) -> None:
+    """Means of equal shares of the rows: a flat line means nothing is left."""
+    good = np.isfinite(x) & np.isfinite(y)
+    if good.sum() < 4 * bins or np.ptp(x[good]) == 0:
+        return
+    order = np.argsort(x[good], kind="stable")
+    parts = np.array_split(order, bins)
+    axes.plot([x[good][p].mean() for p in parts], [y[good][p].mean() for p in parts], color=svg.INK, lw=1.2)
+
+
+def _floor(axes: Any, noise_floor: float | None) -> None:
+    if noise_floor:
+        axes.axhspan(-noise_floor, noise_floor, color=svg.FLOOR, alpha=0.18, lw=0, label="noise floor, ±1 rms")
