@@ -77,7 +77,7 @@ def before_after(r: Response) -> str:
         axes.plot(x[rows], left[rows], ".", ms=3, color=svg.AFTER, label="after, held out", alpha=0.75)
         _floor(axes, r.noise_floor)
         axes.set(xlabel=label, ylabel=f"{r.component} deviation in {r.unit}")
-        axes.legend(loc="best", markerscale=3)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, markerscale=3)
         return svg.to_svg(canvas, f"{r.component} before and after on held-out rows")
 
 
@@ -94,7 +94,7 @@ def by_group(r: Response) -> str:
         axes.set(yticks=y, yticklabels=names, xlabel=f"rms in {r.unit}")
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)
-        axes.legend(loc="best")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         return svg.to_svg(canvas, f"{r.component} rms by left-out group")
 
 

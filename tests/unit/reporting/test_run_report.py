@@ -1,0 +1,59 @@
+"""The run page: same bytes for the same data, nothing from the network, every number it was given."""
+
+import re
+
+import numpy as np
+import pytest
+
+from errpipe.reporting import page
+from errpipe.reporting.run_report import Response, RunReport, render
+
+
+@pytest.fixture(scope="module")
+def report() -> RunReport:
+    rng = np.random.default_rng(0)
+    x = np.linspace(0.0, 800.0, 300)
+    deviation = 0.03 * x + rng.normal(size=x.size)
+    row = {"rows": 150, "rms_before": 12.0, "rms_after": 1.01, "bias": 0.1, "scatter": 0.9, "worst": 3.0}
+    response = Response(
+        component="EXX",
+        unit="um",
+        deviation=deviation,
+        predicted=0.03 * x,
+        groups=["1"] * 150 + ["2"] * 150,
+        inputs={"x in mm": x, "T_nut in degC": rng.normal(20.0, 1.0, x.size)},
+        rms_before=14.1,
+        rms_after=1.01,
+        noise_floor=0.98,
+        terms=[{"says": "lead <error>", "parameters": [{"name": "k", "value": 30.0, "ci95": (29.0, 31.0), "unit": "um/m"}]}],
+        table=[{"group": "1", "coverage90": 0.91, **row}, {"group": "2", "coverage90": None, **row}],
+        scheme="leave one run out",
+    )
+    return RunReport(title="X axis", machine="vmc-1", version="0", fingerprint="abc", responses=[response])
+
+
+def test_equal_data_equal_bytes(report):
+    assert render(report) == render(report)
+
+
+def test_page_needs_no_network_and_carries_no_clock(report):
+    text = render(report)
+    links = re.findall(r'(?:href|src)="(?!#)([^"]+)"', text)
+    assert links == []
+    assert "<dc:date>" not in text
+    assert "<script" not in text
+
+
+def test_page_says_the_three_numbers_and_escapes_text(report):
+    text = render(report)
+    for figure in ("14.1 um", "1.01 um", "0.98 um"):
+        assert f"<b>{figure}</b>" in text
+    assert "lead &lt;error&gt;" in text
+    assert "lead <error>" not in text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(None, "–"), (float("nan"), "–"), (1234.0, "1230"), (0.00123, "0.00123"), (12.0, "12")]
+)
+def test_numbers_for_readers(value, text):
+    assert page.number(value) == text
