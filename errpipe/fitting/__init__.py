@@ -1,0 +1,1 @@
+"""Fitting: from a recording and a list of terms to parameters with honest intervals."""

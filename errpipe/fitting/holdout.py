@@ -1,0 +1,158 @@
+"""Who sits out: the ways to split a recording into rows that fit and rows that judge.
+
+Whole runs, days or seasons are left out, never single rows: neighbouring rows share their noise and
+their thermal state, so a random split flatters every model. Blocks of one long run keep a `gap`
+around the judged block out of the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.domain.recording import Frozen, Recording
+from errpipe.errors import DataError, did_you_mean
+
+
+class Fold(NamedTuple):
+    """One split: the label of what sits out, rows that fit, rows that judge (boolean masks, shape (rows,))."""
+
+    label: str
+    train: np.ndarray
+    test: np.ndarray
+
+
+class HoldOut(Frozen):
+    """How a recording is split. `auto`: whole runs where there are at least three, else blocks of time."""
+
+    scheme: Literal["auto", "leave-one-run-out", "leave-one-group-out", "blocks", "forward"] = Field(
+        "auto", description="leave-one-group-out leaves a day or season out; forward fits on the past alone."
+    )
+    of: str | None = Field(None, description="Group that sits out: a column's name or its `of` (day, season, machine).")
+    blocks: int = Field(5, ge=2, description="Number of equal blocks (blocks, and forward without `of`).")
+    gap: float = Field(
+        0.0, ge=0, description="Rows this close to a judged block do not fit.", json_schema_extra={"unit": "s"}
+    )
+
+
+def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
+    """All folds of a scheme, in order of first appearance; every fold has rows on both sides.
+
+    scheme: a `HoldOut`, or its short form: "leave-one-run-out", "leave-one-group-out:season", "blocks:6",
+    "forward:day". Raises DataError where the recording has no such group or too few of them.
+    """
+    chosen = parse(scheme) if isinstance(scheme, str) else scheme
+    if chosen.scheme == "auto":
+        chosen = _automatic(recording, chosen)
+    folds = list(_folds(recording, chosen))
+    if not folds:
+        raise DataError(f"hold-out {name(chosen)}: the recording has only one group, so nothing can sit out")
+    for fold in folds:
+        check(fold)
+    return folds
+
+
+def parse(text: str) -> HoldOut:
+    """A hold-out from its short form. Raises DataError on an unknown scheme."""
+    word, _, detail = text.partition(":")
+    known = HoldOut.model_fields["scheme"].annotation.__args__
+    if word not in known:
+        raise DataError(f"hold-out: {word!r} is not a scheme (allowed: {', '.join(known)}).{did_you_mean(word, known)}")
+    if not detail:
+        return HoldOut(scheme=word)
+    return HoldOut(scheme=word, blocks=int(detail)) if detail.isdigit() else HoldOut(scheme=word, of=detail)
+
+
+def name(scheme: HoldOut) -> str:
+    """Short form of a scheme, as `groups` reads it."""
+    if scheme.scheme == "blocks" or (scheme.scheme == "forward" and scheme.of is None):
+        return f"{scheme.scheme}:{scheme.blocks}"
+    return f"{scheme.scheme}:{scheme.of}" if scheme.of else scheme.scheme
+
+
+def resolved(recording: Recording, scheme: HoldOut | str = "auto") -> HoldOut:
+    """The scheme that `groups` uses: `auto` replaced by its choice for this recording."""
+    chosen = parse(scheme) if isinstance(scheme, str) else scheme
+    return _automatic(recording, chosen) if chosen.scheme == "auto" else chosen
+
+
+def check(fold: Fold) -> None:
+    """Raise DataError where rows both fit and judge, or where one side is empty."""
+    both = int(np.count_nonzero(fold.train & fold.test))
+    if both:
+        raise DataError(f"hold-out {fold.label}: {both} rows both fit and judge")
+    if not fold.test.any() or not fold.train.any():
+        side = "judges" if not fold.test.any() else "fits"
+        raise DataError(f"hold-out {fold.label}: no row {side}")
+
+
+def labels(recording: Recording, of: str | None) -> np.ndarray:
+    """Group label of each row as text, shape (rows,); runs where `of` is None.
+
+    of: a column of role group or run, or the `of` of a group column.
+    """
+    if of is None or of == "run":
+        return np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]
+    for column in (*recording.names("group"), *recording.names("run")):
+        if of in (column, recording.manifest.columns[column].of):
+            return recording.frame[column].astype(str).to_numpy(dtype=object)
+    known = [recording.manifest.columns[c].of or c for c in recording.names("group")]
+    raise DataError(f"hold-out: no group {of!r} (present: {', '.join(known) or 'none'}).{did_you_mean(of, known)}")
+
+
+def block_numbers(recording: Recording, count: int) -> np.ndarray:
+    """Number 0..count-1 of the equal-length stretch of consecutive rows each row lies in, shape (rows,)."""
+    return np.minimum(np.arange(len(recording)) * count // max(len(recording), 1), count - 1)
+
+
+def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
+    if len(recording.run_labels()) >= 3:
+        return scheme.model_copy(update={"scheme": "leave-one-run-out"})
+    return scheme.model_copy(update={"scheme": "blocks"})
+
+
+def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
+    if scheme.scheme == "leave-one-group-out" and scheme.of is None and recording.names("group"):
+        scheme = scheme.model_copy(update={"of": recording.names("group")[0]})
+    blocked = scheme.scheme == "blocks" or (scheme.scheme == "forward" and scheme.of is None)
+    if blocked:
+        codes = block_numbers(recording, scheme.blocks)
+        order = [(f"block {k + 1} of {scheme.blocks}", k) for k in range(scheme.blocks)]
+    else:
+        found = labels(recording, scheme.of)
+        unique = list(dict.fromkeys(found))
+        codes = _codes(found, unique)
+        order = [(str(label), k) for k, label in enumerate(unique)]
+    if len(order) < 2:
+        return
+    for label, k in order:
+        test = codes == k
+        train = codes < k if scheme.scheme == "forward" else ~test
+        train &= ~_near(recording, test, scheme.gap)
+        if train.any() and test.any():
+            yield Fold(label, train, test)
+
+
+def _codes(found: np.ndarray, unique: list[str]) -> np.ndarray:
+    number = {label: k for k, label in enumerate(unique)}
+    return np.array([number[label] for label in found])
+
+
+def _near(recording: Recording, test: np.ndarray, gap: float) -> np.ndarray:
+    """Rows of the judged rows' own runs within `gap` seconds of them."""
+    near = np.zeros(test.size, dtype=bool)
+    if gap <= 0:
+        return near
+    time, run = recording.time(), recording.run_codes()
+    for code in np.unique(run[test]):
+        rows = np.flatnonzero(run == code)
+        judged = np.sort(time[rows][test[rows]])
+        right = np.searchsorted(judged, time[rows])
+        before = time[rows] - judged[np.maximum(right - 1, 0)]
+        after = judged[np.minimum(right, judged.size - 1)] - time[rows]
+        distance = np.minimum(np.where(right > 0, before, np.inf), np.where(right < judged.size, after, np.inf))
+        near[rows] = distance <= gap
+    return near & ~test
