@@ -14,6 +14,7 @@ def report() -> RunReport:
     rng = np.random.default_rng(0)
     x = np.linspace(0.0, 800.0, 300)
     deviation = 0.03 * x + rng.normal(size=x.size)
+    slope = {"name": "k", "value": 30.0, "ci95": (29.0, 31.0), "unit": "um/m"}
     row = {"rows": 150, "rms_before": 12.0, "rms_after": 1.01, "bias": 0.1, "scatter": 0.9, "worst": 3.0}
     response = Response(
         component="EXX",
@@ -25,7 +26,7 @@ def report() -> RunReport:
         rms_before=14.1,
         rms_after=1.01,
         noise_floor=0.98,
-        terms=[{"says": "lead <error>", "parameters": [{"name": "k", "value": 30.0, "ci95": (29.0, 31.0), "unit": "um/m"}]}],
+        terms=[{"says": "lead <error>", "parameters": [slope]}],
         table=[{"group": "1", "coverage90": 0.91, **row}, {"group": "2", "coverage90": None, **row}],
         scheme="leave one run out",
     )
