@@ -128,8 +128,28 @@ class Term(Frozen):
         return f"{self.term.replace('_', ' ')}: " + ", ".join(parts)
 
 
+LONGEST_PAUSE = 7200.0  # s; runs further apart than this count as started anew (from taste: a machine at rest forgets)
+
+
+def sessions(recording: Recording) -> np.ndarray:
+    """Integer per row, shape (rows,): runs that follow each other in time share one, for heat does not stop between them.
+
+    A new session starts where the run changes and time goes back, is missing, or jumps by more than
+    `LONGEST_PAUSE`; without a time column every run is its own.
+    """
+    run = recording.run_codes()
+    if len(run) == 0 or recording.name("time") is None:
+        return run
+    step = np.diff(recording.time())
+    goes_on = (step >= 0) & (step <= LONGEST_PAUSE)
+    return np.r_[0, np.cumsum((run[1:] != run[:-1]) & ~goes_on)].astype(np.int64)
+
+
 def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
-    """Evaluate a driver causally over a recording, shape (rows,). Missing inputs give NaN."""
+    """Evaluate a driver causally over a recording, shape (rows,). Missing inputs give NaN.
+
+    States (first value, lag, switch, direction, approach) live as long as a session: see `sessions`.
+    """
     match driver:
         case d.Constant():
             return np.full(len(recording), driver.value)
@@ -141,12 +161,12 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
                 total = total + weight * drive(of, recording)
             return total
         case d.First():
-            return responses.first_value(recording.run_codes(), drive(driver.of, recording))
+            return responses.first_value(sessions(recording), drive(driver.of, recording))
         case d.Lag():
             source = drive(driver.of, recording)
             at_input = driver.start == "input"
             return responses.lag(
-                recording.run_codes(), recording.time(), source, driver.tau_up, driver.tau_down, at_input
+                sessions(recording), recording.time(), source, driver.tau_up, driver.tau_down, at_input
             )
         case d.Product():
             return np.prod([drive(of, recording) for of in driver.of], axis=0)
@@ -156,12 +176,12 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
         case d.Clip():
             return np.clip(drive(driver.of, recording), driver.low, driver.high)
         case d.Switch():
-            return responses.switch(recording.run_codes(), drive(driver.of, recording), driver.on, driver.off)
+            return responses.switch(sessions(recording), drive(driver.of, recording), driver.on, driver.off)
         case d.Direction():
             return direction(recording, driver.axis, driver.threshold, driver.start)
         case d.Approach():
             side = direction(recording, driver.axis, driver.threshold, driver.start)
-            return responses.approach(recording.run_codes(), position(recording, driver.axis), side, driver.length)
+            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length)
         case d.Lookup():
             values = np.asarray(driver.values)
             return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)
@@ -196,7 +216,7 @@ def direction(recording: Recording, axis: str, threshold: float = 0.001, start: 
         moving[moving == 0] = np.nan
         held = hold(recording.run_codes(), moving)
         return np.where(np.isnan(held), float(start), held)
-    return responses.direction_of_travel(recording.run_codes(), position(recording, axis), threshold, start)
+    return responses.direction_of_travel(sessions(recording), position(recording, axis), threshold, start)
 
 
 def hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:

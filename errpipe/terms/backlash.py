@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column
+from errpipe.terms._place import axes_acting, is_radial, share
 
 
 class Backlash(Term):
@@ -25,6 +26,7 @@ class Backlash(Term):
 
     term: Literal["backlash"] = "backlash"
     axis: str
+    radial: bool = False
     reports_as = "backlash"
     family = "reversal"
 
@@ -36,12 +38,12 @@ class Backlash(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Backlash]:
-        axis = component[-1]
-        if recording.names("direction", axis=axis) and component == f"E{axis}{axis}":
-            yield cls(axis=axis)
+        for axis in axes_acting(recording, component):
+            if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
+                yield cls(axis=axis, radial=is_radial(component))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return -0.5 * direction(recording, self.axis)[:, None]
+        return (-0.5 * direction(recording, self.axis) * share(recording, self.axis, self.radial))[:, None]
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         half = -0.5 * parameters["lost_motion"]

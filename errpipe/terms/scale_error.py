@@ -1,0 +1,49 @@
+"""Deviation proportional to axis position, at every temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import ONE
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._place import axes_acting, is_radial, position_name, share
+
+
+class ScaleError(Term):
+    """The lead of the screw or the pitch of the scale is off: the axis travels too far by a fixed share.
+
+    Equation   deviation(x) = slope * x                            [um] = [um/m] * [m]
+    Assumes    the same slope at every temperature (else `scale_expansion`); a measuring beam out of line looks
+               the same (cosine error)
+    Typical    5..50 um/m
+    Moves      positive slope: the axis travels past its target, more so far out
+    Source     ISO 230-2; Ni 1997, geometric errors
+    """
+
+    term: Literal["scale_error"] = "scale_error"
+    axis: str
+    radial: bool = False
+    reports_as = "scale_error"
+    family = "geometric"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("slope", "um/m", (5.0, 50.0), (-1000.0, 1000.0), "share by which the axis travels too far"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ScaleError]:
+        for axis in axes_acting(recording, component):
+            yield cls(axis=axis, radial=is_radial(component))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return (position(recording, self.axis) * 1e-3 * share(recording, self.axis, self.radial))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        slope = parameters["slope"] * 1e-3
+        return (Lowered(ONE, self.axis, lambda x: slope * np.asarray(x, dtype=float)),)

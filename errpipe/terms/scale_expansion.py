@@ -1,0 +1,53 @@
+"""Slope along the axis proportional to a temperature rise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive, position
+from errpipe.terms._place import axes_acting, is_radial, position_name, share
+from errpipe.terms._warm import REFERENCE, rise_driver, sensors
+
+
+class ScaleExpansion(Term):
+    """Deviation proportional to position and to a temperature rise: the scale or screw gets longer.
+
+    Equation   deviation(x, T) = coefficient * x * (T - T_ref)      [um] = [um/m/K] * [m] * [K]
+    Assumes    one temperature speaks for the whole scale, fixed at x = 0; no delay (else `thermal_lag`)
+    Typical    5..20 um/m/K; steel near 11.5, glass near 8
+    Moves      positive coefficient: on a warm scale the marks lie further apart, the axis travels past its target
+    Source     ISO 230-3; Ni 1997, equation of the position-dependent thermal error
+    """
+
+    term: Literal["scale_expansion"] = "scale_expansion"
+    axis: str
+    sensor: str
+    reference: float | None = REFERENCE
+    radial: bool = False
+    reports_as = "scale_expansion"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "um/m/K", (5.0, 20.0), (-100.0, 100.0), "growth per metre and kelvin"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis), self.sensor)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ScaleExpansion]:
+        for axis in axes_acting(recording, component):
+            for sensor in sensors(recording):
+                yield cls(axis=axis, sensor=sensor, radial=is_radial(component))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        rise = drive(rise_driver(self.sensor, self.reference), recording)
+        return (position(recording, self.axis) * 1e-3 * rise * share(recording, self.axis, self.radial))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        slope = parameters["coefficient"] * 1e-3
+        driver = rise_driver(self.sensor, self.reference)
+        return (Lowered(driver, self.axis, lambda x: slope * np.asarray(x, dtype=float)),)

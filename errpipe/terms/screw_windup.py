@@ -1,0 +1,60 @@
+"""A step between the directions that grows with distance from the screw's drive end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Direction
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column, position
+from errpipe.terms._place import axes_acting, is_radial, position_name, share, travel
+
+
+class ScrewWindup(Term):
+    """Friction twists and stretches the screw: the longer the piece that carries the force, the larger the step.
+
+    Equation   deviation(d, x) = -step_at_far_end / 2 * d * |x - drive_end| / length
+    Assumes    the same friction both ways; no gap (add `backlash` for the part that does not grow)
+    Typical    2..15 um at the far end
+    Moves      positive step: approached from below the axis stops short, most of all at the far end
+    Source     axial compliance of a screw, force * length / (E A)
+    """
+
+    term: Literal["screw_windup"] = "screw_windup"
+    axis: str
+    drive_end: float
+    length: float
+    radial: bool = False
+    reports_as = "screw_windup"
+    family = "reversal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("step_at_far_end", "um", (2.0, 15.0), (-200.0, 200.0), "step between directions, far end"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (direction_column(recording, self.axis), position_name(recording, self.axis))
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ScrewWindup]:
+        for axis in axes_acting(recording, component):
+            if not (recording.names("direction", axis=axis) or recording.names("velocity", axis=axis)):
+                continue
+            low, high = travel(recording, axis)
+            known = recording.manifest.axis(axis)
+            ends = (low, high) if known is None or known.drive_end is None else (known.drive_end,)
+            for end in ends:
+                yield cls(axis=axis, drive_end=end, length=high - low, radial=is_radial(component))
+
+    def _reach(self, x: np.ndarray) -> np.ndarray:
+        return np.abs(np.asarray(x, dtype=float) - self.drive_end) / self.length
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        step = -0.5 * direction(recording, self.axis) * self._reach(position(recording, self.axis))
+        return (step * share(recording, self.axis, self.radial))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        half = -0.5 * parameters["step_at_far_end"]
+        return (Lowered(Direction(axis=self.axis), self.axis, lambda x: half * self._reach(x)),)

@@ -1,0 +1,70 @@
+"""Smooth non-linear deviation of one direction along another axis' position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.domain.driver import ONE
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._place import axes, direction_of, own_axis, position_name
+
+
+def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
+    """Chebyshev polynomials of degree 2..order over low..high, shape (rows, order - 1)."""
+    unit = (2 * np.asarray(x, dtype=float) - low - high) / (high - low)
+    return np.polynomial.chebyshev.chebvander(unit, order)[..., 2:]
+
+
+class Straightness(Term):
+    """A guideway is not straight: moving along one axis shifts the tool sideways, smoothly and not in proportion.
+
+    Equation   deviation(x) = sum of b_k T_k(u), k = 2..order, u = position scaled to -1..1 over low..high
+    Assumes    a smooth guideway; degree 1 belongs to squareness, degree 0 to the datum
+    Typical    2..20 um
+    Moves      positive bow: the ends of travel lie further in the positive direction than the middle
+    Source     ISO 230-1 (straightness error motion); Ni 1997, geometric errors
+    """
+
+    term: Literal["straightness"] = "straightness"
+    axis: str
+    low: float
+    high: float
+    order: int = Field(4, ge=2, le=12)
+    reports_as = "straightness"
+    family = "geometric"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"bow{k}", "um", (2.0, 20.0), (-500.0, 500.0), f"amplitude of degree {k}")
+            for k in range(2, self.order + 1)
+        )
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Straightness]:
+        pointing = direction_of(component)
+        if pointing is None:
+            return
+        own = own_axis(component)
+        for axis in axes(recording):
+            if axis == pointing or (own is not None and axis != own):
+                continue
+            x = position(recording, axis)
+            low, high = float(np.nanmin(x)), float(np.nanmax(x))
+            if high > low:
+                yield cls(axis=axis, low=low, high=high)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return bows(position(recording, self.axis), self.low, self.high, self.order)
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        gains = np.array([parameters[p.name] for p in self.linear()])
+        low, high, order = self.low, self.high, self.order
+        return (Lowered(ONE, self.axis, lambda x: bows(np.clip(x, low, high), low, high, order) @ gains),)

@@ -1,0 +1,47 @@
+"""Offset proportional to one temperature rise, at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
+
+
+class ThermalDrift(Term):
+    """A part of the structure grows with its temperature and shifts the tool: an offset that follows a sensor.
+
+    Equation   deviation(T) = gain * (T - T_ref)                    [um] = [um/K] * [K]
+    Assumes    the sensor speaks for the part, without delay (else `thermal_lag`)
+    Typical    1..10 um/K
+    Moves      positive gain: the warmer, the further in the positive direction
+    Source     Ni 1997, thermal errors; ISO 230-3
+    """
+
+    term: Literal["thermal_drift"] = "thermal_drift"
+    sensor: str
+    reference: float | None = REFERENCE
+    reports_as = "thermal_drift"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.sensor,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ThermalDrift]:
+        if component.startswith("E"):
+            for sensor in sensors(recording):
+                yield cls(sensor=sensor)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(rise_driver(self.sensor, self.reference), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(rise_driver(self.sensor, self.reference), parameters["gain"])),)
