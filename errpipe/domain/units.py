@@ -90,12 +90,18 @@ def length(unit: str | None) -> Conversion:
     return conversion("position", unit or "mm")  # type: ignore[return-value]
 
 
-def constant(unit: str) -> Conversion | None:
-    """The conversion of a constant's unit into the canonical unit of its dimension; None where unknown.
+# Canonical as they stand among constants: a deviation, a temperature rise.
+_AS_THEY_STAND = ("um", "urad", "K", "%")
 
-    A deviation's unit is a length here: constants are facts such as a tool length.
+
+def constant(unit: str) -> Conversion | None:
+    """The conversion of a constant's unit into the canonical one of its dimension; None where unknown.
+
+    Lengths become mm, but a `um` is a deviation and a `K` a rise, and both stay.
     """
-    for canonical in ("mm", "deg", "s", "mm/min", "mm/s", "rpm", "degC", "hPa", "%", "N", "kg", "urad", "mm/s2"):
+    if unit in _AS_THEY_STAND:
+        return Conversion(unit)
+    for canonical in ("mm", "deg", "s", "mm/s", "mm/min", "mm/s2", "rpm", "degC", "hPa", "N", "kg", "urad"):
         if unit in _INTO[canonical]:
             return Conversion(canonical, *map(float, _INTO[canonical][unit]))
     return None

@@ -1,0 +1,66 @@
+"""ISO 230-1 names."""
+
+import pytest
+
+from errpipe.domain import components
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "unit"),
+    [
+        ("EXX", "positioning", "um"),
+        ("EYX", "straightness", "um"),
+        ("EAX", "roll", "urad"),
+        ("EBX", "tilt", "urad"),
+        ("ECX", "tilt", "urad"),
+        ("EZC", "axial", "um"),
+        ("EXC", "radial", "um"),
+        ("ECC", "angular positioning", "urad"),
+        ("EAC", "tilt", "urad"),
+        ("C0Y", "squareness", "urad"),
+        ("X0C", "axis offset", "um"),
+        ("A0C", "squareness", "urad"),
+        ("E_Z", "tool point", "um"),
+        ("E_A", "tool orientation", "urad"),
+        ("E_R", "circular", "um"),
+        ("E_D", "diameter", "um"),
+        ("F_X", "force", "N"),
+        ("EXU", "positioning", "um"),
+        ("ECS", "angular positioning", "urad"),
+        ("EXX1", "positioning", "um"),
+    ],
+)
+def test_names_mean_what_iso_230_1_says(name, kind, unit):
+    assert (components.parse(name).kind, components.unit(name)) == (kind, unit)
+    assert components.describe(name)
+
+
+@pytest.mark.parametrize(
+    ("alias", "name"),
+    [("E_X0C", "X0C"), ("EX0C", "X0C"), ("E_{X0C}", "X0C"), ("EC0Y", "C0Y"), ("E_XX", "EXX"), ("E_{BX}", "EBX")],
+)
+def test_the_other_spellings_are_the_same_component(alias, name):
+    assert components.parse(alias) == components.parse(name)
+    assert components.parse(alias).name == name
+
+
+def test_a_wrong_name_gets_the_nearest_right_one():
+    with pytest.raises(ValueError, match=r"Did you mean EXX\?"):
+        components.parse("exx")
+    with pytest.raises(ValueError, match=r"'EXT' is not an ISO 230-1 component"):
+        components.parse("EXT")
+
+
+def test_how_many_a_machine_has():
+    assert components.count(3) == 21
+    assert components.count(3, 2) == 41
+    for linear, rotary in [(("X", "Y", "Z"), ()), (("X", "Y", "Z"), ("A", "C")), (("X", "Z"), ()), (("X",), ("B",))]:
+        names = components.of_machine(linear, rotary)
+        assert len(set(names)) == len(names) == components.count(len(linear), len(rotary))
+        assert all(components.parse(n).name == n for n in names)
+    assert len(components.thermal_and_geometric()) == 32
+
+
+def test_squareness_turns_about_the_third_axis():
+    assert components.of_machine()[-3:] == ("C0Y", "B0Z", "A0Z")
+    assert components.of_machine(("X",), ("C",))[-4:] == ("X0C", "Y0C", "A0C", "B0C")
