@@ -1,77 +1,356 @@
 """A folder with a recording manifest, `recording.yaml`, and its tables (CSV with a header row, or Parquet).
 
-The manifest says what every column is; nothing is guessed. Units are checked and converted here, once.
+The manifest says what every column is; nothing is guessed from a name, and no file is opened that the
+manifest does not list. Units are checked and converted here, once. Refused, each with file and line:
+a column the manifest lacks or the table lacks, a cell that is not a number, a ragged row, time that
+decreases in a run, a direction that is not +1 or -1, a path outside the folder.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.csv as pacsv
-import pyarrow.parquet as pq
+from pydantic import AfterValidator, Field, model_validator
 
-from errpipe.domain import units
-from errpipe.domain.recording import Manifest, Recording
-from errpipe.errors import ConfigError, DataError, Problem
+from errpipe import jsonfile
+from errpipe.domain import components, units
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.errors import DataError
+from errpipe.formats import _tables
 
+name = "manifest"
+MANIFEST = "recording.yaml"
+TABLE = "recording.parquet"
 LABELS = ("run", "group")
+ALLOWED = {"direction": (-1.0, 1.0), "coolant": (0.0, 1.0)}
+CHUNK_ROWS = 131_072  # also the row group of what is written, so chunked and whole writing give equal bytes
+
+_PLAIN = re.compile(r"[A-Za-z_][\w./-]*", re.ASCII)
+_AXIS = re.compile(r"[A-Z]\d?")
+_AXIS_LENGTHS = ("travel", "screw_lead", "encoder_period", "drive_end")
+
+
+def _inside(path: str) -> str:
+    parts = PurePosixPath(path.replace("\\", "/"))
+    if parts.is_absolute() or ".." in parts.parts or re.match(r"[A-Za-z]:", path) or not path:
+        raise ValueError(f"{path!r} is outside the folder (allowed: a file of the manifest's own folder)")
+    return path
+
+
+class _DoorColumn(Column):
+    """A column as the door wants it: a unit wherever its role has one, an ISO component, an ISO axis."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> _DoorColumn:
+        units.conversion(self.role, self.unit)
+        if self.axis is not None and not _AXIS.fullmatch(self.axis):
+            raise ValueError(f"axis {self.axis!r} is not an ISO 841 axis (allowed: a capital letter such as X, X1)")
+        if self.component is not None:
+            wanted = components.unit(self.component)
+            found = units.conversion(self.role, self.unit)
+            if self.role in ("error", "simulated") and found is not None and found.unit != wanted:
+                raise ValueError(f"{self.component} is measured in {wanted} (found {self.unit!r})")
+        return self
+
+
+class _DoorManifest(Manifest):
+    """The manifest with what only the door can check."""
+
+    tables: tuple[Annotated[str, AfterValidator(_inside)], ...] = Field(min_length=1)
+    columns: dict[str, _DoorColumn]
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> _DoorManifest:
+        seen: dict[tuple[str | None, ...], str] = {}
+        for column_name, c in self.columns.items():
+            if c.role in ("run", "time", "error", "simulated"):
+                what = (c.role, c.component)
+                if what in seen:
+                    of = f" of {c.component}" if c.component else ""
+                    raise ValueError(
+                        f"columns {seen[what]!r} and {column_name!r} are both role {c.role}{of} (allowed: one;"
+                        " give the other role ignore)"
+                    )
+                seen[what] = column_name
+        if len(set(self.tables)) < len(self.tables):
+            raise ValueError("a table is listed twice (its rows would count twice)")
+        return self
+
+
+def sniff(path: Path) -> bool:
+    """True for a folder that holds `recording.yaml`, and for that file."""
+    path = Path(path)
+    return (path / MANIFEST).is_file() or (path.name == MANIFEST and path.is_file())
 
 
 def load_manifest(path: Path) -> Manifest:
-    """The manifest of a folder (or the file itself). Raises ConfigError with every problem."""
+    """The manifest of a folder (or the file itself), units as written. Raises ConfigError with every problem."""
     path = Path(path)
-    path = path / "recording.yaml" if path.is_dir() else path
+    door = _load(path / MANIFEST if path.is_dir() else path)
+    return Manifest.model_validate(door.model_dump())
+
+
+def _load(path: Path) -> Manifest:
     try:
         from errpipe import yamlfile
     except ImportError:
         from pydantic import ValidationError
         from ruamel.yaml import YAML
 
+        from errpipe.errors import ConfigError, Problem
+
         try:
-            return Manifest.model_validate(YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8")))
+            return _DoorManifest.model_validate(YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8")))
         except ValidationError as err:
             problems = [Problem(str(path), 0, 0, ".".join(map(str, e["loc"])), e["msg"]) for e in err.errors()]
             raise ConfigError(problems) from None
-    return yamlfile.load(path, Manifest)
+    return yamlfile.load(path, _DoorManifest)
 
 
-def read(folder: Path) -> Recording:
-    """Read a recording folder into canonical units. Raises ConfigError or DataError."""
-    folder = Path(folder)
-    manifest = load_manifest(folder)
-    tables = [_read_table(folder / name, manifest) for name in manifest.tables]
-    table = pa.concat_tables(tables)
-    frame = {}
-    columns = dict(manifest.columns)
-    for name, column in manifest.columns.items():
-        if column.role == "ignore":
+def read(path: Path, options: Any = None) -> Recording:
+    """A recording folder, whole, in canonical units. Raises ConfigError (manifest) or DataError (tables)."""
+    manifest = load_manifest(path)
+    parts = list(_blocks(_folder(path), manifest))
+    names = [n for n, c in manifest.columns.items() if c.role != "ignore"]
+    frame = pd.DataFrame({n: _join([p.pop(n) for p in parts], manifest.columns[n].role) for n in names}, copy=False)
+    return Recording(canonical(manifest), frame)
+
+
+def iter_chunks(path: Path, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
+    """The same rows in order, `rows` at a time (the last chunk may be shorter): memory does not grow with the file.
+
+    Raises what `read` raises, when it comes to it.
+    """
+    manifest = load_manifest(path)
+    kinds = {n: c.role for n, c in manifest.columns.items() if c.role != "ignore"}
+    settled = canonical(manifest)
+    held: list[dict[str, Any]] = []
+    count = 0
+    for part in _blocks(_folder(path), manifest):
+        held.append(part)
+        count += _length(part)
+        if count < rows:
             continue
-        if column.role in LABELS:
-            frame[name] = table[name].to_pandas().astype(str)
-            continue
+        frame = pd.DataFrame({n: _join([p[n] for p in held], role) for n, role in kinds.items()}, copy=False)
+        whole = count - count % rows
+        for start in range(0, whole, rows):
+            yield Recording(settled, frame.iloc[start : start + rows].reset_index(drop=True))
+        rest = frame.iloc[whole:]
+        held = [{n: _column(rest[n], role) for n, role in kinds.items()}] if len(rest) else []
+        count -= whole
+    if count:
+        yield Recording(settled, pd.DataFrame({n: _join([p[n] for p in held], r) for n, r in kinds.items()}, copy=False))
+
+
+def canonical(manifest: Manifest) -> Manifest:
+    """The manifest as it reads once the door has converted: canonical units, constants too.
+
+    Raises ValueError for a unit that is not one of its role's.
+    """
+    columns = {}
+    for column_name, column in manifest.columns.items():
         convert = units.conversion(column.role, column.unit)
-        values = table[name].to_numpy().astype(np.float64)
-        if convert is not None:
-            values = np.asarray(convert(values))
-            columns[name] = column.model_copy(update={"unit": convert.unit})
-        frame[name] = values
-    return Recording(manifest.model_copy(update={"columns": columns}), pd.DataFrame(frame))
+        columns[column_name] = column if convert is None else column.model_copy(update={"unit": convert.unit})
+    constants = {constant_name: _constant(c) for constant_name, c in manifest.constants.items()}
+    return manifest.model_copy(update={"columns": columns, "constants": constants})
 
 
-def _read_table(path: Path, manifest: Manifest) -> pa.Table:
-    wanted = [n for n, c in manifest.columns.items() if c.role != "ignore"]
-    types = {n: pa.string() if manifest.columns[n].role in LABELS else pa.float64() for n in wanted}
-    if not path.is_file():
-        raise DataError(f"{path}: no such table")
-    try:
-        if path.suffix == ".parquet":
-            return pq.read_table(path, columns=wanted).cast(pa.schema(list(types.items())))
-        options = pacsv.ConvertOptions(
-            column_types=types, include_columns=wanted, null_values=[""], strings_can_be_null=False
-        )
-        return pacsv.read_csv(path, convert_options=options)
-    except (pa.ArrowInvalid, KeyError) as err:
-        raise DataError(f"{path}: {err}") from None
+def _constant(c: Any) -> Any:
+    convert = units.constant(c.unit) if c.unit is not None else None
+    if convert is None:
+        return c
+    update: dict[str, Any] = {"unit": convert.unit}
+    if not convert.identity:
+        for key in (*_AXIS_LENGTHS, "value"):
+            found = getattr(c, key)
+            if isinstance(found, tuple):
+                update[key] = tuple(convert(float(v)) for v in found)
+            elif isinstance(found, float):
+                update[key] = convert(found)
+    return c.model_copy(update=update)
+
+
+def _folder(path: Path) -> Path:
+    path = Path(path)
+    return path if path.is_dir() else path.parent
+
+
+# ---------------------------------------------------------------- writing
+
+
+def write(recording: Recording, folder: Path) -> int:
+    """Write a recording folder: `recording.yaml` and `recording.parquet`, in canonical units. Returns the rows."""
+    starts = range(0, len(recording), CHUNK_ROWS)
+    chunks = (Recording(recording.manifest, recording.frame.iloc[s : s + CHUNK_ROWS]) for s in starts)
+    return _write(recording.manifest, chunks, Path(folder))
+
+
+def to_parquet(path: Path, out: Path) -> int:
+    """Read a recording folder in chunks and write it to the folder `out` as Parquet in canonical units.
+
+    Memory does not grow with the tables. Returns the rows. Raises what `read` raises; nothing is then written.
+    """
+    return _write(canonical(load_manifest(path)), iter_chunks(path), Path(out))
+
+
+def _write(manifest: Manifest, chunks: Iterator[Recording], folder: Path) -> int:
+    columns = {n: c for n, c in manifest.columns.items() if c.role != "ignore"}
+    schema = _tables.parquet_schema({n: c.model_dump(exclude_none=True) for n, c in columns.items()})
+    parts = (
+        pa.table([pa.array(c.frame[n], type=schema.field(n).type, from_pandas=True) for n in columns], schema=schema)
+        for c in chunks
+    )
+    rows = _tables.write_parquet(folder / TABLE, schema, parts)
+    kept = manifest.model_copy(update={"tables": (TABLE,), "columns": columns})
+    jsonfile.write_text(folder / MANIFEST, manifest_text(kept))
+    return rows
+
+
+def manifest_text(manifest: Manifest) -> str:
+    """The manifest as YAML 1.2, one line a column; equal manifests give equal text."""
+    lines = [f"recording: {manifest.recording}"]
+    lines += [f"{key}: {_scalar(getattr(manifest, key))}" for key in ("title", "machine") if getattr(manifest, key)]
+    lines.append(f"tables: [{', '.join(map(_scalar, manifest.tables))}]")
+    for key, entries in (("constants", manifest.constants), ("columns", manifest.columns)):
+        if entries:
+            lines.append(f"{key}:")
+            lines += [f"  {_scalar(n)}: {_flow(e.model_dump(mode='json', exclude_none=True))}" for n, e in entries.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _flow(entry: dict[str, Any]) -> str:
+    return "{" + ", ".join(f"{k}: {_scalar(v)}" for k, v in entry.items()) + "}"
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_scalar, value)) + "]"
+    if isinstance(value, str):
+        plain = _PLAIN.fullmatch(value) and value.lower() not in ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
+        return value if plain else json.dumps(value, ensure_ascii=not value.isprintable())
+    return json.dumps(value)
+
+
+# ---------------------------------------------------------------- rows
+
+
+def _blocks(folder: Path, manifest: Manifest) -> Iterator[dict[str, Any]]:
+    """Rows of all tables, converted and checked, a few MB at a time."""
+    kinds = {n: _kind(c.role) for n, c in manifest.columns.items()}
+    converts = {n: units.conversion(c.role, c.unit) for n, c in manifest.columns.items()}
+    order = _Order(manifest)
+    empty = True
+    for table in manifest.tables:
+        path = folder / table
+        shown = str(path)
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise DataError(f"{shown}: leads outside the folder through a link (allowed: a file of the folder)")
+        rows = 0
+        for block in _tables.blocks(path, kinds, shown):
+            yield _values(block, manifest, converts, order)
+            rows += block.table.num_rows
+        if not rows:
+            raise DataError(f"{shown}: the table has a header but no rows (allowed: at least one row)")
+        empty = False
+    if empty:
+        raise DataError(f"{folder}: no rows")
+
+
+def _kind(role: str) -> str:
+    return "ignore" if role == "ignore" else "label" if role in LABELS else "number"
+
+
+def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], order: _Order) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for column_name in block.table.column_names:
+        role = manifest.columns[column_name].role
+        cells = block.table[column_name]
+        if role in LABELS:
+            out[column_name] = cells.dictionary_encode().combine_chunks()
+            continue
+        values = cells.to_numpy()  # a missing cell becomes NaN
+        if role in ALLOWED:
+            _one_of(values, ALLOWED[role], role, column_name, block)
+        convert = converts[column_name]
+        out[column_name] = values if convert is None or convert.identity else convert(values)
+    order.check(out, block)
+    return out
+
+
+def _one_of(values: np.ndarray, allowed: tuple[float, ...], role: str, column_name: str, block: _tables.Block) -> None:
+    wrong = ~np.isnan(values)
+    for value in allowed:
+        wrong &= values != value
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        words = " or ".join(f"{a:+g}" if role == "direction" else f"{a:g}" for a in allowed)
+        raise DataError(f"{block.place(row)}  {column_name}: {values[row]:g} is not a {role} (allowed: {words}, or empty)")
+
+
+@dataclass
+class _Order:
+    """Time may stand still in a run, never step back; a row without a run belongs nowhere."""
+
+    manifest: Manifest
+    last: dict[str, float] = field(default_factory=dict)
+
+    def check(self, columns: dict[str, Any], block: _tables.Block) -> None:
+        """Raises DataError at the first row that is out of order. Rows without a time are passed over."""
+        run = next(iter(self.manifest.names("run")), None)
+        labels, codes = self._runs(columns, run, block)
+        time = next(iter(self.manifest.names("time")), None)
+        if time is None:
+            return
+        rows = np.flatnonzero(~np.isnan(columns[time]))
+        if np.any(np.diff(codes) < 0):
+            rows = rows[np.argsort(codes[rows], kind="stable")]
+        if not rows.size:
+            return
+        values, run_of = columns[time][rows], codes[rows]
+        same = np.r_[False, run_of[1:] == run_of[:-1]]
+        before = np.r_[-np.inf, values[:-1]]
+        for i in np.flatnonzero(~same):
+            before[i] = self.last.get(labels[run_of[i]], -np.inf)
+        back = np.flatnonzero(values < before)
+        if back.size:
+            i = back[np.argmin(rows[back])]
+            of = f" of run {labels[run_of[i]]!r}" if run is not None else ""
+            raise DataError(
+                f"{block.place(int(rows[i]))}  {time}: {values[i]:.12g} s comes after {before[i]:.12g} s{of}"
+                " (allowed: time that increases or stands still in a run)"
+            )
+        ends = np.flatnonzero(np.r_[run_of[1:] != run_of[:-1], True])
+        self.last.update({labels[run_of[i]]: float(values[i]) for i in ends})
+
+    @staticmethod
+    def _runs(columns: dict[str, Any], run: str | None, block: _tables.Block) -> tuple[list[str], np.ndarray]:
+        if run is None:
+            return ["1"], np.zeros(block.table.num_rows, dtype=np.int64)
+        encoded = columns[run]
+        labels, codes = encoded.dictionary.to_pylist(), encoded.indices.to_numpy()
+        if "" in labels:
+            row = int(np.argmax(codes == labels.index("")))
+            raise DataError(f"{block.place(row)}  {run}: is empty (allowed: the label of the row's run)")
+        return labels, codes
+
+
+def _length(part: dict[str, Any]) -> int:
+    return len(next(iter(part.values())))
+
+
+def _join(parts: list[Any], role: str) -> Any:
+    if role not in LABELS:
+        return np.concatenate(parts)
+    return pd.Series(pa.chunked_array([p.cast(pa.string()) for p in parts]).to_pandas())
+
+
+def _column(series: pd.Series, role: str) -> Any:
+    return pa.array(series).dictionary_encode() if role in LABELS else series.to_numpy()

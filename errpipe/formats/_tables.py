@@ -1,0 +1,329 @@
+"""Tables in blocks: CSV and Parquet read a few MB at a time, every refusal with its file and line.
+
+pyarrow parses blocks of whole lines on a few threads. Only where it refuses, or a value is not allowed,
+is a block read again in plain Python to say which line, what was found and what is allowed.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import filecmp
+import io
+import itertools
+import math
+import os
+import re
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+
+from errpipe.errors import DataError, did_you_mean
+
+BLOCK_BYTES = 8 << 20  # 8 MB of text is about 150 000 rows; two threads hold 3 such blocks at a time
+LONGEST_LINE = 1 << 20  # a first line beyond 1 MB is not a header row
+MOST_PROBLEMS = 5  # a file with a wrong decimal mark is wrong in every line; five lines show it
+_BYTE_ORDER_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\xef\xbb\xbf": "a UTF-8 byte order mark"}
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+Kinds = Mapping[str, str]  # column of the table -> "number", "label" or "ignore"
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some rows of one table: float64 (missing = null) or string columns, and where each row stands."""
+
+    table: pa.Table
+    place: Callable[[int], str]
+
+
+def blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
+    """The rows of a table in file order. `shown` is how messages name the file.
+
+    kinds says what the table's columns are; every column of the table must be among them, and every
+    one that is not to be ignored must be in the table. Raises DataError.
+    """
+    if not path.is_file():
+        raise DataError(f"{shown}: no such table.{_near_file(path)}")
+    if path.suffix.lower() in (".parquet", ".pq"):
+        return _parquet_blocks(path, kinds, shown)
+    if path.suffix.lower() in (".csv", ".txt"):
+        return _csv_blocks(path, kinds, shown)
+    raise DataError(f"{shown}: a table is a .csv or a .parquet file (found {path.suffix or 'no'} suffix)")
+
+
+def _near_file(path: Path) -> str:
+    there = sorted(p.name for p in path.parent.iterdir() if p.is_file()) if path.parent.is_dir() else []
+    return did_you_mean(path.name, [n for n in there if n.endswith((".csv", ".parquet"))])
+
+
+# ---------------------------------------------------------------- CSV
+
+
+def _csv_blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
+    with open(path, "rb") as stream:
+        names = _header(stream, shown)
+        check_columns(names, kinds, f"{shown}:1")
+        convert = _convert_options(names, kinds)
+        read = pacsv.ReadOptions(column_names=names, use_threads=False, block_size=1 << 30)
+        parse = pacsv.ParseOptions(newlines_in_values=False)
+
+        def parsed(data: bytes, line: int) -> Block:
+            try:
+                _no_line_break_in_quotes(data, line, shown)
+                table = pacsv.read_csv(
+                    pa.BufferReader(data), read_options=read, parse_options=parse, convert_options=convert
+                )
+                _finite(table)
+            except pa.ArrowInvalid as err:
+                problems = list(itertools.islice(_wrong_cells(data, line, names, kinds, shown), MOST_PROBLEMS))
+                raise DataError("\n".join(problems) or f"{shown}: cannot be read as CSV: {err}") from None
+            return Block(table, lambda row: f"{shown}:{_line_of_row(data, line, row)}")
+
+        yield from _in_order(parsed, _text_blocks(stream))
+
+
+def _header(stream: IO[bytes], shown: str) -> list[str]:
+    first = stream.readline(LONGEST_LINE)
+    for mark, name in _BYTE_ORDER_MARKS.items():
+        if first.startswith(mark):
+            raise DataError(f"{shown}:1  begins with {name} (allowed: plain UTF-8; save without byte order mark)")
+    if not first:
+        raise DataError(f"{shown}: the table is empty (allowed: a header row and at least one row)")
+    try:
+        text = first.decode("utf-8").rstrip("\r\n")
+    except UnicodeDecodeError as err:
+        raise DataError(f"{shown}:1  not UTF-8 text: byte {err.object[err.start]:#04x} at {err.start + 1}") from None
+    if "\r" in text or "\x00" in text or len(first) == LONGEST_LINE:
+        raise DataError(f"{shown}:1  no header row that ends in a line feed (is this a text file?)")
+    return next(csv.reader([text]), [])
+
+
+def check_columns(names: list[str], kinds: Kinds, place: str) -> None:
+    """Every name once, declared, and none missing. Raises DataError with all that is wrong."""
+    if len(names) == 1 and len(kinds) > 1:
+        for mark, word in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+            if mark in names[0]:
+                raise DataError(f"{place}  the header is separated by {word} (allowed: commas)")
+    problems = []
+    for name in dict.fromkeys(names):
+        if names.count(name) > 1:
+            problems.append(f"{place}  column {name!r} stands {names.count(name)} times in the header (allowed: once)")
+    missing = [n for n, kind in kinds.items() if kind != "ignore" and n not in names]
+    for name in dict.fromkeys(names):
+        if name not in kinds:
+            hint = did_you_mean(name.strip(), missing) or " Declare it with its role, or with `role: ignore`."
+            problems.append(f"{place}  column {name!r} is not in the manifest.{hint}")
+    for name in missing:
+        near = difflib.get_close_matches(name, [n for n in names if n not in kinds], n=1)
+        if not near:
+            problems.append(f"{place}  column {name!r} of the manifest is not in the table (found: {', '.join(names)})")
+    if problems:
+        raise DataError("\n".join(problems))
+
+
+def _convert_options(names: list[str], kinds: Kinds) -> pacsv.ConvertOptions:
+    wanted = [n for n in kinds if kinds[n] != "ignore" and n in names]
+    types = {n: pa.float64() if kinds[n] == "number" else pa.string() for n in wanted}
+    return pacsv.ConvertOptions(
+        column_types=types, include_columns=wanted, null_values=[""], strings_can_be_null=False, check_utf8=True
+    )
+
+
+def _text_blocks(stream: IO[bytes]) -> Iterator[tuple[bytes, int]]:
+    """Blocks of whole lines and the number of each block's first line."""
+    line, rest = 2, b""
+    while data := stream.read(BLOCK_BYTES):
+        cut = data.rfind(b"\n") + 1
+        if not cut:
+            rest += data
+            continue
+        block, rest = rest + data[:cut], data[cut:]
+        yield block, line
+        line += block.count(b"\n")
+    if rest:
+        yield rest, line
+
+
+def _in_order(work: Callable[[bytes, int], Block], items: Iterator[tuple[bytes, int]]) -> Iterator[Block]:
+    """Parse on a few threads, hand out in file order; never more than a few blocks in memory."""
+    threads = min(os.cpu_count() or 1, 4)
+    waiting: deque[Future[Block]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for data, line in items:
+                if data.strip():
+                    waiting.append(pool.submit(work, data, line))
+                if len(waiting) > threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _finite(table: pa.Table) -> None:
+    """Raises ArrowInvalid where a cell spells nan or infinity, which pyarrow takes for a number."""
+    for column in table.columns:
+        if pa.types.is_floating(column.type):
+            for chunk in column.chunks:
+                values = np.asarray(chunk.fill_null(0.0)) if chunk.null_count else np.asarray(chunk)
+                # The sum is not finite where a value is not; overflow of finite values is ruled out below.
+                if not math.isfinite(float(np.sum(values))) and not np.isfinite(values).all():
+                    raise pa.ArrowInvalid("not a finite number")
+
+
+def _no_line_break_in_quotes(data: bytes, line: int, shown: str) -> None:
+    if b'"' not in data:
+        return
+    octets = np.frombuffer(data, dtype=np.uint8)
+    quotes, ends = np.flatnonzero(octets == ord('"')), np.flatnonzero(octets == ord("\n"))
+    odd = np.flatnonzero(np.searchsorted(quotes, ends) % 2)
+    if odd.size:
+        raise DataError(f"{shown}:{line + int(odd[0])}  a quote is not closed in its line (allowed: one row, one line)")
+
+
+def _lines(data: bytes, line: int) -> Iterator[tuple[int, bytes]]:
+    for number, text in enumerate(data.split(b"\n"), line):
+        if text.strip(b"\r"):
+            yield number, text.rstrip(b"\r")
+
+
+def _line_of_row(data: bytes, line: int, row: int) -> int:
+    return next(itertools.islice(_lines(data, line), row, None))[0]
+
+
+def _wrong_cells(data: bytes, line: int, names: list[str], kinds: Kinds, shown: str) -> Iterator[str]:
+    """What is wrong in a block that pyarrow refused, line by line."""
+    for number, raw in _lines(data, line):
+        try:
+            text = raw.decode("utf-8")
+        except UnicodeDecodeError as err:
+            yield f"{shown}:{number}  not UTF-8 text: byte {raw[err.start]:#04x} at {err.start + 1}"
+            continue
+        cells = next(csv.reader(io.StringIO(text)), [])
+        if len(cells) != len(names):
+            yield f"{shown}:{number}  {len(cells)} cells where the header has {len(names)}{_comma_hint(cells, names)}"
+            continue
+        for name, cell in zip(names, cells, strict=True):
+            if kinds.get(name) == "number" and (wrong := _wrong_number(cell)):
+                yield f"{shown}:{number}  {name}: {wrong}"
+
+
+def _comma_hint(cells: list[str], names: list[str]) -> str:
+    return " (a decimal comma? write 1.5, not 1,5)" if len(cells) > len(names) else ""
+
+
+def _wrong_number(cell: str) -> str:
+    """Why a cell is no number, or ''."""
+    text = cell.strip(" \t")
+    if not text and not cell:
+        return ""
+    if text.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+        return f"found {cell!r} (allowed: a finite number, or an empty cell where it is missing)"
+    if not _NUMBER.fullmatch(text):
+        comma = " A decimal comma? Write 1.5, not 1,5." if text.count(",") == 1 else ""
+        return f"{cell!r} is not a number (allowed: a number, or an empty cell where it is missing).{comma}"
+    return "" if math.isfinite(float(text)) else f"{cell!r} is too large for a number"
+
+
+# ---------------------------------------------------------------- Parquet
+
+
+def _parquet_blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
+    try:
+        file = pq.ParquetFile(path)
+    except (pa.ArrowInvalid, OSError) as err:
+        raise DataError(f"{shown}: not a Parquet file: {str(err).splitlines()[0]}") from None
+    with file:
+        check_columns(file.schema_arrow.names, kinds, shown)
+        wanted = [n for n in kinds if kinds[n] != "ignore"]
+        for name in wanted:
+            _check_type(file.schema_arrow.field(name), kinds[name], shown)
+        start = 0
+        for batch in file.iter_batches(batch_size=131072, columns=wanted):
+            table = pa.table({n: _plain(batch.column(n), kinds[n]) for n in wanted})
+            place = _row_place(shown, start)
+            _refuse_infinite(table, place)
+            start += table.num_rows
+            if table.num_rows:
+                yield Block(table, place)
+
+
+def _row_place(shown: str, start: int) -> Callable[[int], str]:
+    return lambda row: f"{shown} row {start + row + 1}"
+
+
+def _check_type(field: pa.Field, kind: str, shown: str) -> None:
+    inner = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+    number = pa.types.is_integer(inner) or pa.types.is_floating(inner) or pa.types.is_boolean(inner)
+    label = pa.types.is_string(inner) or pa.types.is_large_string(inner) or pa.types.is_integer(inner)
+    if kind == "number" and not (number or pa.types.is_null(inner)):
+        raise DataError(f"{shown}  {field.name}: holds {field.type} (allowed: numbers)")
+    if kind == "label" and not (label or pa.types.is_boolean(inner)):
+        raise DataError(f"{shown}  {field.name}: holds {field.type} (allowed for a label: text or whole numbers)")
+
+
+def _plain(column: pa.Array, kind: str) -> pa.Array:
+    if pa.types.is_dictionary(column.type):
+        column = column.dictionary_decode()
+    if kind == "label":
+        return column.cast(pa.string()).fill_null("")
+    if pa.types.is_boolean(column.type):
+        column = column.cast(pa.int8())
+    return column.cast(pa.float64(), safe=False)
+
+
+def _refuse_infinite(table: pa.Table, place: Callable[[int], str]) -> None:
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_floating(column.type):
+            bad = np.flatnonzero(np.isinf(column.to_numpy()))
+            if bad.size:
+                raise DataError(f"{place(int(bad[0]))}  {name}: is infinite (allowed: a finite number, or none)")
+
+
+def parquet_schema(columns: Mapping[str, Mapping[str, str]]) -> pa.Schema:
+    """Schema of a recording's table. columns: name -> what its manifest says; units stand in the field metadata."""
+    fields = []
+    for name, facts in columns.items():
+        kind = pa.string() if facts["role"] in ("run", "group") else pa.float64()
+        fields.append(pa.field(name, kind, metadata={k: v for k, v in facts.items() if k in ("role", "unit")}))
+    return pa.schema(fields, metadata={"errpipe.recording": "1"})
+
+
+def write_parquet(path: Path, schema: pa.Schema, parts: Iterator[pa.Table]) -> int:
+    """Write parts as row groups, one after the other; the file appears whole, and only if its bytes change.
+
+    Returns the number of rows. Equal parts give equal bytes (with one version of pyarrow).
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    temporary, rows = Path(name), 0
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            with pq.ParquetWriter(stream, schema, version="2.6", compression="snappy") as writer:
+                for part in parts:
+                    writer.write_table(part, row_group_size=max(part.num_rows, 1))
+                    rows += part.num_rows
+            stream.flush()
+            os.fsync(stream.fileno())
+        if path.is_file() and filecmp.cmp(temporary, path, shallow=False):
+            temporary.unlink()
+            return rows
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    return rows
