@@ -95,6 +95,18 @@ class Term(Frozen):
             out[:, :, j] = (self.basis(recording, *up) - self.basis(recording, *down)) / (2 * step)
         return out
 
+    def settled(self, recording: Recording) -> Term:
+        """The term with what it reads off the rows once (span, runs) written down; a fit calls it first."""
+        return self
+
+    def penalty(self) -> np.ndarray | None:
+        """Square matrix over the linear parameters whose quadratic form is held small, or None."""
+        return None
+
+    def starts(self, name: str) -> tuple[float, ...]:
+        """Values of a non-linear parameter to start a search from; () for a spread over its typical range."""
+        return ()
+
     def value(self, recording: Recording, parameters: Mapping[str, float]) -> np.ndarray:
         """Deviation in the response's unit, shape (rows,)."""
         gains = np.array([parameters[p.name] for p in self.linear()])
@@ -132,7 +144,7 @@ LONGEST_PAUSE = 7200.0  # s; runs further apart than this count as started anew 
 
 
 def sessions(recording: Recording) -> np.ndarray:
-    """Integer per row, shape (rows,): runs that follow each other in time share one, for heat does not stop between them.
+    """Integer per row, shape (rows,): runs that follow in time share one, for heat does not stop between them.
 
     A new session starts where the run changes and time goes back, is missing, or jumps by more than
     `LONGEST_PAUSE`; without a time column every run is its own.
@@ -230,4 +242,6 @@ def hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def plain(term: Term) -> dict[str, Any]:
     """The term as declared, without defaults: what an error model stores."""
-    return term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term}
+    told = term.model_dump(mode="json", exclude_defaults=True)
+    full = term.model_dump(mode="json")  # what is nested stays whole: a union needs its `kind` and `op`
+    return {key: value for key, value in full.items() if key in told or key == "term"}
