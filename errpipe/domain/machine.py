@@ -1,0 +1,162 @@
+"""A serial machine as a machinist would tell it: the chain from workpiece to tool, its axes, where errors are defined.
+
+    chain: [workpiece, Z', bed, X, Y, spindle, tool]
+
+A prime marks an axis that carries the workpiece (ISO 841); `bed` stands still. All points are in mm in the
+machine's coordinates (ISO 841) with every axis at 0. Axis coordinates count the way ISO 841 counts them: a
+positive motion moves the tool in the axis' direction as seen from the workpiece, whichever of the two moves.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from errpipe.domain.recording import Frozen
+from errpipe.errors import did_you_mean
+
+Vector = tuple[float, float, float]
+LETTERS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_LIKE = {"U": "X", "V": "Y", "W": "Z", "P": "X", "Q": "Y", "R": "Z", "A": "X", "B": "Y", "C": "Z"}
+
+
+def _unit_vector(value: Vector) -> Vector:
+    size = sqrt(sum(v * v for v in value))
+    if size == 0.0:
+        raise ValueError("a direction cannot be 0, 0, 0")
+    return (value[0] / size, value[1] / size, value[2] / size)
+
+
+Direction = Annotated[Vector, AfterValidator(_unit_vector)]
+
+
+class Axis(Frozen):
+    """One axis of motion and where its six error components are defined.
+
+    The six components are the motion of what lies on the tool's side of the axis relative to what lies on
+    the workpiece's side (`errors_of: tool_side`), so that every axis counts with the same sign at the tool.
+    `errors_of: carriage` reads them as the motion of the carriage itself, which for an axis that carries the
+    workpiece is the opposite.
+    """
+
+    kind: Literal["linear", "rotary"]
+    travel: tuple[float, float] = Field(description="lowest and highest position, mm or deg")
+    direction: Direction | None = Field(None, description="of motion or turning; the letter's own where left out")
+    reference: Vector = Field(
+        (0.0, 0.0, 0.0), description="point its errors are defined at, mm; a rotary axis' line runs through it"
+    )
+    reference_on: Literal["carriage", "guideway"] = Field("carriage", description="whether that point travels along")
+    errors_of: Literal["tool_side", "carriage"] = "tool_side"
+    datum: float | None = Field(None, description="position at which its positioning deviation is zero, mm or deg")
+    drifts: bool = Field(False, description="whether the origin of its frame drifts (three components)")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Axis:
+        if not self.travel[0] < self.travel[1]:
+            raise ValueError(f"travel {list(self.travel)} is not lowest then highest")
+        return self
+
+    @property
+    def zero(self) -> float:
+        """Position at which positioning deviation is zero: `datum`, else 0 where reachable, else the nearer end."""
+        return min(max(0.0, self.travel[0]), self.travel[1]) if self.datum is None else self.datum
+
+
+class Spindle(Frozen):
+    """The spindle nose, and whether growth (three components) and tilt (two) are among the errors."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    direction: Direction = Field((0.0, 0.0, 1.0), description="of its axis")
+    growth: bool = False
+    tilt: bool = False
+
+
+class Tool(Frozen):
+    """Tool tip = mount + offset + length along `direction`; length and offset may be given anew at run time."""
+
+    mount: Vector | None = Field(None, description="mm; the spindle's position where left out")
+    direction: Direction = Field((0.0, 0.0, -1.0), description="from the mount to the tip")
+    length: float = Field(0.0, ge=0, description="mm")
+    offset: Vector = (0.0, 0.0, 0.0)
+
+
+class Machine(Frozen):
+    """Version 1 of a machine file."""
+
+    machine: Literal[1]
+    name: str
+    title: str = ""
+    chain: tuple[str, ...]
+    axes: dict[str, Axis]
+    datum_axes: tuple[str, ...] = Field(
+        (), description="linear axes in the order squareness refers to: the first is the datum; X, Y, Z where left out"
+    )
+    workpiece: Vector = Field((0.0, 0.0, 0.0), description="origin of the workpiece frame, mm")
+    spindle: Spindle = Spindle()
+    tool: Tool = Tool()
+
+    @model_validator(mode="after")
+    def _chain_holds_together(self) -> Machine:
+        chain = self.chain
+        if len(chain) < 3 or chain[0] != "workpiece" or chain[-1] != "tool":
+            raise ValueError("chain runs from workpiece to tool, such as [workpiece, Y', bed, X, Z, spindle, tool]")
+        if chain.count("bed") != 1:
+            raise ValueError(f"chain names the bed once (found {chain.count('bed')} times)")
+        links = [link.rstrip("'") for link in chain[1:-1]]
+        doubled = sorted({link for link in links if links.count(link) > 1})
+        if doubled:
+            raise ValueError(f"chain names {', '.join(doubled)} more than once")
+        bed = chain.index("bed")
+        for place, link in enumerate(chain[1:-1], start=1):
+            name = link.rstrip("'")
+            if name in ("bed", "spindle"):
+                continue
+            if name not in self.axes:
+                raise ValueError(f"chain names {link}, but axes has no {name}.{did_you_mean(name, self.axes)}")
+            if link.endswith("'") != (place < bed):
+                right = f"{name}'" if place < bed else name
+                raise ValueError(
+                    f"{link}: an axis that carries the {'workpiece' if place < bed else 'tool'} is written {right}"
+                )
+        unused = sorted(set(self.axes) - set(links))
+        if unused:
+            raise ValueError(f"axes {', '.join(unused)} are not in the chain")
+        for name, axis in self.axes.items():
+            if axis.direction is None and name[0] not in LETTERS and name[0] not in _LIKE:
+                raise ValueError(f"axis {name} has no letter of ISO 841; give its direction")
+        linear = set(self.linear_axes())
+        if self.datum_axes and set(self.datum_axes) != linear:
+            raise ValueError(f"datum_axes lists every linear axis once ({', '.join(sorted(linear))})")
+        return self
+
+    def order(self) -> tuple[str, ...]:
+        """Axes in the order of the chain, from workpiece to tool, without primes."""
+        return tuple(n for n in (link.rstrip("'") for link in self.chain[1:-1]) if n not in ("bed", "spindle"))
+
+    def carries(self, name: str) -> Literal["workpiece", "tool"]:
+        """What an axis (or the spindle) moves."""
+        links = [link.rstrip("'") for link in self.chain]
+        return "workpiece" if links.index(name) < links.index("bed") else "tool"
+
+    def linear_axes(self) -> tuple[str, ...]:
+        """Linear axes: in the order of `datum_axes`, else by letter."""
+        if self.datum_axes:
+            return self.datum_axes
+        return tuple(
+            sorted((n for n, a in self.axes.items() if a.kind == "linear"), key=lambda n: ("XYZUVWPQR".find(n[0]), n))
+        )
+
+    def rotary_axes(self) -> tuple[str, ...]:
+        """Rotary axes by letter."""
+        return tuple(sorted(n for n, a in self.axes.items() if a.kind == "rotary"))
+
+    def direction(self, name: str) -> Vector:
+        """Unit vector of an axis in machine coordinates."""
+        own = self.axes[name].direction
+        return LETTERS[_LIKE.get(name[0], name[0])] if own is None else own
+
+    def mount(self) -> Vector:
+        """Point the tool is measured from."""
+        return self.spindle.position if self.tool.mount is None else self.tool.mount

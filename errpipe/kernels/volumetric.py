@@ -1,0 +1,388 @@
+"""Deviation of tool against workpiece along a serial chain: exact, first order, and its Jacobian.
+
+The chain is a flat list of factors from workpiece to tool. kind 0: straight motion along `vec` by q[axis] (mm);
+1: turn about `vec` through `point` by q[axis] (deg); 2: a small error motion about `point`, whose three shifts
+(um) and three angles (urad) are sums over its entries, each one component times one vector. Everything is in
+machine coordinates with all axes at zero, so a factor needs no frame of its own.
+
+Deviations come out in the workpiece's frame: three shifts in um, then three angles in urad.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.kernels import kernel
+
+MOVE, TURN, ERROR = 0, 1, 2
+UM = 1e-3  # mm per um; also um per (mm urad)
+URAD = 1e-6
+DEG = np.pi / 180.0
+
+
+@kernel
+def _turn(v, angle, p, out):
+    """Rodrigues: p turned about the unit vector v."""
+    c = np.cos(angle)
+    s = np.sin(angle)
+    dot = (v[0] * p[0] + v[1] * p[1] + v[2] * p[2]) * (1.0 - c)
+    x = p[0] * c + (v[1] * p[2] - v[2] * p[1]) * s + v[0] * dot
+    y = p[1] * c + (v[2] * p[0] - v[0] * p[2]) * s + v[1] * dot
+    z = p[2] * c + (v[0] * p[1] - v[1] * p[0]) * s + v[2] * dot
+    out[0] = x
+    out[1] = y
+    out[2] = z
+
+
+@kernel
+def _turn_small(e, p, out):
+    """p turned by the rotation vector e (rad); exact, and accurate for tiny e."""
+    a2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    if a2 < 1e-8:
+        s = 1.0 - a2 / 6.0
+        k = 0.5 - a2 / 24.0
+    else:
+        a = np.sqrt(a2)
+        s = np.sin(a) / a
+        k = (1.0 - np.cos(a)) / a2
+    cx = e[1] * p[2] - e[2] * p[1]
+    cy = e[2] * p[0] - e[0] * p[2]
+    cz = e[0] * p[1] - e[1] * p[0]
+    x = p[0] + s * cx + k * (e[1] * cz - e[2] * cy)
+    y = p[1] + s * cy + k * (e[2] * cx - e[0] * cz)
+    z = p[2] + s * cz + k * (e[0] * cy - e[1] * cx)
+    out[0] = x
+    out[1] = y
+    out[2] = z
+
+
+@kernel
+def _error(first, last, entry_comp, entry_angle, entry_vec, comps, d, e):
+    """Shift d (mm) and rotation vector e (rad) of one error factor."""
+    for k in range(3):
+        d[k] = 0.0
+        e[k] = 0.0
+    for i in range(first, last):
+        c = comps[entry_comp[i]]
+        if entry_angle[i]:
+            for k in range(3):
+                e[k] += c * URAD * entry_vec[i, k]
+        else:
+            for k in range(3):
+                d[k] += c * UM * entry_vec[i, k]
+
+
+@kernel
+def _through(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, f, q, comps, p, r, d, e, w):
+    """Carry point p and the rows of r (images of x, y, z) through factor f. comps empty: without errors."""
+    if kind[f] == MOVE:
+        for k in range(3):
+            p[k] += q[axis[f]] * vec[f, k]
+    elif kind[f] == TURN:
+        angle = q[axis[f]] * DEG
+        for k in range(3):
+            w[k] = p[k] - point[f, k]
+        _turn(vec[f], angle, w, p)
+        for k in range(3):
+            p[k] += point[f, k]
+        for k in range(3):
+            _turn(vec[f], angle, r[k], r[k])
+    elif comps.size > 0:
+        _error(entries[f], entries[f + 1], entry_comp, entry_angle, entry_vec, comps, d, e)
+        if inverse[f]:
+            for k in range(3):
+                w[k] = p[k] - point[f, k] - d[k]
+                e[k] = -e[k]
+            _turn_small(e, w, p)
+            for k in range(3):
+                p[k] += point[f, k]
+        else:
+            for k in range(3):
+                w[k] = p[k] - point[f, k]
+            _turn_small(e, w, p)
+            for k in range(3):
+                p[k] += point[f, k] + d[k]
+        for k in range(3):
+            _turn_small(e, r[k], r[k])
+
+
+@kernel
+def _rotation_between(ideal, actual, out):
+    """Rotation vector (urad) of actual = R ideal; rows are images of x, y, z; for angles far below 1 rad."""
+    m = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                m[i, j] += actual[k, i] * ideal[k, j]
+    x = 0.5 * (m[2, 1] - m[1, 2])
+    y = 0.5 * (m[0, 2] - m[2, 0])
+    z = 0.5 * (m[1, 0] - m[0, 1])
+    s2 = x * x + y * y + z * z
+    s = np.sqrt(s2)
+    factor = 1.0 + s2 / 6.0 if s < 1e-4 else np.arcsin(min(1.0, s)) / s
+    out[0] = x * factor / URAD
+    out[1] = y * factor / URAD
+    out[2] = z * factor / URAD
+
+
+@kernel
+def pose(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, comps):
+    """Tool tip and its axes in the workpiece frame, shape (n, 4, 3): tip, then images of x, y, z.
+
+    q (n, axes), tip (n, 3) with all axes at zero, comps (n, components), or (n, 0) for the ideal machine.
+    """
+    n = q.shape[0]
+    out = np.empty((n, 4, 3))
+    p = np.empty(3)
+    r = np.empty((3, 3))
+    d = np.empty(3)
+    e = np.empty(3)
+    w = np.empty(3)
+    for i in range(n):
+        for k in range(3):
+            p[k] = tip[i, k]
+            for m in range(3):
+                r[k, m] = 1.0 if k == m else 0.0
+        for f in range(kind.size - 1, -1, -1):
+            _through(
+                kind,
+                axis,
+                vec,
+                point,
+                inverse,
+                entries,
+                entry_comp,
+                entry_angle,
+                entry_vec,
+                f,
+                q[i],
+                comps[i],
+                p,
+                r,
+                d,
+                e,
+                w,
+            )
+        for k in range(3):
+            out[i, 0, k] = p[k]
+            for m in range(3):
+                out[i, 1 + k, m] = r[k, m]
+    return out
+
+
+@kernel
+def exact(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, comps):
+    """Deviation by full transforms, shape (n, 6): um, urad, in the ideal workpiece frame."""
+    n = q.shape[0]
+    none = np.empty((n, 0))
+    ideal = pose(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, none)
+    actual = pose(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, comps)
+    out = np.empty((n, 6))
+    for i in range(n):
+        for k in range(3):
+            out[i, k] = (actual[i, 0, k] - ideal[i, 0, k]) / UM
+        _rotation_between(ideal[i, 1:], actual[i, 1:], out[i, 3:])
+    return out
+
+
+@kernel
+def _sweep(kind, axis, vec, point, q, tip, arm, pre):
+    """Per factor: its arm (ideal tip minus its point, mm) and the ideal turn before it (rows: images of x, y, z)."""
+    nf = kind.size
+    p = np.empty(3)
+    w = np.empty(3)
+    for k in range(3):
+        p[k] = tip[k]
+    for f in range(nf - 1, -1, -1):
+        for k in range(3):
+            arm[f, k] = p[k] - point[f, k]
+        if kind[f] == MOVE:
+            for k in range(3):
+                p[k] += q[axis[f]] * vec[f, k]
+        elif kind[f] == TURN:
+            for k in range(3):
+                w[k] = p[k] - point[f, k]
+            _turn(vec[f], q[axis[f]] * DEG, w, p)
+            for k in range(3):
+                p[k] += point[f, k]
+    r = np.zeros((3, 3))
+    v = np.empty(3)
+    for k in range(3):
+        r[k, k] = 1.0
+    for f in range(nf):
+        for k in range(3):
+            for m in range(3):
+                pre[f, k, m] = r[k, m]
+        if kind[f] == TURN:  # r <- r * turn: the image of e_k is r applied to turned e_k
+            new = np.zeros((3, 3))
+            for k in range(3):
+                for m in range(3):
+                    w[m] = 1.0 if m == k else 0.0
+                _turn(vec[f], q[axis[f]] * DEG, w, v)
+                for m in range(3):
+                    for j in range(3):
+                        new[k, j] += v[m] * r[m, j]
+            for k in range(3):
+                for m in range(3):
+                    r[k, m] = new[k, m]
+
+
+@kernel
+def jacobian(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, components):
+    """d(deviation)/d(component), shape (n, 6, components): um/um, um/urad, urad/urad."""
+    n = q.shape[0]
+    nf = kind.size
+    out = np.zeros((n, 6, components))
+    arm = np.empty((nf, 3))
+    pre = np.empty((nf, 3, 3))
+    w = np.empty(3)
+    for i in range(n):
+        _sweep(kind, axis, vec, point, q[i], tip[i], arm, pre)
+        for f in range(nf):
+            if kind[f] != ERROR:
+                continue
+            sign = -1.0 if inverse[f] else 1.0
+            for t in range(entries[f], entries[f + 1]):
+                c = entry_comp[t]
+                v = entry_vec[t]
+                if entry_angle[t]:
+                    a = arm[f]
+                    w[0] = (v[1] * a[2] - v[2] * a[1]) * UM
+                    w[1] = (v[2] * a[0] - v[0] * a[2]) * UM
+                    w[2] = (v[0] * a[1] - v[1] * a[0]) * UM
+                    for k in range(3):
+                        for m in range(3):
+                            out[i, m, c] += sign * w[k] * pre[f, k, m]
+                            out[i, 3 + m, c] += sign * v[k] * pre[f, k, m]
+                else:
+                    for k in range(3):
+                        for m in range(3):
+                            out[i, m, c] += sign * v[k] * pre[f, k, m]
+    return out
+
+
+@kernel
+def first_order(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, comps):
+    """Deviation to first order in the components, shape (n, 6): um, urad."""
+    n = q.shape[0]
+    nf = kind.size
+    out = np.zeros((n, 6))
+    arm = np.empty((nf, 3))
+    pre = np.empty((nf, 3, 3))
+    d = np.empty(3)
+    e = np.empty(3)
+    w = np.empty(3)
+    for i in range(n):
+        _sweep(kind, axis, vec, point, q[i], tip[i], arm, pre)
+        for f in range(nf):
+            if kind[f] != ERROR:
+                continue
+            _error(entries[f], entries[f + 1], entry_comp, entry_angle, entry_vec, comps[i], d, e)
+            a = arm[f]
+            w[0] = d[0] + e[1] * a[2] - e[2] * a[1]
+            w[1] = d[1] + e[2] * a[0] - e[0] * a[2]
+            w[2] = d[2] + e[0] * a[1] - e[1] * a[0]
+            sign = -1.0 if inverse[f] else 1.0
+            for k in range(3):
+                for m in range(3):
+                    out[i, m] += sign * w[k] * pre[f, k, m] / UM
+                    out[i, 3 + m] += sign * e[k] * pre[f, k, m] / URAD
+    return out
+
+
+@kernel
+def second_order_bound(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, q, tip, comps):
+    """Upper bound of |exact - first order| of the tip, um, shape (n,).
+
+    Going from the tool inwards, factor k moves a point already displaced by D. With |R - I| <= |e| and
+    |R - I - [e]x| <= |e|^2 / 2 it departs from first order by at most |e|^2/2 (arm + D) + |e| D (+ |e||d|
+    for an inverse), and D grows by at most |e| (arm + D) + |d|.
+    """
+    n = q.shape[0]
+    nf = kind.size
+    out = np.zeros(n)
+    arm = np.empty((nf, 3))
+    pre = np.empty((nf, 3, 3))
+    d = np.empty(3)
+    e = np.empty(3)
+    for i in range(n):
+        _sweep(kind, axis, vec, point, q[i], tip[i], arm, pre)
+        displaced = 0.0
+        for f in range(nf - 1, -1, -1):
+            if kind[f] != ERROR:
+                continue
+            _error(entries[f], entries[f + 1], entry_comp, entry_angle, entry_vec, comps[i], d, e)
+            angle = np.sqrt(e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
+            shift = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
+            reach = np.sqrt(arm[f, 0] ** 2 + arm[f, 1] ** 2 + arm[f, 2] ** 2)
+            out[i] += 0.5 * angle * angle * (reach + displaced) + angle * displaced
+            if inverse[f]:
+                out[i] += angle * shift
+            displaced += angle * (reach + displaced) + shift
+        out[i] /= UM
+    return out
+
+
+@kernel
+def curves(position, start, step, table):
+    """Linear interpolation in uniform tables of one axis, held at the ends; table (nodes, m) -> (n, m)."""
+    n = position.size
+    last, m = table.shape[0] - 1, table.shape[1]
+    out = np.empty((n, m))
+    for i in range(n):
+        s = min(max((position[i] - start) / step, 0.0), float(last))
+        j = min(int(s), last - 1)
+        f = s - j
+        for k in range(m):
+            out[i, k] = table[j, k] + f * (table[j + 1, k] - table[j, k])
+    return out
+
+
+@kernel
+def linear_axes(q, tip, start, scale, tables, direction, arm0, follows, location, out):
+    """Tool-point deviation of a machine with three linear axes, one pass: 18 curves and the squareness.
+
+    q, tip (n, 3); start, scale = 1/step (3,); tables (3, nodes, 6): X Y Z A B C of each axis, um and urad;
+    arm (mm) of axis a = tip + arm0[a] + sum_b follows[a, b] q[b] direction[b]; location (3, 3): um per mm of
+    travel. out (n, 3), um. Beyond a table its end value holds.
+    """
+    n = q.shape[0]
+    last = tables.shape[1] - 1
+    top = float(last)
+    for i in range(n):
+        px = tip[i, 0]
+        py = tip[i, 1]
+        pz = tip[i, 2]
+        q0, q1, q2 = q[i, 0], q[i, 1], q[i, 2]
+        sx = location[0, 0] * q0 + location[1, 0] * q1 + location[2, 0] * q2
+        sy = location[0, 1] * q0 + location[1, 1] * q1 + location[2, 1] * q2
+        sz = location[0, 2] * q0 + location[1, 2] * q1 + location[2, 2] * q2
+        for a in range(3):
+            s = min(max((q[i, a] - start[a]) * scale[a], 0.0), top)
+            j = min(int(s), last - 1)
+            f = s - j
+            g = 1.0 - f
+            low = tables[a, j]
+            high = tables[a, j + 1]
+            ea = (g * low[3] + f * high[3]) * UM
+            eb = (g * low[4] + f * high[4]) * UM
+            ec = (g * low[5] + f * high[5]) * UM
+            f0, f1, f2 = follows[a, 0] * q0, follows[a, 1] * q1, follows[a, 2] * q2
+            ax = px + arm0[a, 0] + f0 * direction[0, 0] + f1 * direction[1, 0] + f2 * direction[2, 0]
+            ay = py + arm0[a, 1] + f0 * direction[0, 1] + f1 * direction[1, 1] + f2 * direction[2, 1]
+            az = pz + arm0[a, 2] + f0 * direction[0, 2] + f1 * direction[1, 2] + f2 * direction[2, 2]
+            sx += g * low[0] + f * high[0] + eb * az - ec * ay
+            sy += g * low[1] + f * high[1] + ec * ax - ea * az
+            sz += g * low[2] + f * high[2] + ea * ay - eb * ax
+        out[i, 0] = sx
+        out[i, 1] = sy
+        out[i, 2] = sz
+
+
+@kernel
+def touch(q, tip, out):
+    """The memory floor of `linear_axes`: the same bytes read and written, no arithmetic to speak of."""
+    for i in range(q.shape[0]):
+        out[i, 0] = q[i, 0] + tip[i, 0]
+        out[i, 1] = q[i, 1] + tip[i, 1]
+        out[i, 2] = q[i, 2] + tip[i, 2]

@@ -1,0 +1,50 @@
+"""Machines for the tests: the ready files, and random ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from ruamel.yaml import YAML
+
+from errpipe.domain.machine import Machine
+from errpipe.kinematics.chain import Chain, compile_chain
+
+READY = sorted((Path(__file__).parents[3] / "examples" / "machines").glob("*.yaml"))
+
+
+def ready(name: str) -> Chain:
+    """A compiled machine of examples/machines."""
+    path = next(p for p in READY if p.stem == name)
+    return compile_chain(Machine.model_validate(YAML(typ="safe", pure=True).load(path.read_text())))
+
+
+def random_chain(rng: np.random.Generator) -> Chain:
+    """Any serial chain: two to six axes in any order and direction, on either side of the bed."""
+    linear = list(rng.permutation(["X", "Y", "Z"])[: rng.integers(1, 4)])
+    rotary = list(rng.permutation(["A", "B", "C"])[: rng.integers(0 if len(linear) > 1 else 1, 4)])
+    names = list(rng.permutation(linear + rotary))
+    bed = int(rng.integers(0, len(names) + 1))
+    links = [f"{n}'" for n in names[:bed]] + ["bed"] + names[bed:]
+    spindle = int(rng.integers(0, len(links) + 1))
+    links.insert(spindle, "spindle")
+    axes = {}
+    for name in names:
+        tilted = rng.random() < 0.3
+        axes[str(name)] = {
+            "kind": "linear" if name in "XYZ" else "rotary",
+            "travel": [-400, 400] if name in "XYZ" else [-180, 180],
+            "reference": tuple(rng.uniform(-500, 500, 3)),
+            "reference_on": str(rng.choice(["carriage", "guideway"])),
+            "errors_of": str(rng.choice(["tool_side", "carriage"])),
+            "direction": tuple(rng.normal(size=3)) if tilted else None,
+            "drifts": bool(rng.random() < 0.5),
+        }
+    machine = Machine.model_validate(
+        {
+            "machine": 1, "name": "random", "chain": ["workpiece", *map(str, links), "tool"], "axes": axes,
+            "spindle": {"position": tuple(rng.uniform(-500, 500, 3)), "growth": True, "tilt": True},
+            "tool": {"length": float(rng.uniform(0, 300)), "direction": tuple(rng.normal(size=3))},
+        }
+    )  # fmt: skip
+    return compile_chain(machine)
