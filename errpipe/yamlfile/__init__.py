@@ -1,0 +1,23 @@
+"""The one door for YAML: version 1.2, every problem of a file at once, each with line and column.
+
+    manifest = load(path, Manifest)                       # the validated model, or ConfigError
+    document = read(path, environment=os.environ)         # values and places; ${NAME:-default} in texts
+    pipeline = document.validate(Pipeline)
+
+What 1.2 means here: `1e-3` is a number; `no`, `on`, `12:30` and `2024-01-01` are text; `010` is ten. Refused:
+a key twice in one mapping, tags (`!!x`), several documents, aliases that blow up, nesting without end.
+`${NAME}` and `${NAME:-default}` are replaced inside texts after parsing, so that a variable can never bring
+in a key; the result stays text. `$${` stands for a literal `${`.
+
+Models that derive from `Options` take quantities with their unit: in a field whose schema says
+`"unit": "um"`, the text `20 um` or `0.02 mm` is converted; a bare number is in that unit already.
+"""
+
+from errpipe.yamlfile.document import Document, load, parse, read
+from errpipe.yamlfile.events import plain
+from errpipe.yamlfile.places import Place, describe, dotted
+from errpipe.yamlfile.quantities import Misplaced, Options, convert
+
+__all__ = [
+    "Document", "Misplaced", "Options", "Place", "convert", "describe", "dotted", "load", "parse", "plain", "read",
+]  # fmt: skip

@@ -1,0 +1,121 @@
+"""A YAML text as plain values, each with its place in the file, and its validation."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from errpipe.errors import ConfigError, Problem, UsageError
+from errpipe.yamlfile.events import Builder
+from errpipe.yamlfile.explain import explain
+from errpipe.yamlfile.places import Place, Spot, describe, dotted
+
+T = TypeVar("T")
+
+MAX_BYTES = 4_000_000  # a configuration is written by hand
+
+
+@dataclass
+class Document:
+    """The plain values of a YAML text (dict, list, str, int, float, bool, None) and where each of them stands."""
+
+    file: str
+    value: Any = None
+    spots: dict[Place, Spot] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+
+    def problem(self, place: Place, message: str, *, at: str = "value") -> Problem:
+        """A problem at a place; `at` is "value", "key", or "parent" for what is missing there."""
+        where = place[:-1] if at == "parent" else place
+        while where and where not in self.spots:
+            where = where[:-1]
+        spot = self.spots.get(where, Spot((1, 1)))
+        if spot.origin is not None:
+            return Problem(spot.origin, 0, 0, dotted(place), message)
+        line, column = spot.key if at != "value" and spot.key else spot.value
+        return Problem(self.file, line, column, dotted(place), message)
+
+    def raise_problems(self) -> None:
+        """Raises ConfigError where anything was found so far."""
+        if self.problems:
+            raise ConfigError(list(dict.fromkeys(self.problems)))
+
+    def validate(self, model: type[T] | Any, context: Mapping[str, Any] | None = None) -> T:
+        """The value as an instance of a pydantic model. Raises ConfigError with every problem of the file."""
+        found = self.check(model, context)
+        self.raise_problems()
+        return found  # type: ignore[return-value]
+
+    def check(self, model: type[T] | Any, context: Mapping[str, Any] | None = None) -> T | None:
+        """Like `validate`, but what is found is only added to `problems`; None where anything was."""
+        # JSON in strict mode is exactly what is wanted: lists become tuples and texts become paths,
+        # but '5' is no number, 1 is no text and 'no' is not false.
+        text = json.dumps(self.value)
+        try:
+            return TypeAdapter(model).validate_json(text, strict=True, context=dict(context or {}))
+        except ValidationError as err:
+            self.problems.extend(explain(self.problem, self.value, model, err.errors(include_url=False)))
+            return None
+
+    def assign(self, place: Place, value: Any, origin: str) -> None:
+        """Put a value at a place (`--set`). Raises UsageError where the place cannot hold one."""
+        target = self.value
+        for depth, step in enumerate(place):
+            here = dotted(place[:depth]) or "the file"
+            if isinstance(target, list):
+                if not isinstance(step, int) or not 0 <= step < len(target):
+                    raise UsageError(f"{origin}: {here} is a list of {len(target)}; {step!r} is none of its numbers")
+            elif not isinstance(target, dict):
+                raise UsageError(f"{origin}: {here} is {describe(target)}, not a mapping")
+            else:
+                step = str(step)
+            if depth == len(place) - 1:
+                target[step] = value
+            else:
+                target = target.setdefault(step, {}) if isinstance(target, dict) else target[step]
+        for old in [spot for spot in self.spots if spot[: len(place)] == place]:
+            del self.spots[old]
+        self.spots[place] = Spot(origin=origin)
+
+
+def load(path: Path, model: type[T] | Any, *, environment: Mapping[str, str] | None = None) -> T:
+    """Read and validate a YAML file. Raises ConfigError with every problem of the file, in file order."""
+    return read(path, environment=environment).validate(model)
+
+
+def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Document:
+    """Read a YAML file. Raises ConfigError where it cannot be read or parsed; lesser problems stay in `problems`.
+
+    With an `environment`, `${NAME}` and `${NAME:-default}` in texts are replaced.
+    """
+    path, name = Path(path), str(path)
+    if path.is_dir():
+        raise ConfigError([Problem(name, 0, 0, "", "is a folder (a YAML file is needed)")])
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= MAX_BYTES else b""
+    except FileNotFoundError:
+        raise ConfigError([Problem(name, 0, 0, "", "no such file")]) from None
+    except OSError as err:
+        raise ConfigError([Problem(name, 0, 0, "", f"cannot be read: {(err.strerror or str(err)).lower()}")]) from None
+    if size > MAX_BYTES:
+        raise ConfigError([Problem(name, 0, 0, "", f"has {size} bytes (at most {MAX_BYTES} are read)")])
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        line = data.count(b"\n", 0, err.start) + 1
+        column = err.start - data.rfind(b"\n", 0, err.start)
+        raise ConfigError([Problem(name, line, column, "", f"not UTF-8 text (byte 0x{data[err.start]:02x})")]) from None
+    return parse(text, name, environment=environment)
+
+
+def parse(text: str, file: str = "text", *, environment: Mapping[str, str] | None = None) -> Document:
+    """`read` for a text that is at hand."""
+    builder = Builder(file, environment)
+    value = builder.build(text)
+    return Document(file, value, builder.spots, builder.problems)

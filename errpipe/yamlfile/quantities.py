@@ -1,0 +1,90 @@
+"""Numbers with units in YAML: `20 um` in a field whose schema says um, or mm, is a number."""
+
+from __future__ import annotations
+
+import math
+import re
+from fractions import Fraction
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
+
+from errpipe.errors import did_you_mean
+
+_PI = Fraction(math.pi)
+# dimension -> {unit: (zero, factor)}: value in the dimension's base = (number - zero) * factor, exactly.
+_UNITS: dict[str, dict[str, tuple[Fraction, Fraction]]] = {
+    dimension: {unit: (Fraction(zero), Fraction(factor)) for unit, (zero, factor) in units.items()}
+    for dimension, units in {
+        "length": {
+            "nm": (0, "1e-9"), "um": (0, "1e-6"), "mm": (0, "1e-3"), "cm": (0, "1e-2"), "m": (0, 1), "km": (0, 1000),
+            "inch": (0, "0.0254"),
+        },
+        "angle": {
+            "rad": (0, 1), "mrad": (0, "1e-3"), "urad": (0, "1e-6"), "nrad": (0, "1e-9"), "deg": (0, _PI / 180),
+            "arcmin": (0, _PI / 10800), "arcsec": (0, _PI / 648000), "rev": (0, 2 * _PI),
+        },
+        "time": {"us": (0, "1e-6"), "ms": (0, "1e-3"), "s": (0, 1), "min": (0, 60), "h": (0, 3600), "d": (0, 86400)},
+        "speed": {"mm/s": (0, "1e-3"), "m/s": (0, 1), "mm/min": (0, Fraction(1, 60000)), "m/min": (0, Fraction(1, 60))},
+        "angular speed": {"deg/s": (0, 1), "deg/min": (0, Fraction(1, 60))},
+        "acceleration": {"mm/s2": (0, "1e-3"), "m/s2": (0, 1)},
+        "rotational speed": {"rpm": (0, 1), "1/s": (0, 60)},
+        "temperature": {"degC": (0, 1), "K": ("273.15", 1), "degF": (32, Fraction(5, 9))},
+        "temperature difference": {"K": (0, 1), "delta_degC": (0, 1), "delta_degF": (0, Fraction(5, 9))},
+        "pressure": {"Pa": (0, 1), "hPa": (0, 100), "mbar": (0, 100), "kPa": (0, 1000), "bar": (0, 100000)},
+        "ratio": {"1": (0, 1), "%": (0, "0.01")},
+        "force": {"N": (0, 1), "kN": (0, 1000)},
+        "mass": {"kg": (0, 1), "g": (0, "1e-3"), "t": (0, 1000)},
+    }.items()
+}  # fmt: skip
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*([^\s\d].*?)\s*$")
+
+
+def convert(text: str, unit: str) -> float:
+    """The number that a text such as `20 um` stands for, in `unit`; rounded once, so `68 degF` is 20 degC exactly.
+
+    Raises ValueError naming the allowed units where the text has another dimension or is no quantity.
+    """
+    # K measures a difference where the field is in K; a point where the field is in degC.
+    tables = [table for name, table in _UNITS.items() if unit in table and not (unit == "K" and name == "temperature")]
+    allowed = list(tables[0]) if tables else [unit]
+    found = _QUANTITY.match(text)
+    if found is None:
+        raise ValueError(f"found {text!r} (a number or a number with its unit, such as '1 {unit}', is needed)")
+    number, written = Fraction(found[1]), found[2]
+    if written == unit:
+        return float(number)
+    if written not in allowed:
+        raise ValueError(f"found unit {written!r} (allowed: {', '.join(allowed)}).{did_you_mean(written, allowed)}")
+    (zero, factor), (own_zero, own_factor) = tables[0][written], tables[0][unit]
+    return float((number - zero) * factor / own_factor + own_zero)
+
+
+class Options(BaseModel):
+    """Base of every model a person writes in YAML: frozen, unknown keys refused, quantities with units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _with_unit(cls, value: Any, info: ValidationInfo) -> Any:
+        extra = cls.model_fields[info.field_name or ""].json_schema_extra
+        unit = extra.get("unit") if isinstance(extra, dict) else None
+        return _converted(value, unit) if isinstance(unit, str) else value
+
+
+def _converted(value: Any, unit: str) -> Any:
+    """Texts that are quantities converted, also inside lists; a word (`auto`) is left for the model to judge."""
+    if isinstance(value, list | tuple):
+        return [_converted(part, unit) for part in value]
+    if isinstance(value, str) and _QUANTITY.match(value):
+        return convert(value, unit)
+    return value
+
+
+class Misplaced(ValueError):
+    """Raised in a validator of a whole model to point at one key inside it: Misplaced(("terms", 1), "...")."""
+
+    def __init__(self, place: tuple[str | int, ...], message: str):
+        self.place = place
+        super().__init__(message)
