@@ -1,0 +1,61 @@
+"""Deviation proportional to position times the change of air temperature or pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term, position
+from errpipe.terms._place import axes_acting, is_radial, position_name
+from errpipe.terms._warm import AIR_WORDS, mentions, sensors
+
+PER_KELVIN, PER_HPA = 0.93, -0.27  # um/m: Edlen's formula near 20 degC, 1013 hPa
+
+
+class AirRefraction(Term):
+    """The laser's wavelength was not corrected for the air: every length read is off by the air's refraction.
+
+    Equation   deviation = x * (per_kelvin (T - 20) + per_hpa (p - 1013.25))   [um] = [m] * [um/m]
+    Assumes    the air along the beam is as warm as its sensor
+    Typical    0.93 um/m/K and -0.27 um/m/hPa, with either sign according to who reads whom
+    Moves      all axes alike, with the weather
+    Source     Edlen 1966; ISO 230-1 annex on laser interferometers
+    """
+
+    term: Literal["air_refraction"] = "air_refraction"
+    axis: str
+    sensor: str | None = None
+    pressure: str | None = None
+    reports_as = "air_refraction"
+    family = "measurement"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        kelvin = Parameter("per_kelvin", "um/m/K", (0.5, 1.0), (-5.0, 5.0), "slope per kelvin of the air")
+        hpa = Parameter("per_hpa", "um/m/hPa", (0.1, 0.3), (-2.0, 2.0), "slope per hectopascal")
+        return tuple(p for p, on in ((kelvin, self.sensor), (hpa, self.pressure)) if on)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return tuple(n for n in (position_name(recording, self.axis), self.pressure, self.sensor) if n)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[AirRefraction]:
+        airs = [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]
+        pressures = [n for n in recording.names("pressure") if not recording.manifest.columns[n].location]
+        for axis in () if is_radial(component) else axes_acting(recording, component):
+            for sensor in airs or [None]:
+                for pressure in pressures or [None]:
+                    if sensor or pressure:
+                        yield cls(axis=axis, sensor=sensor, pressure=pressure)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        length = position(recording, self.axis) * 1e-3
+        columns = []
+        if self.sensor:
+            columns.append(length * (recording.array(self.sensor) - 20.0))
+        if self.pressure:
+            columns.append(length * (recording.array(self.pressure) - 1013.25))
+        return np.column_stack(columns)

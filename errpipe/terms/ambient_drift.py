@@ -1,0 +1,56 @@
+"""Follows the room temperature, delayed by hours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Lag
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, scaled, sensors
+
+
+class AmbientDrift(Term):
+    """The whole machine follows the room, hours later.
+
+    Equation   tau dy/dt + y = T_room - T_ref;  deviation = gain * y       [um] = [um/K] * [K]
+    Assumes    one time constant for the structure; in step with the room at the start
+    Typical    1..6 um/K, tau 3000..40000 s
+    Moves      a daily wave, late and flattened
+    Source     ISO 230-3 (environmental temperature variation error)
+    """
+
+    term: Literal["ambient_drift"] = "ambient_drift"
+    sensor: str
+    reference: float | None = REFERENCE
+    reports_as = "ambient_drift"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("gain", "um/K", (1.0, 6.0), (-100.0, 100.0), "shift per kelvin of the room"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("tau", "s", (3000.0, 40000.0), (1000.0, 200000.0), "time constant"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.sensor,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[AmbientDrift]:
+        if component.startswith("E"):
+            room = [s for s in sensors(recording) if mentions(recording, s, ROOM_WORDS)]
+            for sensor in room or [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]:
+                yield cls(sensor=sensor)
+
+    def _driver(self, tau: float) -> Lag:
+        return Lag(of=rise_driver(self.sensor, self.reference), tau_up=tau, tau_down=tau)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(nonlinear[0]), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (tau,) = self.nonlinear_values(parameters)
+        return (Lowered(scaled(self._driver(tau), parameters["gain"])),)

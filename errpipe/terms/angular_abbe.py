@@ -1,0 +1,68 @@
+"""An angular error motion of one axis multiplied by an offset along another axis or the tool length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Input
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._place import axes, direction_of, own_axis, position_name, travel
+
+
+class AngularAbbe(Term):
+    """A slide pitches, yaws or rolls as it moves; the further the point from the guideway, the larger the shift.
+
+    Equation   deviation = lever * (tilt + sum of a_k u^k, k = 1..order)   [um] = [m] * [urad]
+               u = position scaled to -1..1 over low..high; the lever is another axis' position or the tool length
+    Assumes    small angles; a smooth guideway
+    Typical    5..50 urad over the travel
+    Moves      zero where the lever is zero; grows with tool length or table height
+    Source     Abbe 1890; ISO 230-1 (angular error motions); Ni 1997, volumetric error
+    """
+
+    term: Literal["angular_abbe"] = "angular_abbe"
+    axis: str
+    lever: str
+    low: float
+    high: float
+    order: int = 3
+    reports_as = "angular_abbe"
+    family = "geometric"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"angle{k}", "urad", (5.0, 50.0), (-2000.0, 2000.0), f"angular error of degree {k}")
+            for k in range(1, self.order + 1)
+        )
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis), self.lever)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[AngularAbbe]:
+        if direction_of(component) is None or own_axis(component) is not None:
+            return
+        pointing = direction_of(component)
+        levers = [(a, position_name(recording, a)) for a in axes(recording) if a != pointing]
+        levers += [(None, n) for n in recording.names("overhang")]
+        for axis in axes(recording):
+            low, high = travel(recording, axis)
+            for letter, lever in levers:
+                values = recording.array(lever)
+                if letter != axis and np.nanmax(values) > np.nanmin(values):
+                    yield cls(axis=axis, lever=lever, low=low, high=high)
+
+    def _powers(self, x: np.ndarray) -> np.ndarray:
+        unit = (2 * np.asarray(x, dtype=float) - self.low - self.high) / (self.high - self.low)
+        return np.column_stack([unit**k for k in range(1, self.order + 1)])
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return self._powers(position(recording, self.axis)) * (recording.array(self.lever) * 1e-3)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        gains = np.array([parameters[p.name] for p in self.linear()])
+        return (Lowered(Input(name=self.lever), self.axis, lambda x: 1e-3 * self._powers(x) @ gains),)

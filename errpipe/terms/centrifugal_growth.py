@@ -1,0 +1,53 @@
+"""Proportional to the square of spindle speed, at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Affine, Input, Power
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import scaled
+
+
+class CentrifugalGrowth(Term):
+    """A turning spindle swells and its bearings shift: at once with speed, and gone as soon as it stops.
+
+    Equation   deviation = shift * (n / n_max)^2                     [um]
+    Assumes    no warming (that is `spindle_growth`)
+    Typical    1..20 um at full speed
+    Moves      often against the growth: the spindle gets shorter as it swells
+    Source     stress in a rotating cylinder; contact angle of preloaded ball bearings
+    """
+
+    term: Literal["centrifugal_growth"] = "centrifugal_growth"
+    column: str
+    full_speed: float
+    reports_as = "centrifugal_growth"
+    family = "spindle"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("shift", "um", (1.0, 20.0), (-200.0, 200.0), "shift at full speed"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[CentrifugalGrowth]:
+        if component.startswith("E"):
+            for column in recording.names("spindle_speed"):
+                values = recording.array(column)
+                if np.nanmax(values) > max(np.nanmin(values), 0.0):
+                    yield cls(column=column, full_speed=float(np.nanmax(values)))
+
+    def _driver(self) -> Power:
+        return Power(of=Affine(weights=(1.0 / self.full_speed,), of=(Input(name=self.column),)), exponent=2.0)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(self._driver(), parameters["shift"])),)

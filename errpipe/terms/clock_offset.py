@@ -1,0 +1,61 @@
+"""Recording and simulation agree once one is shifted in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term, sessions
+
+
+class ClockOffset(Term):
+    """The clocks of the recording and of the simulation differ: the curves agree once one is shifted.
+
+    Equation   deviation(t) = f(t - offset) - f(t), f the simulated signal
+    Assumes    one constant offset; the signal is recorded without a break
+    Typical    10..600 s
+    Moves      large where the signal is steep, nothing where it rests
+    Source     two loggers with their own clocks
+    """
+
+    term: Literal["clock_offset"] = "clock_offset"
+    column: str
+    shortest: float = 10.0
+    longest: float = 600.0
+    reports_as = "clock_offset"
+    family = "measurement"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("offset", "s", (self.shortest, self.longest), (-self.longest, self.longest), "recording late"),
+        )
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (recording.name("time") or "row",)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ClockOffset]:
+        t = recording.time()
+        step = np.median(np.diff(t)[np.diff(t) > 0]) if len(t) > 3 else np.nan
+        if recording.name("time") is None or not np.isfinite(step):
+            return
+        for column in recording.names("simulated", component=component):
+            yield cls(column=column, shortest=float(step / 5), longest=float(min(max(60 * step, 0.0), 7200.0)))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        (offset,) = nonlinear
+        t, f, session = recording.time(), recording.array(self.column), sessions(recording)
+        shifted = np.full(f.shape, np.nan)
+        for s in np.unique(session):
+            rows = np.flatnonzero((session == s) & np.isfinite(f))
+            if rows.size > 1:
+                at, first = np.unique(t[rows], return_index=True)
+                shifted[rows] = np.interp(t[rows] - offset, at, f[rows][first])
+        return (shifted - f)[:, None]

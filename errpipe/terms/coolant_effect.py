@@ -1,0 +1,75 @@
+"""Follows coolant flow or coolant temperature while it flows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Affine, Driver, Input, Lag, Product
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
+
+
+class CoolantEffect(Term):
+    """Coolant runs over table, work and spindle nose and brings them to its own temperature while it flows.
+
+    Equation   tau dy/dt + y = flow * (T_coolant - T_other);  deviation = gain * y   [um] = [um/K] * [K]
+               without temperatures: tau dy/dt + y = flow;    deviation = shift * y  [um]
+    Assumes    one time constant
+    Typical    2..20 um, tau 60..900 s
+    Moves      with the coolant switch, soon after it
+    Source     lumped heat balance
+    """
+
+    term: Literal["coolant_effect"] = "coolant_effect"
+    flow: str
+    sensor: str | None = None
+    other: str | None = None
+    reports_as = "coolant_effect"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        if self.sensor:
+            return (Parameter("gain", "um/K", (0.5, 10.0), (-100.0, 100.0), "shift per kelvin while it flows"),)
+        return (Parameter("shift", "um", (2.0, 20.0), (-200.0, 200.0), "shift while it flows"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return tuple(n for n in (self.flow, self.sensor, self.other) if n)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[CoolantEffect]:
+        if not component.startswith("E"):
+            return
+        found = sensors(recording)
+        for flow in recording.names("coolant"):
+            if recording.frame[flow].nunique() < 2:
+                continue
+            yield cls(flow=flow)
+            for sensor in (s for s in found if mentions(recording, s, COOLANT_WORDS)):
+                yield cls(flow=flow, sensor=sensor)
+                for other in found:
+                    if other != sensor:
+                        yield cls(flow=flow, sensor=sensor, other=other)
+
+    def _driver(self, tau: float) -> Lag:
+        source: Driver = Input(name=self.flow)
+        if self.sensor and self.other:
+            cold = Affine(weights=(1.0, -1.0), of=(Input(name=self.sensor), Input(name=self.other)))
+            source = Product(of=(source, cold))
+        elif self.sensor:
+            source = Product(of=(source, Affine(offset=-20.0, weights=(1.0,), of=(Input(name=self.sensor),))))
+        return Lag(of=source, tau_up=tau, tau_down=tau, start="zero")
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(nonlinear[0]), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (tau,) = self.nonlinear_values(parameters)
+        gain = parameters["gain" if self.sensor else "shift"]
+        return (Lowered(scaled(self._driver(tau), gain)),)

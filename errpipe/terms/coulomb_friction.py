@@ -1,0 +1,48 @@
+"""Drive force with the sign of velocity, constant otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term
+
+
+class CoulombFriction(Term):
+    """Dry friction: the drive pushes with the same force whatever the speed, in the direction of motion.
+
+    Equation   force = friction * tanh(v / sharpness)               [N]
+    Assumes    the same force both ways unless `by_direction`: then the mean of both and half their difference
+    Typical    5..300 N
+    Moves      positive friction: the drive pushes the way it moves
+    Source     Coulomb 1785; sharpness 0 means a plain sign
+    """
+
+    term: Literal["coulomb_friction"] = "coulomb_friction"
+    axis: str
+    column: str
+    reports_as = "coulomb_friction"
+    family = "friction"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("force", "N", (5.0, 300.0), (-5000.0, 5000.0), "friction force"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("sharpness", "mm/s", (0.0, 1.0), (0.0, 10.0), "speed within which the force turns round"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[CoulombFriction]:
+        if component.startswith("F_"):
+            for column in recording.names("velocity", axis=component[2:]):
+                yield cls(axis=component[2:], column=column)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        v = recording.array(self.column)
+        return (np.sign(v) if nonlinear[0] <= 0 else np.tanh(v / nonlinear[0]))[:, None]

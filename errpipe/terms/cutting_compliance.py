@@ -1,0 +1,67 @@
+"""Proportional to a cutting force, possibly times overhang cubed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Affine, Driver, Input, Power, Product
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import scaled
+
+
+class CuttingCompliance(Term):
+    """Tool, spindle and work give way to the cutting force; a slender boring bar with the cube of its overhang.
+
+    Equation   deviation = compliance * F * (l / 100 mm)^exponent     [um] = [um/kN] * [kN]
+    Assumes    elastic; exponent 0 (the machine) to 3 (a bar clamped at one end)
+    Typical    5..60 um/kN
+    Moves      positive compliance: the tool is pushed away from the work
+    Source     beam bending F l^3 / (3 E I); Ni 1997, cutting force induced errors
+    """
+
+    term: Literal["cutting_compliance"] = "cutting_compliance"
+    force: str
+    overhang: str | None = None
+    reports_as = "cutting_compliance"
+    family = "process"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("compliance", "um/kN", (5.0, 60.0), (-2000.0, 2000.0), "deflection per kilonewton"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        if self.overhang is None:
+            return ()
+        return (Parameter("exponent", "1", (1.0, 3.0), (0.5, 4.0), "power of the overhang"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return tuple(n for n in (self.force, self.overhang) if n)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[CuttingCompliance]:
+        if not component.startswith("E"):
+            return
+        for force in recording.names("force"):
+            values = recording.array(force)
+            if not np.nanmax(values) > np.nanmin(values):
+                continue
+            yield cls(force=force)
+            for overhang in recording.names("overhang"):
+                if recording.frame[overhang].nunique() > 1:
+                    yield cls(force=force, overhang=overhang)
+
+    def _driver(self, *exponent: float) -> Driver:
+        push = Affine(weights=(1e-3,), of=(Input(name=self.force),))
+        if self.overhang is None:
+            return push
+        reach = Affine(weights=(1e-2,), of=(Input(name=self.overhang),))
+        return Product(of=(push, Power(of=reach, exponent=exponent[0])))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(*nonlinear), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["compliance"])),)

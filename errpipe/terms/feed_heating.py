@@ -1,0 +1,63 @@
+"""Slope along the axis that builds up with the axis' own motion and decays at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.kernels import responses
+from errpipe.kernels.events import travelled
+from errpipe.terms._base import Parameter, Term, position, sessions
+from errpipe.terms._place import axes_acting, is_radial, position_name
+
+
+class FeedHeating(Term):
+    """The nut rubs on the screw and warms it: the screw gets longer the more the axis runs, and recovers at rest.
+
+    Equation   tau dy/dt + y = |v| / 100 mm/s;  deviation = slope * x * y      [um] = [um/m] * [m]
+    Assumes    the whole screw warms alike; heat in proportion to the distance run
+    Typical    10..60 um/m at steady running, tau 1000..6000 s
+    Moves      positive slope: the axis goes ever further past its targets while it runs
+    Source     Ni 1997; ISO 230-3 (linear motion of components)
+    """
+
+    term: Literal["feed_heating"] = "feed_heating"
+    axis: str
+    column: str | None = None
+    reports_as = "feed_heating"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        names = (position_name(recording, self.axis), self.column, recording.name("feed", axis=self.axis))
+        return tuple(dict.fromkeys(n for n in names if n))
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[FeedHeating]:
+        for axis in () if is_radial(component) else axes_acting(recording, component):
+            yield cls(axis=axis, column=recording.name("velocity", axis=axis))
+
+    def speed(self, recording: Recording) -> np.ndarray:
+        """Mean speed since the row before in mm/s, shape (rows,): distance moved over time passed."""
+        if self.column:
+            return np.abs(recording.array(self.column))
+        run, t = sessions(recording), recording.time()
+        moved = travelled(run, position(recording, self.axis))
+        step = np.r_[0.0, np.diff(t)]
+        return np.divide(moved, step, out=np.zeros_like(moved), where=step > 0)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        (tau,) = nonlinear
+        # the lag holds the input of the row before: shift by one, for the speed was reached between the rows
+        speed = self.speed(recording)
+        held = np.r_[speed[1:], 0.0] if self.column is None else speed
+        warm = responses.lag(sessions(recording), recording.time(), held / 100.0, tau, tau, False)
+        return (warm * position(recording, self.axis) * 1e-3)[:, None]

@@ -1,0 +1,54 @@
+"""Builds up over the first tenths of a millimetre after a reversal, then saturates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Approach
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, direction_column, drive
+from errpipe.terms._place import axes_acting, is_radial, position_name, share
+
+
+class FrictionHysteresis(Term):
+    """Guide and screw give way before they slip: after a reversal the deviation builds up over a short travel.
+
+    Equation   z -> d over the travelled length: dz = (d - z) |dx| / length;  deviation = -lost_motion / 2 * z
+    Assumes    the last move was long, or is recorded; no dependence on speed
+    Typical    1..10 um, length 0.02..0.5 mm
+    Moves      positive lost motion: as `backlash`, but soft; the same after long moves
+    Source     Dahl 1968 (pre-sliding friction)
+    """
+
+    term: Literal["friction_hysteresis"] = "friction_hysteresis"
+    axis: str
+    radial: bool = False
+    reports_as = "friction_hysteresis"
+    family = "reversal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("length", "mm", (0.02, 0.5), (0.003, 10.0), "travel over which it builds up"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (direction_column(recording, self.axis), position_name(recording, self.axis))
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[FrictionHysteresis]:
+        for axis in axes_acting(recording, component):
+            if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
+                yield cls(axis=axis, radial=is_radial(component))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        z = drive(Approach(axis=self.axis, length=nonlinear[0]), recording)
+        return (-0.5 * z * share(recording, self.axis, self.radial))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        (length,) = self.nonlinear_values(parameters)
+        half = -0.5 * parameters["lost_motion"]
+        return (Lowered(Approach(axis=self.axis, length=length), None, lambda x: np.full(np.shape(x), half)),)

@@ -1,0 +1,53 @@
+"""Proportional to the difference of two temperatures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Affine, Input
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
+
+
+class GradientBending(Term):
+    """A column or bed that is warmer on one side than on the other bends, and the tool leans with it.
+
+    Equation   deviation = gain * (T1 - T2)                          [um] = [um/K] * [K]
+    Assumes    the two sensors stand for the two sides
+    Typical    1..15 um/K (26 um/K for a column 1.5 m high and 0.5 m deep)
+    Moves      nothing when both sides warm alike
+    Source     bending of a strip, alpha h^2 / (2 b); Ni 1997
+    """
+
+    term: Literal["gradient_bending"] = "gradient_bending"
+    first: str
+    second: str
+    reports_as = "gradient_bending"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("gain", "um/K", (1.0, 15.0), (-200.0, 200.0), "shift per kelvin of difference"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.first, self.second)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[GradientBending]:
+        if component.startswith("E"):
+            found = [s for s in sensors(recording) if not mentions(recording, s, COOLANT_WORDS)]
+            for i, first in enumerate(found):
+                for second in found[i + 1 :]:
+                    yield cls(first=first, second=second)
+
+    def _driver(self) -> Affine:
+        return Affine(weights=(1.0, -1.0), of=(Input(name=self.first), Input(name=self.second)))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return (recording.array(self.first) - recording.array(self.second))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(self._driver(), parameters["gain"])),)

@@ -1,0 +1,75 @@
+"""Deflection that grows with the square or cube of an overhang."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Input, Power
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.terms._place import axes, direction_of, own_axis, position_name
+from errpipe.terms._warm import scaled
+
+
+class GravitySag(Term):
+    """A ram, quill or table hangs over and bends under its own weight: more with the square or cube of the overhang.
+
+    Equation   deviation(l) = sag * (l / length)^exponent            [um]
+    Assumes    one overhang counts; small deflection
+    Typical    5..40 um at full overhang, exponent 2..3
+    Moves      negative sag: the free end hangs down; the same in both directions of travel
+    Source     beam bending, F l^3 / (3 E I); Ni 1997, errors from load
+    """
+
+    term: Literal["gravity_sag"] = "gravity_sag"
+    column: str
+    start: float = 0.0
+    length: float
+    sign: Literal[-1, 1] = 1
+    reports_as = "gravity_sag"
+    family = "load"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("exponent", "1", (2.0, 3.0), (1.8, 4.0), "2: line load or moment, 3: end load"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[GravitySag]:
+        pointing = direction_of(component)
+        if pointing is None:
+            return
+        own = own_axis(component)
+        for name in [position_name(recording, a) for a in axes(recording)] + list(recording.names("overhang")):
+            axis = recording.manifest.columns[name].axis
+            if (axis is not None and axis == pointing) or (own is not None and axis not in (own, None)):
+                continue
+            values = recording.array(name)
+            low, high = np.nanmin(values), np.nanmax(values)
+            if not high > low:
+                continue
+            if axis is None or low >= 0:
+                yield cls(column=name, length=float(max(abs(low), abs(high))))
+            if axis is not None:
+                yield cls(column=name, start=float(high), length=float(high - low), sign=-1)
+                if low < 0:
+                    yield cls(column=name, start=float(low), length=float(high - low))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        reach = np.clip(self.sign * (recording.array(self.column) - self.start), 0, None) / self.length
+        return (reach ** nonlinear[0])[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        (exponent,) = self.nonlinear_values(parameters)
+        if self.sign < 0 or self.start != 0:
+            return None
+        gain = parameters["sag"] / self.length**exponent
+        reach = Power(of=Input(name=self.column), exponent=exponent)
+        return (Lowered(scaled(reach, gain)),)

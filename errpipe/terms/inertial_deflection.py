@@ -1,0 +1,53 @@
+"""Proportional to acceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Input
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.terms._place import axes_acting, is_radial, share
+from errpipe.terms._warm import scaled
+
+
+class InertialDeflection(Term):
+    """Slide and column lean back when they are accelerated.
+
+    Equation   deviation = -compliance * a                          [um] = [um/(m/s2)] * [m/s2]
+    Assumes    acceleration slow against the first natural frequency
+    Typical    1..10 um per m/s2
+    Moves      positive compliance: against the acceleration
+    Source     mass * lever / stiffness; ISO 230-4
+    """
+
+    term: Literal["inertial_deflection"] = "inertial_deflection"
+    axis: str
+    column: str
+    radial: bool = False
+    reports_as = "inertial_deflection"
+    family = "servo"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("compliance", "um/(m/s2)", (1.0, 10.0), (-500.0, 500.0), "deflection per m/s2"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[InertialDeflection]:
+        for axis in axes_acting(recording, component):
+            for column in recording.names("acceleration", axis=axis):
+                yield cls(axis=axis, column=column, radial=is_radial(component))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        lean = -1e-3 * recording.array(self.column)
+        return (lean * share(recording, self.axis, self.radial))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        if self.radial:
+            return None
+        return (Lowered(scaled(Input(name=self.column), -1e-3 * parameters["compliance"])),)

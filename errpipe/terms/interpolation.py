@@ -1,0 +1,64 @@
+"""Periodic in axis position with the encoder's signal period."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import ONE
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._place import axes_acting, is_radial, position_name, share
+
+
+class Interpolation(Term):
+    """The encoder's two signals are not perfect sines: an error that repeats with every signal period.
+
+    Equation   deviation(x) = sum over k = 1, 2 of sine_k sin(2 pi k x / period) + cosine_k cos(2 pi k x / period)
+    Assumes    positions recorded finer than a tenth of the period
+    Typical    0.05..1 um; period 0.004..0.1 mm (magnetic scales 1..5 mm)
+    Moves      the same everywhere on the axis; one or two waves per signal period
+    Source     sub-divisional error of incremental encoders (ISO 230-1, encoder makers' handbooks)
+    """
+
+    term: Literal["interpolation"] = "interpolation"
+    axis: str
+    radial: bool = False
+    harmonics: int = 2
+    reports_as = "interpolation"
+    family = "geometric"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{part}{k}", "um", (0.05, 1.0), (-20.0, 20.0), f"{part} part of harmonic {k}")
+            for k in range(1, self.harmonics + 1)
+            for part in ("sine", "cosine")
+        )
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("period", "mm", (0.004, 0.1), (0.001, 10.0), "signal period"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Interpolation]:
+        for axis in axes_acting(recording, component):
+            known = recording.manifest.axis(axis)
+            if known is not None and known.encoder_period is not None:
+                yield cls(axis=axis, radial=is_radial(component), fixed={"period": known.encoder_period})
+
+    def _waves(self, x: np.ndarray, period: float) -> np.ndarray:
+        angle = 2 * np.pi / period * np.asarray(x, dtype=float)
+        return np.column_stack([f(k * angle) for k in range(1, self.harmonics + 1) for f in (np.sin, np.cos)])
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        waves = self._waves(position(recording, self.axis), nonlinear[0])
+        return waves * share(recording, self.axis, self.radial)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (period,) = self.nonlinear_values(parameters)
+        gains = np.array([parameters[p.name] for p in self.linear()])
+        return (Lowered(ONE, self.axis, lambda x: self._waves(x, period) @ gains, period),)

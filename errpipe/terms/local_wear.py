@@ -1,0 +1,68 @@
+"""A deviation confined to one stretch of the axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import ONE
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._place import axes, axes_acting, direction_of, is_radial, own_axis, position_name, share, travel
+
+
+class LocalWear(Term):
+    """One stretch of the guideway or screw is worn (or a scale is dirty there): a dip or bump in one place.
+
+    Equation   deviation(x) = depth * exp(-(x - centre)^2 / (2 width^2))
+    Assumes    one smooth stretch; the same in both directions
+    Typical    2..20 um over 50..300 mm (about four widths)
+    Moves      positive depth: too far (or up) on that stretch, nothing elsewhere
+    Source     ISO 230-1 (local deviation); Ni 1997, geometric errors
+    """
+
+    term: Literal["local_wear"] = "local_wear"
+    axis: str
+    radial: bool = False
+    length: float = 1000.0
+    reports_as = "local_wear"
+    family = "geometric"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        widest = 0.15 * self.length
+        return (
+            Parameter("centre", "mm", (0.0, self.length), (-10 * self.length, 10 * self.length), "middle of it"),
+            Parameter(
+                "width", "mm", (12.0, 75.0), (0.01 * self.length, max(widest, 1.0)), "standard deviation of the bell"
+            ),
+        )
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[LocalWear]:
+        if direction_of(component) is None and not is_radial(component):
+            return
+        own = own_axis(component)
+        for axis in axes_acting(recording, component) if is_radial(component) else axes(recording):
+            if own is None or axis == own:
+                low, high = travel(recording, axis)
+                yield cls(axis=axis, radial=is_radial(component), length=high - low)
+
+    def _bell(self, x: np.ndarray, centre: float, width: float) -> np.ndarray:
+        return np.exp(-0.5 * ((np.asarray(x, dtype=float) - centre) / width) ** 2)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        bell = self._bell(position(recording, self.axis), *nonlinear)
+        return (bell * share(recording, self.axis, self.radial))[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        depth = parameters["depth"]
+        centre, width = self.nonlinear_values(parameters)
+        return (Lowered(ONE, self.axis, lambda x: depth * self._bell(x, centre, width)),)

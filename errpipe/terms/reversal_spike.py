@@ -1,0 +1,58 @@
+"""A short transient after each velocity reversal, larger at higher feed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.kernels.events import since_turn
+from errpipe.terms._base import Parameter, Term, direction, direction_column, sessions
+from errpipe.terms._place import axes_acting, is_radial, share
+
+
+class ReversalSpike(Term):
+    """When an axis turns round the drive sticks for an instant: a short spike that dies away.
+
+    Equation   deviation = -height * d * (F / 1000 mm/min)^power * exp(-s / tau), s = time since the reversal
+    Assumes    friction is overcome anew at each reversal; the loop pulls the spike in
+    Typical    2..15 um, tau 5..50 ms
+    Moves      positive height: the axis lags on the side it left
+    Source     quadrant glitches of circular tests, ISO 230-4
+    """
+
+    term: Literal["reversal_spike"] = "reversal_spike"
+    axis: str
+    feed: str | None = None
+    radial: bool = False
+    reports_as = "reversal_spike"
+    family = "reversal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("height", "um", (2.0, 15.0), (-200.0, 200.0), "height of the spike (at 1000 mm/min)"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        power = (Parameter("power", "1", (0.0, 1.0), (0.0, 2.0), "growth with feed"),) if self.feed else ()
+        return (Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away"), *power)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        names = (direction_column(recording, self.axis), recording.name("velocity", axis=self.axis), self.feed)
+        return tuple(dict.fromkeys(n for n in names if n))
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ReversalSpike]:
+        for axis in axes_acting(recording, component):
+            if recording.names("velocity", axis=axis):
+                feed = recording.name("feed")
+                varies = feed is not None and recording.frame[feed].nunique() > 1
+                yield cls(axis=axis, feed=feed if varies else None, radial=is_radial(component))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        side = direction(recording, self.axis)
+        since = since_turn(sessions(recording), recording.time(), side)
+        size = side * np.exp(-since / nonlinear[0])
+        if self.feed:
+            size = size * (recording.array(self.feed) / 1000.0) ** nonlinear[1]
+        return (-size * share(recording, self.axis, self.radial))[:, None]

@@ -1,0 +1,42 @@
+"""Grows with time alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term
+
+
+class SensorDrift(Term):
+    """The measuring device itself wanders: a deviation that grows with time, whatever the machine does.
+
+    Equation   deviation = rate * t                                  [um] = [um/h] * [h]
+    Assumes    steady; never compensated, for the machine has no part in it
+    Typical    0.5..5 um/h
+    Moves      one way, through pauses too
+    Source     drift of probes and amplifiers (ISO 230-3, drift of the measuring set-up)
+    """
+
+    term: Literal["sensor_drift"] = "sensor_drift"
+    reports_as = "sensor_drift"
+    family = "measurement"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("rate", "um/h", (0.5, 5.0), (-500.0, 500.0), "drift per hour"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (recording.name("time") or "row",)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[SensorDrift]:
+        if recording.name("time") is not None:
+            yield cls()
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        t = recording.time()
+        return ((t - np.nanmin(t)) / 3600.0)[:, None]

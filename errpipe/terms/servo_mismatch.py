@@ -1,0 +1,50 @@
+"""Two axes lag differently: an ellipse at 45 degrees that changes sign with the direction of travel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term
+from errpipe.terms._place import axes, is_radial, position_name, share
+
+
+class ServoMismatch(Term):
+    """The two axes of a circle are not equally late: the circle becomes an ellipse at 45 degrees.
+
+    Equation   deviation = -lag_difference / 2 * (vx x - vy y) / R    [um] = [ms] * [mm/s]
+               lag_difference = lag of the first axis minus lag of the second
+    Assumes    constant speed along the circle; the common part of the lag does not show in the radius
+    Typical    1..20 um
+    Moves      the ellipse turns by 90 degrees with the direction of travel and grows with feed
+    Source     ISO 230-4 (circular tests); Kakino 1987
+    """
+
+    term: Literal["servo_mismatch"] = "servo_mismatch"
+    first: str
+    second: str
+    reports_as = "servo_mismatch"
+    family = "servo"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("lag_difference", "ms", (0.01, 5.0), (-1000.0, 1000.0), "first axis minus second"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        names = [recording.name("velocity", axis=a) for a in (self.first, self.second)]
+        return tuple(n for n in names if n) + tuple(position_name(recording, a) for a in (self.first, self.second))
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ServoMismatch]:
+        found = axes(recording)[:2]
+        if is_radial(component) and len(found) == 2 and all(recording.name("velocity", axis=a) for a in found):
+            yield cls(first=found[0], second=found[1])
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        along = [
+            recording.array(recording.name("velocity", axis=a)) * share(recording, a, True)
+            for a in (self.first, self.second)
+        ]
+        return (-0.5 * (along[0] - along[1]))[:, None]

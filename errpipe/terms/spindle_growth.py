@@ -1,0 +1,60 @@
+"""Rises and decays exponentially after spindle-speed changes, with a power of speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Affine, Input, Lag, Power
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import scaled
+
+
+class SpindleGrowth(Term):
+    """The bearings heat the spindle, which grows: an exponential after each change of speed.
+
+    Equation   tau dy/dt + y = (n / n_max)^exponent;  deviation = growth * y
+    Assumes    one body, the same warming and cooling unless tau_down differs
+    Typical    5..60 um at full speed, tau 600..6000 s, exponent 1..2
+    Moves      positive growth: towards the work as the spindle warms
+    Source     Ni 1997, spindle model; ISO 230-3 (ETVE)
+    """
+
+    term: Literal["spindle_growth"] = "spindle_growth"
+    column: str
+    full_speed: float
+    reports_as = "spindle_growth"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("growth", "um", (5.0, 60.0), (-500.0, 500.0), "growth at full speed, warmed through"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("tau", "s", (600.0, 6000.0), (60.0, 40000.0), "time constant"),
+            Parameter("exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed"),
+        )
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[SpindleGrowth]:
+        if component.startswith("E"):
+            for column in recording.names("spindle_speed"):
+                values = recording.array(column)
+                if np.nanmax(values) > max(np.nanmin(values), 0.0):
+                    yield cls(column=column, full_speed=float(np.nanmax(values)))
+
+    def _driver(self, tau: float, exponent: float) -> Lag:
+        share = Affine(weights=(1.0 / self.full_speed,), of=(Input(name=self.column),))
+        return Lag(of=Power(of=share, exponent=exponent), tau_up=tau, tau_down=tau, start="zero")
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(*nonlinear), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["growth"])),)

@@ -1,0 +1,48 @@
+"""Drive force that falls with speed near standstill."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term
+
+
+class StribeckFriction(Term):
+    """At creep the guide rubs dry; as speed grows it floats up on its oil and the friction falls.
+
+    Equation   force = extra * sign(v) * exp(-(|v| / v_s)^2)         [N]
+    Assumes    no time of its own (steady sliding)
+    Typical    5..150 N, v_s 0.5..20 mm/s
+    Moves      positive extra: more force at creep than at speed
+    Source     Stribeck 1902; Armstrong-Helouvry 1994
+    """
+
+    term: Literal["stribeck_friction"] = "stribeck_friction"
+    axis: str
+    column: str
+    reports_as = "stribeck_friction"
+    family = "friction"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[StribeckFriction]:
+        if component.startswith("F_"):
+            for column in recording.names("velocity", axis=component[2:]):
+                yield cls(axis=component[2:], column=column)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        v = recording.array(self.column)
+        return (np.sign(v) * np.exp(-((v / nonlinear[0]) ** 2)))[:, None]

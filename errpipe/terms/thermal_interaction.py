@@ -1,0 +1,54 @@
+"""Proportional to the product of two temperature rises, or the square of one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Product
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
+
+
+class ThermalInteraction(Term):
+    """Two warm parts act together (a hot spindle in a hot column), or one acts more than in proportion.
+
+    Equation   deviation = gain * (T1 - T_ref) * (T2 - T_ref)        [um] = [um/K2] * [K]^2
+    Assumes    rises counted from the reference; T1 = T2 gives the square
+    Typical    0.05..0.5 um/K2
+    Moves      nothing while one of the two is cold
+    Source     Ni 1997, thermal error model with products of temperatures
+    """
+
+    term: Literal["thermal_interaction"] = "thermal_interaction"
+    first: str
+    second: str
+    reference: float | None = REFERENCE
+    reports_as = "thermal_interaction"
+    family = "thermal"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("gain", "um/K2", (0.05, 0.5), (-20.0, 20.0), "shift per kelvin squared"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((self.first, self.second)))
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ThermalInteraction]:
+        if component.startswith("E"):
+            found = sensors(recording)
+            for i, first in enumerate(found):
+                for second in found[i:]:
+                    yield cls(first=first, second=second)
+
+    def _driver(self) -> Product:
+        return Product(of=tuple(rise_driver(s, self.reference) for s in (self.first, self.second)))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(self._driver(), parameters["gain"])),)

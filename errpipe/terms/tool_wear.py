@@ -1,0 +1,55 @@
+"""Grows with the length cut, resets at a tool change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Affine, Input, Power
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._warm import scaled
+
+
+class ToolWear(Term):
+    """The edge wears back as it cuts: the work grows, until a fresh edge is put in.
+
+    Equation   deviation = wear * (s / 1000 m)^exponent               [um], s = length cut with this edge
+    Assumes    the length cut starts at 0 with each tool; exponent < 1: fast at first, then steady
+    Typical    1..30 um
+    Moves      one way only, back at each tool change
+    Source     ISO 3685 (flank wear curve)
+    """
+
+    term: Literal["tool_wear"] = "tool_wear"
+    column: str
+    reports_as = "tool_wear"
+    family = "process"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("wear", "um", (1.0, 30.0), (-500.0, 500.0), "after 1000 m"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("exponent", "1", (0.5, 1.0), (0.2, 3.0), "shape of the wear curve"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ToolWear]:
+        if component.startswith("E"):
+            for column in recording.names("cut_length"):
+                values = recording.array(column)
+                if np.nanmax(values) > np.nanmin(values):
+                    yield cls(column=column)
+
+    def _driver(self, exponent: float) -> Power:
+        return Power(of=Affine(weights=(1e-3,), of=(Input(name=self.column),)), exponent=exponent)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return drive(self._driver(*nonlinear), recording)[:, None]
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["wear"])),)

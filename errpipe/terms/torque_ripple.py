@@ -1,0 +1,50 @@
+"""Drive force periodic in position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term, position
+from errpipe.terms._place import axes, position_name
+
+
+class TorqueRipple(Term):
+    """The motor's magnets pull unevenly (cogging, commutation): a force that repeats with position.
+
+    Equation   force = sine * sin(2 pi x / period) + cosine * cos(2 pi x / period)   [N]
+    Assumes    the same ripple at every speed
+    Typical    2..50 N; the period is that of the magnets, often not the screw's lead
+    Moves      with position alone, not with time
+    Source     cogging torque of permanent-magnet motors
+    """
+
+    term: Literal["torque_ripple"] = "torque_ripple"
+    axis: str
+    reports_as = "torque_ripple"
+    family = "friction"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("sine", "N", (2.0, 50.0), (-1000.0, 1000.0), "amplitude of the sine part"),
+            Parameter("cosine", "N", (2.0, 50.0), (-1000.0, 1000.0), "amplitude of the cosine part"),
+        )
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[TorqueRipple]:
+        if component.startswith("F_") and component[2:] in axes(recording):
+            yield cls(axis=component[2:])
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        angle = 2 * np.pi / nonlinear[0] * position(recording, self.axis)
+        return np.column_stack([np.sin(angle), np.cos(angle)])

@@ -1,0 +1,44 @@
+"""Drive force proportional to velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term
+
+
+class ViscousFriction(Term):
+    """Oil and grease: the drive force grows with speed.
+
+    Equation   force = damping * v                                  [N] = [N s/m] * [m/s]
+    Assumes    in proportion to speed
+    Typical    50..3000 N s/m
+    Moves      positive damping: the drive pushes the way it moves
+    Source     Newton's law of viscosity
+    """
+
+    term: Literal["viscous_friction"] = "viscous_friction"
+    axis: str
+    column: str
+    reports_as = "viscous_friction"
+    family = "friction"
+    compensable = False
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("damping", "N s/m", (50.0, 3000.0), (-50000.0, 50000.0), "force per speed"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[ViscousFriction]:
+        if component.startswith("F_"):
+            for column in recording.names("velocity", axis=component[2:]):
+                yield cls(axis=component[2:], column=column)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return (1e-3 * recording.array(self.column))[:, None]

@@ -1,0 +1,69 @@
+"""Proportional to the mass on the table, possibly times its position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.driver import Input
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._place import axes, position_name, travel
+from errpipe.terms._warm import scaled
+
+
+class WorkpieceLoad(Term):
+    """The mass on the table bends bed and guideway: more with its weight, and with where the table stands.
+
+    Equation   deviation = load / 100 kg * (settle + tilt * u + bend * u^2),  u = position scaled to 0..1
+    Assumes    elastic and in proportion to the mass
+    Typical    5..30 um at full load
+    Moves      nothing on an empty table
+    Source     elastic foundation; Ni 1997, errors from load
+    """
+
+    term: Literal["workpiece_load"] = "workpiece_load"
+    column: str
+    axis: str | None = None
+    low: float = 0.0
+    high: float = 1.0
+    order: int = 0
+    reports_as = "workpiece_load"
+    family = "load"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        names = ("settle", "tilt", "bend")[: self.order + 1]
+        return tuple(Parameter(n, "um", (1.0, 30.0), (-500.0, 500.0), "per 100 kg") for n in names)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column, position_name(recording, self.axis)) if self.axis else (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[WorkpieceLoad]:
+        if not component.startswith("E"):
+            return
+        for name in recording.names("load"):
+            values = recording.array(name)
+            if not np.nanmax(values) > np.nanmin(values):
+                continue
+            yield cls(column=name)
+            for axis in axes(recording):
+                low, high = travel(recording, axis)
+                yield cls(column=name, axis=axis, low=low, high=high, order=2)
+
+    def _powers(self, x: np.ndarray) -> np.ndarray:
+        unit = (np.asarray(x, dtype=float) - self.low) / (self.high - self.low)
+        return np.column_stack([unit**k for k in range(self.order + 1)])
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        load = recording.array(self.column)[:, None] / 100.0
+        return load if self.axis is None else load * self._powers(position(recording, self.axis))
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        gains = np.array([parameters[p.name] for p in self.linear()]) / 100.0
+        source = Input(name=self.column)
+        if self.axis is None:
+            return (Lowered(scaled(source, float(gains[0]))),)
+        return (Lowered(source, self.axis, lambda x: self._powers(x) @ gains),)
