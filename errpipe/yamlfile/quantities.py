@@ -63,7 +63,7 @@ def convert(text: str, unit: str) -> float:
 class Options(BaseModel):
     """Base of every model a person writes in YAML: frozen, unknown keys refused, quantities with units."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     @field_validator("*", mode="before")
     @classmethod

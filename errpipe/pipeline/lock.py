@@ -1,0 +1,175 @@
+"""What ran, on what, and what came out: `errpipe.lock`, and the reason why a stage would run again.
+
+Per stage: kind, code version, canonical parameters, SHA-256 of every input and of every output. Paths of
+inputs enter by their last part only, so that the same data elsewhere give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import errpipe
+from errpipe import jsonfile
+from errpipe.errors import DataError, VerifyError
+from errpipe.pipeline.stage import Stage
+
+LOCK = "errpipe.lock"
+VERSION = 1
+_SCRATCH = ".errpipe"  # folder in OUT for unfinished work
+
+
+@dataclass(frozen=True)
+class Record:
+    """One stage in the lock file. sources: slot -> stage names. inputs, outputs: file -> SHA-256."""
+
+    kind: str
+    code: str
+    parameters: dict[str, Any]
+    sources: dict[str, list[str]]
+    inputs: dict[str, str]
+    outputs: dict[str, str] = field(default_factory=dict)
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over what determines the outputs, code apart."""
+        return jsonfile.fingerprint([self.kind, self.parameters, self.sources, self.inputs])
+
+
+def read_lock(out: Path) -> dict[str, Record]:
+    """The records in OUT, {} where there are none. An unreadable lock file counts as none: all stages run."""
+    path = out / LOCK
+    if not path.is_file():
+        return {}
+    try:
+        document = jsonfile.read(path)
+        if document["errpipe_lock"] != VERSION:
+            return {}
+        return {name: Record(**record) for name, record in document["stages"].items()}
+    except (VerifyError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def write_lock(out: Path, records: Mapping[str, Record]) -> None:
+    """Write the lock file whole, if its bytes change."""
+    stages = {name: asdict(record) for name, record in records.items()}
+    jsonfile.write(out / LOCK, {"errpipe_lock": VERSION, "stages": stages})
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file, as 64 hexadecimal digits. Raises DataError where it cannot be read."""
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as err:
+        raise DataError(f"{path}: cannot be read: {(err.strerror or str(err)).lower()}") from None
+
+
+def files_below(path: Path) -> list[Path]:
+    """A file itself; of a folder all files below it, hidden ones not, sorted. Raises DataError where absent."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise DataError(f"{path}: no such file or folder")
+    found = []
+    for folder, folders, files in os.walk(path, followlinks=True):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        found += [Path(folder) / name for name in files if not name.startswith(".")]
+    return sorted(found)
+
+
+def label_inputs(paths: Sequence[Path]) -> dict[str, Path]:
+    """Name in the lock file -> path, for every file of the inputs: the last part of what was named."""
+    labels: dict[str, Path] = {}
+    tops: dict[str, Path] = {}
+    for top in dict.fromkeys(paths):
+        name, number = top.name or "input", 2
+        while tops.setdefault(name, top) != top:
+            name, number = f"{top.name} ({number})", number + 1
+        for file in files_below(top):
+            labels[name if file == top else f"{name}/{file.relative_to(top).as_posix()}"] = file
+    return labels
+
+
+def code_of(stage: Stage) -> str:
+    """The code version of a stage: release, its own counter, and the bytes of the package behind it."""
+    return f"{errpipe.__version__}+{stage.code_version}.{_source()}"
+
+
+@lru_cache
+def _source() -> str:
+    """Fingerprint of the package's source without the command line, 12 digits: edited code runs again."""
+    top = Path(errpipe.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(top.rglob("*")):
+        inside = path.relative_to(top)
+        if inside.parts[0] == "cli" or "__pycache__" in inside.parts or not path.is_file():
+            continue
+        digest.update(inside.as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def changes(old: Record, new: Record) -> list[str]:
+    """What differs between two records, each in a few words; [] where nothing does."""
+    if old.kind != new.kind:
+        return [f"kind {old.kind} -> {new.kind}"]
+    found = ["code changed"] if old.code != new.code else []
+    found += [f"params.{text}" for text in _differences(old.parameters, new.parameters)]
+    found += [f"from.{text}" for text in _differences(old.sources, new.sources)]
+    for name in sorted({**old.inputs, **new.inputs}):
+        if name not in old.inputs:
+            found.append(f"input {name} is new")
+        elif name not in new.inputs:
+            found.append(f"input {name} is gone")
+        elif old.inputs[name] != new.inputs[name]:
+            found.append(f"input {name} changed")
+    return found
+
+
+def _differences(old: Any, new: Any, where: str = "") -> list[str]:
+    """Leaves that differ, as `where old -> new`."""
+    if old == new and type(old) is type(new):
+        return []
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = sorted({**old, **new})
+        parts = [_differences(old.get(k), new.get(k), f"{where}.{k}" if where else k) for k in keys]
+        return [text for part in parts for text in part]
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        parts = [_differences(a, b, f"{where}[{i}]") for i, (a, b) in enumerate(zip(old, new, strict=True))]
+        return [text for part in parts for text in part]
+    return [f"{where} {_brief(old)} -> {_brief(new)}"]
+
+
+def _brief(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    text = value if isinstance(value, str) else jsonfile.dumps(value, indent=None).strip()
+    return text if len(text) <= 40 else text[:37] + "…"
+
+
+def scratch(out: Path) -> Path:
+    """The folder in OUT for unfinished work; an interrupted run may leave it behind."""
+    return out / _SCRATCH
+
+
+@contextmanager
+def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
+    """Hold OUT for this process; `waiting` is called once where another one holds it. The kernel lets go
+    of the lock however the process ends."""
+    import fcntl
+
+    scratch(out).mkdir(parents=True, exist_ok=True)
+    with open(scratch(out) / "busy", "a") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            waiting()
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,295 @@
+"""Running a pipeline: only what must run, and nothing half written.
+
+A stage runs when its code, parameters, inputs or sources are not those of the lock file, or when an
+output is missing or was edited. It works in a scratch folder; what it wrote is then moved into
+OUT/<stage>/ file by file (only where the bytes differ), and last the lock file is rewritten. Killed anywhere
+in between, the next run finds outputs that are not those of the lock file, and runs that stage again.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from errpipe import jsonfile
+from errpipe.errors import ConfigError, DataError, UsageError
+from errpipe.pipeline.graph import ancestors, reads_of
+from errpipe.pipeline.lock import (
+    Record,
+    alone,
+    changes,
+    code_of,
+    hash_file,
+    label_inputs,
+    read_lock,
+    scratch,
+    write_lock,
+)
+from errpipe.pipeline.spec import Pipeline, missing_inputs
+from errpipe.pipeline.stage import Context, Stage
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is planned for, or happened to, one stage.
+
+    action: "run", "fresh" (nothing to do) or "perhaps" (only if an earlier stage brings something new).
+    written: outputs whose bytes changed. summary: what the stage returned, also where it was fresh.
+    """
+
+    name: str
+    kind: str
+    action: str
+    reasons: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    written: tuple[str, ...] = ()
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Talk:
+    """Where the engine says what it is doing; every default is silence."""
+
+    waiting: Callable[[], None] = lambda: None
+    started: Callable[[Step], None] = lambda step: None
+    progress: Callable[[str, float, str], None] = lambda name, fraction, text: None
+    finished: Callable[[Step], None] = lambda step: None
+
+
+def plan(pipeline: Pipeline, out: Path, *, to: str | None = None, force: Sequence[str] = ()) -> list[Step]:
+    """What `run` would do, stage by stage, with the reasons. Writes nothing. Raises ConfigError, UsageError."""
+    work = _Work(pipeline, out, to, force)
+    steps: list[Step] = []
+    unsure: set[str] = set()
+    for stage in work.selected:
+        before = [name for name in reads_of(pipeline.links, stage.label) if name in unsure]
+        if any(name not in work.records for name in before):
+            record, reasons = None, ["has not run"] if stage.label not in work.records else []
+        else:
+            record = work.record(stage)
+            reasons = work.reasons(stage, record)
+        if reasons or before:
+            unsure.add(stage.label)
+        action = "run" if reasons else "perhaps" if before else "fresh"
+        steps.append(work.step(stage, action, reasons or [f"if {name} brings something new" for name in before]))
+    return steps
+
+
+def run(
+    pipeline: Pipeline,
+    out: Path,
+    *,
+    to: str | None = None,
+    force: Sequence[str] = (),
+    jobs: int = 1,
+    talk: Talk = Talk(),  # noqa: B008  (frozen, and all silence)
+) -> list[Step]:
+    """Bring OUT up to date; one Step per selected stage, in file order.
+
+    to: only this stage and what it reads. force: stages to run in any case. jobs: stages at a time.
+    Raises what a stage raises; stages that finished before stay recorded.
+    """
+    work = _Work(pipeline, out, to, force)
+    with alone(out, talk.waiting):
+        work.records = read_lock(out)
+        shutil.rmtree(scratch(out) / "work", ignore_errors=True)
+        try:
+            steps = _in_order(work, talk) if jobs <= 1 else _side_by_side(work, talk, jobs)
+        finally:
+            shutil.rmtree(scratch(out) / "work", ignore_errors=True)
+        if to is None:
+            work.forget_strangers()
+        write_lock(out, work.records)
+    return steps
+
+
+def _in_order(work: _Work, talk: Talk) -> list[Step]:
+    steps = []
+    for stage in work.selected:
+        record = work.record(stage)
+        reasons = work.reasons(stage, record)
+        if reasons:
+            talk.started(work.step(stage, "run", reasons))
+            steps.append(work.finish(stage, reasons, *work.execute(stage, record, talk)))
+        else:
+            steps.append(work.step(stage, "fresh", ()))
+        talk.finished(steps[-1])
+    return steps
+
+
+def _side_by_side(work: _Work, talk: Talk, jobs: int) -> list[Step]:
+    """Like `_in_order`, with up to `jobs` stages at a time; all bookkeeping stays in this thread."""
+    steps: dict[str, Step] = {}
+    running: dict[Future[Any], tuple[Stage, list[str]]] = {}
+    waiting = list(work.selected)
+    failures: dict[int, BaseException] = {}
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        while waiting or running:
+            for stage in list(waiting):
+                ready = all(name in steps for name in reads_of(work.pipeline.links, stage.label))
+                if failures or not ready or len(running) >= jobs:
+                    continue
+                waiting.remove(stage)
+                record = work.record(stage)
+                reasons = work.reasons(stage, record)
+                if not reasons:
+                    steps[stage.label] = work.step(stage, "fresh", ())
+                    talk.finished(steps[stage.label])
+                    continue
+                talk.started(work.step(stage, "run", reasons))
+                running[pool.submit(work.execute, stage, record, talk)] = (stage, reasons)
+            if failures and not running:
+                break
+            done, _ = wait(running, return_when=FIRST_COMPLETED) if running else ((), ())
+            for future in done:
+                stage, reasons = running.pop(future)
+                error = future.exception()
+                if error is not None:
+                    failures[work.selected.index(stage)] = error
+                    continue
+                steps[stage.label] = work.finish(stage, reasons, *future.result())
+                talk.finished(steps[stage.label])
+    if failures:
+        raise failures[min(failures)]
+    return [steps[stage.label] for stage in work.selected]
+
+
+class _Work:
+    """One run (or plan) over one OUT."""
+
+    def __init__(self, pipeline: Pipeline, out: Path, to: str | None, force: Sequence[str]):
+        self.pipeline, self.out = pipeline, Path(out)
+        self.force = {pipeline.stage(name).label for name in force}
+        wanted = ancestors(pipeline.links, [pipeline.stage(to).label]) if to is not None else None
+        self.selected = [stage for stage in pipeline.stages if wanted is None or stage.label in wanted]
+        if self.out.exists() and not self.out.is_dir():
+            raise UsageError(f"{out}: is a file (a folder for the outputs is needed)")
+        self._look_at_inputs()
+        self.records = read_lock(self.out)
+
+    def _look_at_inputs(self) -> None:
+        missing = missing_inputs(self.pipeline.file, replace(self.pipeline, stages=tuple(self.selected)))
+        if missing:
+            raise ConfigError(missing)
+        here = self.out.resolve()
+        for stage in self.selected:
+            for path in stage.inputs():
+                if path.is_dir() and here.is_relative_to(path.resolve()):
+                    raise UsageError(f"{self.out}: lies inside {path}, which stage {stage.label} reads")
+
+    def record(self, stage: Stage) -> Record:
+        """What would be recorded of a stage now, outputs apart: hashes every input."""
+        inputs = {label: hash_file(path) for label, path in label_inputs(stage.inputs()).items()}
+        for name in reads_of(self.pipeline.links, stage.label):
+            outputs = self.records[name].outputs if name in self.records else {}
+            inputs |= {f"{name}/{file}": digest for file, digest in outputs.items()}
+        sources = {slot: list(names) for slot, names in self.pipeline.links[stage.label].items()}
+        return Record(stage.kind, code_of(stage), stage.parameters(), sources, inputs)
+
+    def reasons(self, stage: Stage, new: Record) -> list[str]:
+        """Why the stage must run; [] where it need not."""
+        old = self.records.get(stage.label)
+        if old is None:
+            return ["has not run"]
+        found = ["forced"] if stage.label in self.force else []
+        found += changes(old, new)
+        for file, digest in sorted(old.outputs.items()):
+            path = self.out / stage.label / file
+            if not path.is_file():
+                found.append(f"output {file} is missing")
+            elif hash_file(path) != digest:
+                found.append(f"output {file} was edited")
+        return found
+
+    def execute(self, stage: Stage, record: Record, talk: Talk) -> tuple[Record, Path]:
+        """Run the stage in its scratch folder; the full record and that folder. Raises what the stage raises."""
+        folder = scratch(self.out) / "work" / stage.label
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        links = self.pipeline.links[stage.label]
+        context = Context(
+            folder=folder,
+            fingerprint=record.fingerprint,
+            title=self.pipeline.title,
+            stages={slot: {name: self.out / name for name in names} for slot, names in links.items()},
+            progress=lambda fraction, text: talk.progress(stage.label, fraction, text),
+        )
+        summary = stage.run(context)
+        outputs = {path.relative_to(folder).as_posix(): hash_file(path) for path in _all_files(folder)}
+        lacking = sorted(set(stage.outputs()) - set(outputs))
+        if lacking:
+            raise RuntimeError(f"stage {stage.label} did not write {', '.join(lacking)}")
+        for label, path in label_inputs(stage.inputs()).items():
+            if record.inputs.get(label) != hash_file(path):
+                raise DataError(f"{path}: changed while stage {stage.label} was reading it; run again")
+        return replace(record, outputs=outputs, summary=dict(summary or {})), folder
+
+    def finish(self, stage: Stage, reasons: Sequence[str], record: Record, folder: Path) -> Step:
+        """Move the outputs to their place and write the lock file."""
+        own = self.out / stage.label
+        journal = scratch(self.out) / f"{stage.label}.json"
+        old = self.records.get(stage.label)
+        stale = set(old.outputs if old else {}) | set(_names_in(journal))
+        if set(record.outputs) - stale:
+            jsonfile.write(journal, sorted(stale | set(record.outputs)))
+        written = [name for name in sorted(record.outputs) if _publish(folder / name, own / name)]
+        for name in sorted(stale - set(record.outputs)):
+            _remove(own, name)
+        self.records[stage.label] = record
+        write_lock(self.out, self.records)
+        journal.unlink(missing_ok=True)
+        return replace(self.step(stage, "run", reasons), written=tuple(written))
+
+    def step(self, stage: Stage, action: str, reasons: Sequence[str]) -> Step:
+        """A Step with what is recorded of the stage."""
+        record = self.records.get(stage.label)
+        outputs, summary = (tuple(sorted(record.outputs)), record.summary) if record else ((), {})
+        return Step(stage.label, stage.kind, action, tuple(reasons), outputs, (), summary)
+
+    def forget_strangers(self) -> None:
+        """Drop stages that the pipeline no longer has, and their outputs where nobody edited them."""
+        names = {stage.label for stage in self.pipeline.stages}
+        for name in [name for name in self.records if name not in names]:
+            for file, digest in self.records.pop(name).outputs.items():
+                path = self.out / name / file
+                if path.is_file() and hash_file(path) == digest:
+                    _remove(self.out / name, file)
+
+
+def _all_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _publish(source: Path, target: Path) -> bool:
+    """Move one file to its place, whole and on disk; only where the bytes differ. True if moved."""
+    if target.is_file() and target.stat().st_size == source.stat().st_size and hash_file(target) == hash_file(source):
+        return False
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with open(source, "rb") as stream:
+        os.fsync(stream.fileno())
+    os.chmod(source, 0o644)
+    os.replace(source, target)
+    return True
+
+
+def _names_in(journal: Path) -> list[str]:
+    """Files that an interrupted run may have moved to their place without recording them."""
+    return list(map(str, jsonfile.read(journal))) if journal.is_file() else []
+
+
+def _remove(folder: Path, name: str) -> None:
+    """Remove a file and the folders it leaves empty."""
+    path = folder / name
+    path.unlink(missing_ok=True)
+    for parent in path.parents:
+        if not parent.is_relative_to(folder):
+            return
+        try:
+            parent.rmdir()
+        except OSError:
+            return

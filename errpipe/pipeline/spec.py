@@ -1,0 +1,151 @@
+"""The pipeline file: what it may say (derived from the stages handed over), and how it is read.
+
+    pipeline: 1
+    title: Spindle drift of a turning centre
+    root: ..                       # relative paths start here; relative to this file; default: its own folder
+    stages:
+      - kind: ingest
+        recording: ${ERRPIPE_REAL_DATA:-../shared/real-data}/turning-centre-thermal
+      - kind: fit
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union
+
+from pydantic import Field, create_model
+
+from errpipe import yamlfile
+from errpipe.errors import Problem, UsageError, did_you_mean
+from errpipe.pipeline.graph import Links, link
+from errpipe.pipeline.stage import Stage
+from errpipe.yamlfile import Document, Options
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """A pipeline that was read and checked.
+
+    links: for every stage name, slot -> names of the earlier stages behind it.
+    """
+
+    file: Path
+    root: Path
+    title: str
+    stages: tuple[Stage, ...]
+    links: Links
+
+    def stage(self, name: str) -> Stage:
+        """The stage of a name. Raises UsageError with the nearest name."""
+        for stage in self.stages:
+            if stage.label == name:
+                return stage
+        names = [stage.label for stage in self.stages]
+        raise UsageError(f"no stage {name!r} in {self.file} (stages: {', '.join(names)}).{did_you_mean(name, names)}")
+
+
+class _Header(Options):
+    pipeline: Literal[1] = Field(description="Version of the pipeline format.")
+    title: str = Field("", description="One line for people; the report shows it.")
+    root: Path = Field(
+        Path("."), description="Folder where relative paths start, relative to this file; default: the file's own folder."
+    )
+
+
+@lru_cache
+def pipeline_model(stages: tuple[type[Stage], ...]) -> type[Options]:
+    """The model of a whole pipeline file for these kinds of stages: a union told apart by `kind`."""
+    union: Any = Annotated[Union[stages], Field(discriminator="kind")] if len(stages) > 1 else stages[0]  # noqa: UP007
+    return create_model(
+        "Pipeline",
+        __base__=_Header,
+        __doc__="A pipeline: stages in the order in which they stand; each reads what earlier ones wrote.",
+        stages=(tuple[union, ...], Field(min_length=1, description="The stages, in order.")),
+    )
+
+
+def load_pipeline(
+    path: Path,
+    stages: tuple[type[Stage], ...],
+    *,
+    sets: Sequence[str] = (),
+    environment: Mapping[str, str] | None = None,
+) -> Pipeline:
+    """Read and check a pipeline file. Raises ConfigError with every problem, UsageError for a bad `--set`.
+
+    stages: the registry of stage classes. sets: `STAGE.key=value` or `title=value`, the value being YAML.
+    environment: for `${NAME}` in texts; default: the process's own.
+    """
+    path = Path(path)
+    document = yamlfile.read(path, environment=os.environ if environment is None else environment)
+    for text in sets:
+        assign(document, text)
+    root = _root(path, document)
+    found: Any = document.check(pipeline_model(tuple(stages)), {"root": root})
+    if found is None:
+        document.raise_problems()
+    links, problems = link(found.stages)
+    document.problems.extend(document.problem(("stages", *place), text) for place, text in problems)
+    document.raise_problems()
+    return Pipeline(path, root, found.title, found.stages, links)
+
+
+def missing_inputs(path: Path, pipeline: Pipeline) -> list[Problem]:
+    """Inputs of the stages that are not there, each pointed at where the file names it."""
+    document = yamlfile.read(path, environment=os.environ)
+    problems = []
+    for number, stage in enumerate(pipeline.stages):
+        for wanted in stage.inputs():
+            if not wanted.exists():
+                place = _place_of(document, number, pipeline.root, wanted)
+                problems.append(document.problem(place, f"{wanted} is not there"))
+    return problems
+
+
+def assign(document: Document, text: str) -> None:
+    """Apply one `--set STAGE.key=value`. Raises UsageError where it names nothing or is not of that form."""
+    origin = f"--set {text}"
+    left, equals, right = text.partition("=")
+    steps: list[str | int] = [int(step) if step.isdigit() else step for step in left.strip().split(".")]
+    if not equals or "" in steps:
+        raise UsageError(f"{origin}: not of the form STAGE.key=value")
+    value = yamlfile.parse(right, origin).value if right.strip() else ""
+    if not isinstance(document.value, dict):
+        return  # said better when the file is validated
+    names = _names(document)
+    if steps[0] in names and len(steps) > 1:
+        document.assign(("stages", names.index(str(steps[0])), *steps[1:]), value, origin)
+    elif steps[0] in ("title", "stages"):
+        document.assign(tuple(steps), value, origin)
+    else:
+        near = did_you_mean(str(steps[0]), names)
+        raise UsageError(f"{origin}: no stage {steps[0]!r} (stages: {', '.join(names)}).{near}")
+
+
+def _names(document: Document) -> list[str]:
+    entries = document.value.get("stages")
+    if not isinstance(entries, list):
+        return []
+    return [str(e.get("name") or e.get("kind", "")) if isinstance(e, dict) else "" for e in entries]
+
+
+def _root(path: Path, document: Document) -> Path:
+    said = document.value.get("root") if isinstance(document.value, dict) else None
+    return Path(os.path.normpath(path.parent / (said if isinstance(said, str) else ".")))
+
+
+def _place_of(document: Document, number: int, root: Path, wanted: Path) -> tuple[str | int, ...]:
+    """Where in the file a stage names an input: the text that leads to that path."""
+    stack: list[tuple[tuple[str | int, ...], Any]] = [(("stages", number), document.value["stages"][number])]
+    while stack:
+        place, value = stack.pop()
+        if isinstance(value, str) and Path(os.path.normpath(root / value)) == wanted:
+            return place
+        parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        stack.extend(((*place, key), part) for key, part in parts)
+    return ("stages", number)
