@@ -102,6 +102,11 @@ def describe(name: str) -> str:
     return f"drive force of {c.axis}"
 
 
+def positioning(axis: str) -> str:
+    """The positioning deviation of an axis: EXX of X, EXU of U (parallel to X), ECC of C."""
+    return f"E{_PARALLEL.get(axis[0], axis[0])}{axis}"
+
+
 def of_machine(linear: Sequence[str] = ("X", "Y", "Z"), rotary: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of all independent rigid-body components of a machine, error motions first.
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from errpipe.errors import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,6 +50,15 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
 # Roles whose canonical unit is optional to state (the contract writes them without one).
 UNITLESS_BY_DEFAULT = {"pressure": "hPa", "humidity": "%", "spindle_speed": "rpm", "time": "s", "feed": "mm/min"}
 
+# How people write units -> how they are written here.
+_SPELLINGS = {
+    "c": "degC", "celsius": "degC", "deg c": "degC", "f": "degF", "fahrenheit": "degF", "kelvin": "K", "in": "inch",
+    "inches": "inch", '"': "inch", "micron": "um", "microns": "um", "sec": "s", "seconds": "s", "minutes": "min",
+    "hours": "h", "hr": "h", "days": "d", "1/min": "rpm", "u/min": "rpm", "rev/min": "rpm", "hz": "1/s",
+    "m/s^2": "m/s2", "mm/s^2": "mm/s2", "m/s²": "m/s2", "mm/s²": "mm/s2", "percent": "%", "newton": "N", "degrees": "deg",
+    "": "deg", "radians": "rad",
+}  # fmt: skip
+
 
 class Frozen(BaseModel):
     """Immutable, and a key it does not know is an error."""
@@ -66,13 +77,22 @@ class Column(Frozen):
     of: str | None = None
     epoch: str | None = None
 
+    @field_validator("unit")
+    @classmethod
+    def _unit_of_the_role(cls, unit: str | None, info: ValidationInfo) -> str | None:
+        role = info.data.get("role")
+        allowed = ROLE_UNITS.get(str(role), ())
+        if role in (None, "ignore") or unit is None or unit in allowed:
+            return unit
+        if not allowed:
+            raise ValueError(f"a column of role {role} has no unit (found {unit!r})")
+        plain = unit.lower().replace("µ", "u").replace("μ", "u").replace("°", "")
+        near = _SPELLINGS.get(plain, plain)
+        hint = f" Did you mean {near}?" if near in allowed else did_you_mean(unit, allowed)
+        raise ValueError(f"{unit!r} is not a unit of role {role} (allowed: {', '.join(allowed)}).{hint}")
+
     @model_validator(mode="after")
-    def _unit_of_the_role(self) -> Column:
-        allowed = ROLE_UNITS[self.role]
-        if not allowed and self.unit is not None:
-            raise ValueError(f"a column of role {self.role} has no unit (found {self.unit!r})")
-        if allowed and self.unit is not None and self.unit not in allowed:
-            raise ValueError(f"unit {self.unit!r} is not a unit of role {self.role} (allowed: {', '.join(allowed)})")
+    def _complete(self) -> Column:
         if self.role in ("error", "simulated") and self.component is None:
             raise ValueError(f"a column of role {self.role} needs a component, such as EXX or E_Z")
         if self.role in ("position", "command", "direction", "velocity", "acceleration") and self.axis is None:

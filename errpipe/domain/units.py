@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 from errpipe.domain.recording import ROLE_UNITS, UNITLESS_BY_DEFAULT
-from errpipe.errors import did_you_mean
 
 # canonical unit -> {unit: (zero, factor)}; factors are exact by definition of the units.
 _INTO: dict[str, dict[str, tuple[float, float]]] = {
@@ -80,14 +79,7 @@ def conversion(role: str, unit: str | None) -> Conversion | None:
         if found is not None and unit in ROLE_UNITS[role]:
             return Conversion(canonical, *map(float, found))
     allowed = ROLE_UNITS[role]
-    raise ValueError(
-        f"{unit!r} is not a unit of role {role} (allowed: {', '.join(allowed)}).{did_you_mean(unit, allowed)}"
-    )
-
-
-def length(unit: str | None) -> Conversion:
-    """A length or an angle among the constants: mm or deg. Raises ValueError for other units."""
-    return conversion("position", unit or "mm")  # type: ignore[return-value]
+    raise ValueError(f"{unit!r} is not a unit of role {role} (allowed: {', '.join(allowed)}).")
 
 
 # Canonical as they stand among constants: a deviation, a temperature rise.

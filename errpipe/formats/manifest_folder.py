@@ -12,15 +12,16 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from errpipe import jsonfile
+from errpipe import jsonfile, yamlfile
 from errpipe.domain import components, units
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
@@ -34,6 +35,7 @@ ALLOWED = {"direction": (-1.0, 1.0), "coolant": (0.0, 1.0)}
 CHUNK_ROWS = 131_072  # also the row group of what is written, so chunked and whole writing give equal bytes
 
 _PLAIN = re.compile(r"[A-Za-z_][\w./-]*", re.ASCII)
+_NOT_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")  # to one YAML reader or another
 _AXIS = re.compile(r"[A-Z]\d?")
 _AXIS_LENGTHS = ("travel", "screw_lead", "encoder_period", "drive_end")
 
@@ -45,19 +47,48 @@ def _inside(path: str) -> str:
     return path
 
 
+class Options(yamlfile.Options):
+    """A folder with a recording manifest needs no options: the manifest says everything."""
+
+    format: Literal["manifest"] = "manifest"
+
+
 class _DoorColumn(Column):
     """A column as the door wants it: a unit wherever its role has one, an ISO component, an ISO axis."""
 
+    @field_validator("axis")
+    @classmethod
+    def _iso_axis(cls, axis: str | None) -> str | None:
+        if axis is not None and not _AXIS.fullmatch(axis):
+            raise ValueError(f"{axis!r} is not an ISO 841 axis (allowed: a capital letter such as X, X1, C)")
+        return axis
+
+    @field_validator("component")
+    @classmethod
+    def _iso_component(cls, component: str | None) -> str | None:
+        if component is not None:
+            components.parse(component)
+        return component
+
+    @field_validator("epoch")
+    @classmethod
+    def _iso_epoch(cls, epoch: str | None) -> str | None:
+        try:
+            datetime.fromisoformat(epoch or "2000-01-01")
+        except ValueError:
+            raise ValueError(f"{epoch!r} is not ISO 8601 (allowed: such as 2026-01-31T08:00:00Z)") from None
+        return epoch
+
     @model_validator(mode="after")
-    def _complete(self) -> _DoorColumn:
-        units.conversion(self.role, self.unit)
-        if self.axis is not None and not _AXIS.fullmatch(self.axis):
-            raise ValueError(f"axis {self.axis!r} is not an ISO 841 axis (allowed: a capital letter such as X, X1)")
-        if self.component is not None:
-            wanted = components.unit(self.component)
-            found = units.conversion(self.role, self.unit)
-            if self.role in ("error", "simulated") and found is not None and found.unit != wanted:
-                raise ValueError(f"{self.component} is measured in {wanted} (found {self.unit!r})")
+    def _unit_of_the_component(self) -> _DoorColumn:
+        try:
+            convert = units.conversion(self.role, self.unit)
+        except ValueError as err:
+            raise yamlfile.Misplaced(("unit",), str(err)) from None
+        if self.role in ("error", "simulated") and convert is not None:
+            wanted = components.unit(str(self.component))
+            if convert.unit != wanted:
+                raise yamlfile.Misplaced(("unit",), f"{self.component} is measured in {wanted} (found {self.unit!r})")
         return self
 
 
@@ -94,25 +125,8 @@ def sniff(path: Path) -> bool:
 def load_manifest(path: Path) -> Manifest:
     """The manifest of a folder (or the file itself), units as written. Raises ConfigError with every problem."""
     path = Path(path)
-    door = _load(path / MANIFEST if path.is_dir() else path)
+    door = yamlfile.load(path / MANIFEST if path.is_dir() else path, _DoorManifest)
     return Manifest.model_validate(door.model_dump())
-
-
-def _load(path: Path) -> Manifest:
-    try:
-        from errpipe import yamlfile
-    except ImportError:
-        from pydantic import ValidationError
-        from ruamel.yaml import YAML
-
-        from errpipe.errors import ConfigError, Problem
-
-        try:
-            return _DoorManifest.model_validate(YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8")))
-        except ValidationError as err:
-            problems = [Problem(str(path), 0, 0, ".".join(map(str, e["loc"])), e["msg"]) for e in err.errors()]
-            raise ConfigError(problems) from None
-    return yamlfile.load(path, _DoorManifest)
 
 
 def read(path: Path, options: Any = None) -> Recording:
@@ -147,7 +161,8 @@ def iter_chunks(path: Path, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
         held = [{n: _column(rest[n], role) for n, role in kinds.items()}] if len(rest) else []
         count -= whole
     if count:
-        yield Recording(settled, pd.DataFrame({n: _join([p[n] for p in held], r) for n, r in kinds.items()}, copy=False))
+        frame = pd.DataFrame({n: _join([p[n] for p in held], role) for n, role in kinds.items()}, copy=False)
+        yield Recording(settled, frame)
 
 
 def canonical(manifest: Manifest) -> Manifest:
@@ -222,7 +237,8 @@ def manifest_text(manifest: Manifest) -> str:
     for key, entries in (("constants", manifest.constants), ("columns", manifest.columns)):
         if entries:
             lines.append(f"{key}:")
-            lines += [f"  {_scalar(n)}: {_flow(e.model_dump(mode='json', exclude_none=True))}" for n, e in entries.items()]
+            plain = {n: e.model_dump(mode="json", exclude_none=True) for n, e in entries.items()}
+            lines += [f"  {_scalar(n)}: {_flow(e)}" for n, e in plain.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -234,7 +250,7 @@ def _scalar(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(_scalar, value)) + "]"
     if isinstance(value, str):
-        plain = _PLAIN.fullmatch(value) and value.lower() not in ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
+        plain = _PLAIN.fullmatch(value) and value.lower() not in _NOT_TEXT
         return value if plain else json.dumps(value, ensure_ascii=not value.isprintable())
     return json.dumps(value)
 
@@ -292,7 +308,8 @@ def _one_of(values: np.ndarray, allowed: tuple[float, ...], role: str, column_na
     if wrong.any():
         row = int(np.argmax(wrong))
         words = " or ".join(f"{a:+g}" if role == "direction" else f"{a:g}" for a in allowed)
-        raise DataError(f"{block.place(row)}  {column_name}: {values[row]:g} is not a {role} (allowed: {words}, or empty)")
+        what = f"{column_name}: {values[row]:g} is not a {role} (allowed: {words}, or empty)"
+        raise DataError(f"{block.place(row)}  {what}")
 
 
 @dataclass

@@ -64,3 +64,8 @@ def test_how_many_a_machine_has():
 def test_squareness_turns_about_the_third_axis():
     assert components.of_machine()[-3:] == ("C0Y", "B0Z", "A0Z")
     assert components.of_machine(("X",), ("C",))[-4:] == ("X0C", "Y0C", "A0C", "B0C")
+
+
+def test_positioning_of_an_axis():
+    assert [components.positioning(a) for a in ("X", "U", "X1", "C")] == ["EXX", "EXU", "EXX1", "ECC"]
+    assert components.parse(components.positioning("W")).kind == "positioning"

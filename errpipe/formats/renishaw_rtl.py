@@ -1,0 +1,170 @@
+"""Renishaw laser data (`.rtl`, linear, static): targets in mm, deviations in um, measured minus target.
+
+Plain text in sections `NAME::`. Read by section name and white space only, because header words vary with
+the version and the language of the program. TARGET DATA:: lists the targets over several lines; DEVIATIONS::
+has one line a reading: run, target number, deviation. A run that visits its targets upwards is an approach from
+below. Air and material readings stand in ENVIRONMENT:: in a form that differs from version to version: not read.
+
+Layout after six public readers and writers of the format that agree with each other (V20.02.02 and before);
+not tried on a file from the instrument itself.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from errpipe.domain import components
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.errors import DataError
+from errpipe.yamlfile import Options as YamlOptions
+
+name = "renishaw_rtl"
+_SECTION = re.compile(r"^([A-Z][A-Z _-]*)::\s*$")
+_Line = tuple[int, str]
+
+
+class Options(YamlOptions):
+    """How to read a laser file."""
+
+    format: Literal["renishaw_rtl"] = "renishaw_rtl"
+    axis: str | None = Field(
+        None, pattern=r"^[XYZUVWPQR]\d?$", description="The linear axis; where none is given, the file's own Axis line."
+    )
+
+
+def sniff(path: Path) -> bool:
+    """True for a text file that begins with HEADER:: and names the file type rtl or ends in .rtl."""
+    path = Path(path)
+    if not path.is_file():
+        return False
+    with open(path, "rb") as stream:
+        head = stream.read(4096)
+    begins = head.lstrip(b"\xef\xbb\xbf \r\n").startswith(b"HEADER::")
+    return begins and (path.suffix.lower() == ".rtl" or re.search(rb"File type\s*:\s*rtl", head, re.I) is not None)
+
+
+def read(path: Path, options: Options | None = None) -> Recording:
+    """One row a reading, in file order; deviation = measured - target, um. Raises DataError naming file and line."""
+    path, options = Path(path), options or Options()
+    sections = _sections(path)
+    targets = _targets(path, sections.get("TARGET DATA", []))
+    facts = dict(_facts(sections.get("USER-TEXT", [])))
+    axis = options.axis or facts.get("axis", "").upper()
+    if not re.fullmatch(r"[XYZUVWPQR]\d?", axis):
+        raise DataError(f"{path}: the file's axis is {axis!r}, not a linear ISO 841 axis (say which: `axis: X`)")
+    runs, numbers, deviation = _deviations(path, sections.get("DEVIATIONS", []), len(targets))
+    position = targets[numbers - 1]
+    component = components.positioning(axis)
+    columns = {
+        "run": Column(role="run"),
+        axis.lower(): Column(role="position", axis=axis, unit="mm"),
+        "direction": Column(role="direction", axis=axis),
+        component: Column(role="error", component=component, unit="um"),
+    }
+    frame = pd.DataFrame(
+        {
+            "run": np.array([str(r) for r in runs], dtype=object),
+            axis.lower(): position,
+            "direction": _directions(path, runs, position),
+            component: deviation,
+        }
+    )
+    manifest = Manifest(
+        recording=1,
+        title=facts.get("title", ""),
+        machine=facts.get("machine", ""),
+        tables=(path.name,),
+        columns=columns,
+    )
+    return Recording(manifest, frame)
+
+
+def _sections(path: Path) -> dict[str, list[_Line]]:
+    data = path.read_bytes()
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")  # older versions write the machine's own code page
+    out: dict[str, list[_Line]] = {}
+    current: list[_Line] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if found := _SECTION.match(line.strip()):
+            if found[1] in out and found[1] in ("TARGET DATA", "DEVIATIONS"):
+                raise DataError(f"{path}:{number}  section {found[1]}:: stands in the file twice")
+            current = out.setdefault(found[1], [])
+        elif line.strip():
+            current.append((number, line.strip()))
+    for wanted in ("TARGET DATA", "DEVIATIONS"):
+        if wanted not in out:
+            raise DataError(f"{path}: no section {wanted}:: (found: {', '.join(out) or 'none'})")
+    if "EOF" not in out:
+        raise DataError(f"{path}: the file does not end with EOF:: (it is cut short)")
+    return out
+
+
+def _facts(lines: list[_Line]) -> list[tuple[str, str]]:
+    parts = (text.partition(":") for _, text in lines)
+    return [(key.strip().lower(), value.strip()) for key, colon, value in parts if colon]
+
+
+def _targets(path: Path, lines: list[_Line]) -> np.ndarray:
+    """Target positions in mm, shape (targets,)."""
+    count, values, listing = None, [], False
+    for number, text in lines:
+        key, colon, rest = text.partition(":")
+        if colon and key.strip().lower() == "target-count":
+            count = int(_number(rest.strip(), f"{path}:{number}  Target-count"))
+        elif colon:
+            listing = key.strip().lower() == "targets"
+        elif listing:
+            values += [_number(word, f"{path}:{number}  target {len(values) + 1}") for word in text.split()]
+    if not values or (count is not None and count != len(values)):
+        raise DataError(f"{path}: Target-count is {count}, but {len(values)} targets are listed")
+    return np.array(values)
+
+
+def _deviations(path: Path, lines: list[_Line], targets: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Run, target number and deviation (um) of each reading."""
+    out = []
+    for number, text in lines:
+        words = text.split()
+        if ":" in text:
+            continue
+        if len(words) != 3 or not words[0].isdecimal() or not words[1].isdecimal():
+            raise DataError(f"{path}:{number}  {text[:60]!r} is not a reading (allowed: run, target number, deviation)")
+        if not 1 <= int(words[1]) <= targets:
+            raise DataError(f"{path}:{number}  target {words[1]} does not exist (the file lists {targets})")
+        out.append((int(words[0]), int(words[1]), _number(words[2], f"{path}:{number}  deviation")))
+    if not out:
+        raise DataError(f"{path}: section DEVIATIONS:: holds no readings")
+    runs, numbers, values = zip(*out, strict=True)
+    return np.array(runs), np.array(numbers), np.array(values)
+
+
+def _directions(path: Path, runs: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """+1 where a run visits its targets upwards, -1 downwards. Raises DataError where it does neither."""
+    out = np.empty(runs.size)
+    for run in dict.fromkeys(runs.tolist()):
+        rows = np.flatnonzero(runs == run)
+        steps = np.diff(position[rows])
+        if steps.size == 0 or not (np.all(steps >= 0) or np.all(steps <= 0)) or not steps.any():
+            raise DataError(f"{path}: run {run} visits its targets neither upwards nor downwards")
+        out[rows] = 1.0 if steps.sum() > 0 else -1.0
+    return out
+
+
+def _number(text: str, place: str) -> float:
+    try:
+        value = float(text) if "_" not in text else np.nan
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        hint = " (a decimal comma? save with decimal points)" if "," in text else ""
+        raise DataError(f"{place}: {text!r} is not a number{hint}")
+    return value
