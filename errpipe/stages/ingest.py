@@ -1,0 +1,61 @@
+"""Vendor files in, a recording in canonical units out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from errpipe.pipeline.stage import Context, InputPath, Need, Stage
+
+
+class Ingest(Stage):
+    """Read a recording through the door of its format: roles and units checked, values converted once."""
+
+    kind: Literal["ingest"]
+    recording: InputPath | None = Field(
+        None, description="Folder with a recording manifest, or a file of a known format; default: the simulated one."
+    )
+    format: str | None = Field(None, description="Name of the file format; default: the one that recognises the file.")
+    options: dict[str, str | float | bool] = Field({}, description="What the format itself asks for.")
+
+    reads: ClassVar[Mapping[str, Need]] = {"simulated": Need("simulate", optional=True)}
+
+
+    def outputs(self) -> tuple[str, ...]:
+        return ("recording.yaml", "recording.parquet", "ingest.json")
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe import formats
+        from errpipe.errors import UsageError
+        from errpipe.formats import manifest_folder
+
+        path = self.recording or context.maybe("simulated")
+        if path is None:
+            raise UsageError("ingest: no recording is named and no simulate stage stands before it")
+        context.progress(0.1, "reading")
+        if manifest_folder.sniff(path) and self.format in (None, manifest_folder.name):
+            rows = manifest_folder.to_parquet(path, context.folder)
+        else:
+            rows = manifest_folder.write(formats.read(path, self.format, self.options), context.folder)
+        return self._summary(context, rows)
+
+    def _summary(self, context: Context, rows: int) -> Mapping[str, Any]:
+        from errpipe.formats import manifest_folder
+
+        manifest = manifest_folder.load_manifest(context.folder)
+        columns = {name: column.model_dump(exclude_none=True) for name, column in manifest.columns.items()}
+        context.write_json(
+            "ingest.json",
+            {
+                "ingest": 1,
+                "inputs": context.fingerprint,
+                "title": manifest.title,
+                "machine": manifest.machine,
+                "rows": rows,
+                "columns": columns,
+                "simulated": self.recording is None,
+            },
+        )
+        return {"rows": rows, "columns": len(columns)}

@@ -1,0 +1,167 @@
+"""A corrected program makes the uncorrected machine cut the wanted part; what is not understood is refused whole."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from errpipe.errors import DataError
+from errpipe.ncprogram.correct import correct
+from errpipe.ncprogram.modal import Setup
+
+SETUP = Setup(
+    offsets={"G54": (100.0, 50.0, -200.0), "G55": (300.0, 50.0, -200.0)}, tools={1: 80.0}, start=(0.0, 0.0, 0.0)
+)
+
+
+def too_long_at_plus_x(points, tool_length):
+    """10 um too long at X = 500 of the machine, growing from zero at X = 0."""
+    out = np.zeros_like(points)
+    out[:, 0] = 0.010 * points[:, 0] / 500.0
+    return out
+
+
+def bent(points, tool_length):
+    """A machine with squareness, scale, bow and an angular error that the tool's length magnifies; mm."""
+    x, y, z = points.T
+    return np.column_stack(
+        [4e-5 * x + 3e-5 * y + 2e-5 * tool_length * x / 500, 5e-3 * np.sin(x / 150), -3e-5 * z + 1e-8 * x * y]
+    )
+
+
+def no_deviation(points, tool_length):
+    return np.zeros_like(points)
+
+
+def numbers(text, letter):
+    return [float(v) for v in re.findall(rf"{letter}([-+]?[\d.]+)", text)]
+
+
+def test_machine_10_um_too_long_is_told_to_go_less_far():
+    text, summary = correct("G90 G21 G54\nG0 Z10\nG0 X400 Y0\n", too_long_at_plus_x, SETUP)
+    assert numbers(text, "X")[-1] == pytest.approx(400 - 0.010, abs=1.01e-4)  # X400 in the part is X500 of the machine
+    assert summary.largest_correction == pytest.approx(0.010, rel=1e-3)
+
+
+def test_nothing_to_correct_leaves_straight_moves_as_they_were():
+    text, _ = correct("N10 G90 G21 G54 (start)\nN20 G1 X20 Y5 Z1 F300 ; cut\n", no_deviation, SETUP)
+    assert text.splitlines()[0] == "N10 G90 G21 G54 (start)"
+    first = text.splitlines()[1]
+    assert first.startswith("N20 G1 F300 X")
+    assert "; cut" in first
+
+
+PROGRAM = """%
+N5 G17 G21 G90 G54 G94
+N10 T1 M6
+N20 G43 H1
+N30 G0 X0 Y0 Z20
+N40 G1 Z-2 F200
+N50 G1 X80 Y10 F800 (first cut)
+N60 G3 X80 Y50 I0 J20
+N70 G2 X60 Y70 R20
+G91 G1 X-10 Y-5
+X-10
+G90 G18 G2 X20 Z-2 I-10 K0
+G17 G20 G1 X2 Y1 F30
+G21 G55 G1 X10 Y10
+G49 G0 Z150
+M2
+"""
+
+
+@pytest.mark.parametrize("deviation", [too_long_at_plus_x, bent], ids=["too long", "bent"])
+def test_uncorrected_machine_follows_the_wanted_path(deviation):
+    """Both programs through the same reader: command of one + deviation = tool point of the other."""
+    wanted = tool_points(PROGRAM, no_deviation)
+    commanded = tool_points(PROGRAM, deviation)
+    assert len(wanted) == len(commanded)
+    for (p, length), (c, length2) in zip(wanted, commanded, strict=True):
+        assert length == length2
+        assert c + deviation(c[None, :], length)[0] == pytest.approx(p, abs=2.5e-4)
+
+
+def tool_points(program, deviation):
+    """Machine coordinates after each straight block of a corrected program, and the tool length then in force."""
+    text, _ = correct(program, deviation, SETUP, longest=10.0)
+    out, at, offset, length = [], [0.0, 0.0, 0.0], "G54", 0.0
+    absolute, unit = True, 1.0
+    for line in text.splitlines():
+        line = re.sub(r"\(.*?\)|;.*", "", line)
+        zero = SETUP.offsets[offset]
+        if "G55" in line:
+            at = [a + o - n for a, o, n in zip(at, zero, SETUP.offsets["G55"], strict=True)]
+            offset = "G55"
+        if "G43" in line:
+            at[2] -= 80.0 - length
+            length = 80.0
+        if "G49" in line:
+            at[2] += length
+            length = 0.0
+        absolute = {"G90": True, "G91": False}.get(next(iter(re.findall(r"G9[01](?![.\d])", line)), ""), absolute)
+        unit = {"G20": 25.4, "G21": 1.0}.get(next(iter(re.findall(r"G2[01]", line)), ""), unit)
+        assert not re.search(r"G[23](?!\d)", line)
+        found = {k: float(v) * unit for k, v in re.findall(r"([XYZ])([-+]?[\d.]+)", line)}
+        if not found:
+            continue
+        for n, k in enumerate("XYZ"):
+            if k in found:
+                at[n] = found[k] if absolute else at[n] + found[k]
+        machine = np.array(at) + SETUP.offsets[offset] + [0.0, 0.0, length]
+        out.append((machine, length))
+    return out
+
+
+@pytest.mark.parametrize("chord", [0.1, 0.01, 0.001])
+def test_arc_segments_stay_within_the_chord_error(chord):
+    circle = "G90 G21 G54 G0 X50 Y0 Z0\nG3 X50 Y0 I-50 J0 F500\n"
+    text, summary = correct(circle, no_deviation, SETUP, chord_error=chord)
+    x, y = np.array(numbers(text, "X")), np.array(numbers(text, "Y"))
+    middle = np.hypot((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2)
+    assert summary.largest_chord_error <= chord
+    assert np.max(50.0 - middle) <= chord + 2e-4
+    assert summary.blocks_out >= math.pi / math.acos(1 - chord / 50)
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("G1 X[1+2]", "an expression in brackets"),
+        ("#1=3", "a parameter"),
+        ("O100 SUB", "is not a word"),
+        ("O100", "a subroutine"),
+        ("G41 D1", "G41 is not understood"),
+        ("G81 X1 Y1 Z-5 R2", "G81 is not understood"),
+        ("G28", "G28 is not understood"),
+        ("G92 X0", "G92 is not understood"),
+        ("G93", "G93 is not understood"),
+        ("G53 G0 Z0", "G53 is not understood"),
+        ("G56 G0 X0", "the work offset G56 was not given"),
+        ("G43 H7", "the tool length of H7 was not given"),
+        ("G1 X1 X2", "a word occurs twice"),
+        ("G1 X1 (open", "a comment that is not closed"),
+        ("G2 X1 Y1", "an arc without centre"),
+        ("G2 X10 Y0 I1 J0", "the arc's radius is"),
+        ("/G1 X1", "block delete switch"),
+        ("G1 X1 Q=3", "is not a word"),
+        ("M98 P100", "M98 is not understood"),
+    ],
+)
+def test_what_is_not_understood_is_refused_with_its_line(line, why):
+    with pytest.raises(DataError, match="line 2") as caught:
+        correct("G90 G21 G54 G0 X0 Y0 Z0\n" + line + "\n", no_deviation, SETUP)
+    assert why in str(caught.value)
+
+
+def test_unknown_place_is_refused_not_guessed():
+    with pytest.raises(DataError, match="where X and Y stands is not known"):
+        correct("G90 G21 G54\nG0 Z10\n", no_deviation, Setup(offsets=SETUP.offsets))
+
+
+def test_outside_the_table_is_refused():
+    def holed(points, tool_length):
+        return np.where(points[:, :1] > 300, np.nan, 0.0) * np.ones(3)
+
+    with pytest.raises(DataError, match="line 3: the table has no value here"):
+        correct("G90 G21 G54\nG0 X0 Y0 Z0\nG1 X250\n", holed, SETUP)
