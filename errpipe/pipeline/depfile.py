@@ -1,7 +1,7 @@
 """A dependency file for make: which inputs a stamp depends on, so that make knows when to call errpipe.
 
     out/run.stamp: pipelines/thermal.yaml
-    	errpipe run pipelines/thermal.yaml --out out --depfile out/run.d --stamp out/run.stamp
+        errpipe run pipelines/thermal.yaml --out out --depfile out/run.d --stamp out/run.stamp
     -include out/run.d
 
 Every input also gets a rule of its own without a recipe (as `gcc -MP` writes), so that a deleted log does
@@ -34,22 +34,21 @@ def inputs_of(pipeline: Pipeline, stages: Iterable[Stage]) -> list[Path]:
 
 def depfile(target: str, inputs: Iterable[Path]) -> str:
     """The text of a dependency file. Raises UsageError for a name that make cannot read."""
-    names = [escape(os.fspath(path)) for path in inputs]
-    head = f"{_EQUALS} := =\n" if any(f"$({_EQUALS})" in name for name in [escape(target), *names]) else ""
-    rule = " \\\n  ".join([f"{escape(target)}:", *names])
-    return head + rule + "\n" + "".join(f"\n{name}:\n" for name in names)
+    names = [os.fspath(path) for path in inputs]
+    text = " \\\n  ".join([f"{_escape(target, target=True)} :", *(_escape(name) for name in names)]) + "\n"
+    text += "".join(f"\n{_escape(name, target=True)} :\n" for name in names)
+    return (f"{_EQUALS} := =\n" if f"$({_EQUALS})" in text else "") + text
 
 
-def escape(name: str) -> str:
-    """A file name as make reads it in a target or a prerequisite. Raises UsageError for a line break."""
-    if "\n" in name or "\r" in name:
-        raise UsageError(f"{name!r}: make cannot read a file name with a line break in it")
-    # backslashes count only where they stand before a character that make would otherwise take as its own
-    name = re.sub(r"(\\*)([ \t#:;%|&?*\[\]])", lambda m: m[1] * 2 + "\\" + m[2], name.replace("$", "$$"))
-    name = re.sub(r"(\\+)$", lambda m: m[1] * 2, name)
-    return name.replace("=", f"$({_EQUALS})").replace("~", "\\~") if name.startswith("~") else name.replace(
-        "=", f"$({_EQUALS})"
-    )
+def _escape(name: str, *, target: bool = False) -> str:
+    """A file name as GNU make reads it. `|` ends the names of a rule, `%` makes a target a pattern."""
+    if re.search(r"[\r\n;]|\\$|.\(.*\)$", name):
+        raise UsageError(f"{name!r}: make cannot read such a name (a line break, ';', '\\' or '(...)' at its end)")
+    name = f"./{name}" if name.startswith("~") else name
+    special = r"[ \t#:?*\[\]%]" if target else r"[ \t#:?*\[\]|]"
+    # backslashes count only before a character that make would otherwise take as its own
+    name = re.sub(rf"(\\*)({special})", lambda m: m[1] * 2 + "\\" + m[2], name.replace("$", "$$"))
+    return name.replace("=", f"$({_EQUALS})")
 
 
 def touch(stamp: Path) -> None:

@@ -87,7 +87,7 @@ def run(
     to: str | None = None,
     force: Sequence[str] = (),
     jobs: int = 1,
-    talk: Talk = Talk(),  # noqa: B008  (frozen, and all silence)
+    talk: Talk = Talk(),
 ) -> list[Step]:
     """Bring OUT up to date; one Step per selected stage, in file order.
 
@@ -97,7 +97,7 @@ def run(
     work = _Work(pipeline, out, to, force)
     with alone(out, talk.waiting):
         work.records = read_lock(out)
-        shutil.rmtree(scratch(out) / "work", ignore_errors=True)
+        work.sweep()
         try:
             steps = _in_order(work, talk) if jobs <= 1 else _side_by_side(work, talk, jobs)
         finally:
@@ -250,6 +250,13 @@ class _Work:
         record = self.records.get(stage.label)
         outputs, summary = (tuple(sorted(record.outputs)), record.summary) if record else ((), {})
         return Step(stage.label, stage.kind, action, tuple(reasons), outputs, (), summary)
+
+    def sweep(self) -> None:
+        """Remove what an interrupted run left half written."""
+        shutil.rmtree(scratch(self.out) / "work", ignore_errors=True)
+        for folder in (self.out, scratch(self.out)):
+            for path in folder.glob(".*.tmp"):
+                path.unlink(missing_ok=True)
 
     def forget_strangers(self) -> None:
         """Drop stages that the pipeline no longer has, and their outputs where nobody edited them."""

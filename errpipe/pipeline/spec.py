@@ -53,7 +53,7 @@ class _Header(Options):
     pipeline: Literal[1] = Field(description="Version of the pipeline format.")
     title: str = Field("", description="One line for people; the report shows it.")
     root: Path = Field(
-        Path("."), description="Folder where relative paths start, relative to this file; default: the file's own folder."
+        Path("."), description="Folder where relative paths start, itself relative to this file; default: its folder."
     )
 
 
