@@ -66,7 +66,7 @@ def interpret(program, folder):
 def canonical(text):
     at, offset, tool, unit, plane = np.zeros(3), np.zeros(3), 0.0, 1.0, "XY"
     out = []
-    for name, arguments in re.findall(r"N\.+ ([A-Z_0-9]+)\((.*)\)", text):
+    for name, arguments in re.findall(r"N[\d.]+ *([A-Z_0-9]+)\((.*)\)", text):
         found = [] if name == "COMMENT" else re.findall(r"-?\d+\.\d+|-?\d+(?=[,)]|$)", arguments)
         values = [float(v) for v in found]
         if name == "USE_LENGTH_UNITS":
