@@ -55,8 +55,8 @@ _SPELLINGS = {
     "c": "degC", "celsius": "degC", "deg c": "degC", "f": "degF", "fahrenheit": "degF", "kelvin": "K", "in": "inch",
     "inches": "inch", '"': "inch", "micron": "um", "microns": "um", "sec": "s", "seconds": "s", "minutes": "min",
     "hours": "h", "hr": "h", "days": "d", "1/min": "rpm", "u/min": "rpm", "rev/min": "rpm", "hz": "1/s",
-    "m/s^2": "m/s2", "mm/s^2": "mm/s2", "m/s²": "m/s2", "mm/s²": "mm/s2", "percent": "%", "newton": "N", "degrees": "deg",
-    "": "deg", "radians": "rad",
+    "m/s^2": "m/s2", "mm/s^2": "mm/s2", "m/s²": "m/s2", "mm/s²": "mm/s2", "percent": "%", "newton": "N",
+    "degrees": "deg", "": "deg", "radians": "rad",
 }  # fmt: skip
 
 
