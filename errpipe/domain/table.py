@@ -1,0 +1,403 @@
+"""The compensation table: a compiled error model that a controller runs in a fixed-rate cycle.
+
+This model *is* the JSON twin (format version 1); the binary twin `.ect` holds the same, bit for bit, and
+`schemas/ect-1.md` states both so that they can be implemented without reading this code. Every target and
+every evaluator sees only this.
+
+    conditioned inputs -> nodes (drivers) -> profile(position) x node, summed per component
+                       -> synthesis: outputs = sum of weight x component x nodes -> limits -> correction
+
+Units: deviations um and urad, corrections in each output's `correction_unit`. deviation = actual - commanded;
+correction = -deviation.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
+
+from errpipe.domain.recording import Frozen
+
+MAX_INPUTS = 64
+MAX_NODES = 1024
+MAX_OPERANDS = 4096
+MAX_LOOKUP_VALUES = 65536
+MAX_PROFILES = 512
+MAX_VALUES = 1 << 22
+MAX_COMPONENTS = 64
+MAX_PAIRS = 2048
+MAX_OUTPUTS = 64
+MAX_MONOMIALS = 4096
+MAX_FACTORS = 4
+LARGEST_VALUE = (1 << 30) - 1  # of a profile, so that the difference of two values fits 32 bits
+LARGEST_RESULT = 1e30  # a node or deviation beyond it, or not a number, counts as 0 and raises `not_finite`
+LARGEST_NUMBER = 1e15  # of any parameter: keeps a single-precision controller away from overflow
+
+# Bits of the status word, lowest first.
+STATUS = (
+    "running", "active", "ramping", "substituted", "held", "defaulted", "fading", "faded", "at_magnitude", "at_rate",
+    "beyond_profile", "waiting", "not_finite",
+)  # fmt: skip
+# Why a reading is not believed, and what stands in for it: the codes a controller shows per input.
+FAULTS = ("none", "missing", "stale", "range", "rate")
+SOURCES = ("reading", "substitute", "held", "default")
+
+# Kinds whose nodes run every position cycle; all others run every thermal cycle.
+FAST_KINDS = ("position", "direction", "velocity", "force")
+
+Kind = Literal[
+    "position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other"
+]  # fmt: skip
+CORRECTION_FACTORS = {
+    ("um", "um"): 1.0,
+    ("um", "mm"): 0.001,
+    ("urad", "urad"): 1.0,
+    ("urad", "deg"): 5.729577951308232e-05,
+    ("urad", "rad"): 1e-06,
+}
+
+
+def text(longest: int) -> AfterValidator:
+    """Text that fits a zero-ended field: at most `longest` bytes of UTF-8, no zero byte."""
+
+    def check(value: str) -> str:
+        if len(value.encode()) > longest:
+            raise ValueError(f"{value!r} is longer than {longest} bytes")
+        if "\0" in value:
+            raise ValueError("text holds a zero byte")
+        return value
+
+    return AfterValidator(check)
+
+
+Name = Annotated[str, Field(min_length=1), text(31)]
+Number = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Positive = Annotated[float, Field(gt=1e-15, le=LARGEST_NUMBER)]
+Index = Annotated[int, Field(ge=0)]
+
+
+class Part(Frozen):
+    """A part of the table: immutable, no unknown keys, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Substitute(Part):
+    """One summand of a substitute reading: weight x another input's reading."""
+
+    input: Name
+    weight: Number
+
+
+class TableInput(Part):
+    """A channel the controller feeds each cycle, and what happens when its reading cannot be believed.
+
+    A reading is believed if it is finite, fresh, within [low, high], and has not moved faster than
+    `max_rate` since the last believed one. Else: the substitute (if its sources are believed), else the last
+    believed reading for at most `hold_s`, else `default`. The result is always within [low, high].
+    """
+
+    name: Name
+    kind: Kind
+    axis: Annotated[str, text(7)] = ""
+    unit: Annotated[str, text(15)] = ""
+    low: Number
+    high: Number
+    max_rate: Positive | None = Field(None, description="Largest believable change, unit per s.")
+    stale_after_s: Positive | None = Field(None, description="A reading older than this is not believed.")
+    substitute: tuple[Substitute, ...] = ()
+    substitute_offset: Number = 0.0
+    hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = Field(None, description="None: without end.")
+    default: Number
+    optional: bool = Field(False, description="Absence is no fault (a direction the controller may know).")
+    fade_on_default: bool = Field(True, description="While only the default is left, what is not `keep` fades out.")
+    valid: tuple[Number, Number] | None = Field(None, description="Validity box: what the fit has seen.")
+    margin: Positive | None = Field(None, description="Distance outside `valid` over which the table fades to zero.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> TableInput:
+        if not self.low < self.high:
+            raise ValueError(f"input {self.name}: low {self.low:g} is not below high {self.high:g}")
+        if not self.low <= self.default <= self.high:
+            raise ValueError(f"input {self.name}: default {self.default:g} lies outside {self.low:g}..{self.high:g}")
+        if (self.valid is None) != (self.margin is None):
+            raise ValueError(f"input {self.name}: valid and margin come together (never a cliff)")
+        if self.valid is not None and not self.valid[0] <= self.valid[1]:
+            raise ValueError(f"input {self.name}: valid range is reversed")
+        return self
+
+    @property
+    def fast(self) -> bool:
+        """Whether nodes that read it run every position cycle."""
+        return self.kind in FAST_KINDS
+
+
+class Node(Part):
+    """One operation on earlier nodes (`of` are their numbers). slow: runs in thermal cycles only."""
+
+    slow: bool = False
+    of: tuple[Index, ...] = ()
+
+    operands: ClassVar[tuple[int, int]] = (1, 1)  # fewest and most operands
+
+
+class ConstantNode(Node):
+    operands: ClassVar = (0, 0)
+    op: Literal["constant"] = "constant"
+    value: Number
+
+
+class InputNode(Node):
+    operands: ClassVar = (0, 0)
+    op: Literal["input"] = "input"
+    input: Name
+
+
+class AffineNode(Node):
+    operands: ClassVar = (1, 64)
+    op: Literal["affine"] = "affine"
+    offset: Number = 0.0
+    weights: tuple[Number, ...]
+
+
+class FirstNode(Node):
+    op: Literal["first"] = "first"
+
+
+class LagNode(Node):
+    op: Literal["lag"] = "lag"
+    tau_up: Positive
+    tau_down: Positive
+    start: Literal["input", "zero"] = "input"
+
+
+class ProductNode(Node):
+    operands: ClassVar = (1, 16)
+    op: Literal["product"] = "product"
+
+
+class PowerNode(Node):
+    op: Literal["power"] = "power"
+    exponent: Annotated[float, Field(gt=0, le=16)]
+
+
+class ClipNode(Node):
+    op: Literal["clip"] = "clip"
+    low: Number
+    high: Number
+
+
+class SwitchNode(Node):
+    op: Literal["switch"] = "switch"
+    on: Number
+    off: Number
+
+
+class DirectionNode(Node):
+    """Operands: the position, and where there is one the input that knows the direction (sign, 0 unknown)."""
+
+    operands: ClassVar = (1, 2)
+    op: Literal["direction"] = "direction"
+    threshold: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)]
+    start: Literal[-1, 1] = 1
+
+
+class ApproachNode(Node):
+    """Operands: the position and its direction."""
+
+    operands: ClassVar = (2, 2)
+    op: Literal["approach"] = "approach"
+    length: Positive
+
+
+class LookupNode(Node):
+    op: Literal["lookup"] = "lookup"
+    start: Number
+    step: Positive
+    values: tuple[Number, ...] = Field(min_length=2)
+
+
+AnyNode = Annotated[
+    ConstantNode | InputNode | AffineNode | FirstNode | LagNode | ProductNode | PowerNode | ClipNode | SwitchNode
+    | DirectionNode | ApproachNode | LookupNode,
+    Field(discriminator="op"),
+]  # fmt: skip
+
+
+class Profile(Part):
+    """A curve over one input on a uniform grid: value = scale x integer, straight between grid points.
+
+    Held beyond both ends; `periodic` repeats with (count - 1) x step, its last value equal to its first.
+    One value: a constant (no input). Errors are the largest seen when it was gridded, in the profile's unit.
+    """
+
+    input: Name | None = None
+    start: Number = 0.0
+    step: Positive = 1.0
+    scale: Positive = 0.001
+    periodic: bool = False
+    values: tuple[Annotated[int, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)], ...] = Field(min_length=1)
+    interpolation_error: Annotated[float, Field(ge=0)] = 0.0
+    rounding_error: Annotated[float, Field(ge=0)] = 0.0
+
+    @model_validator(mode="after")
+    def _sound(self) -> Profile:
+        if (self.input is None) != (len(self.values) == 1):
+            raise ValueError("a profile has an input exactly if it has more than one value")
+        if self.periodic and (len(self.values) < 3 or self.values[0] != self.values[-1]):
+            raise ValueError("a periodic profile needs three values or more and ends on its first")
+        return self
+
+
+class Component(Part):
+    """One ISO 230-1 error component, the sum of its pairs."""
+
+    name: Annotated[str, Field(min_length=1), text(15)]
+    unit: Literal["um", "urad"] = "um"
+
+
+class Pair(Part):
+    """profile x node, added to a component. keep: not faded outside validity."""
+
+    component: Annotated[str, Field(min_length=1), text(15)]
+    profile: Index
+    driver: Index
+    keep: bool = False
+
+
+class Monomial(Part):
+    """weight x component x product of nodes, added to an output."""
+
+    weight: Number
+    component: Annotated[str, Field(min_length=1), text(15)]
+    factors: tuple[Index, ...] = Field((), max_length=MAX_FACTORS)
+
+
+class Output(Part):
+    """One correction the controller applies, with its limits (in the deviation's unit; None: no limit)."""
+
+    name: Name
+    axis: Annotated[str, text(7)] = ""
+    unit: Literal["um", "urad"] = "um"
+    correction_unit: Literal["mm", "um", "urad", "deg", "rad"] = "mm"
+    magnitude: Positive | None = None
+    slew: Positive | None = Field(None, description="Largest rate of the correction, unit per s.")
+    acceleration: Positive | None = Field(None, description="Largest change of that rate, unit per s2.")
+    terms: tuple[Monomial, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _convertible(self) -> Output:
+        if (self.unit, self.correction_unit) not in CORRECTION_FACTORS:
+            raise ValueError(f"output {self.name}: a deviation in {self.unit} cannot be in {self.correction_unit}")
+        return self
+
+    @property
+    def factor(self) -> float:
+        """correction_unit per unit."""
+        return CORRECTION_FACTORS[self.unit, self.correction_unit]
+
+
+class CompensationTable(Part):
+    """Format version 1 of the compensation table (JSON twin)."""
+
+    table: Literal[1] = 1
+    machine: Annotated[str, text(63)] = ""
+    title: Annotated[str, text(127)] = ""
+    version: Annotated[str, text(31)] = Field("", description="errpipe version that compiled it.")
+    fingerprint: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = Field("", description="Of the error model.")
+    position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = 0.001
+    slow_every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(1000, description="Position cycles in a thermal one.")
+    ramp_s: Annotated[float, Field(ge=0, le=3600)] = Field(1.0, description="Time to ramp in or out.")
+    fade_s: Annotated[float, Field(ge=0, le=3600)] = Field(1.0, description="Shortest time for a whole fade.")
+    inputs: tuple[TableInput, ...] = Field(max_length=MAX_INPUTS)
+    nodes: tuple[AnyNode, ...] = Field(min_length=1, max_length=MAX_NODES)
+    profiles: tuple[Profile, ...] = Field(min_length=1, max_length=MAX_PROFILES)
+    components: tuple[Component, ...] = Field(min_length=1, max_length=MAX_COMPONENTS)
+    pairs: tuple[Pair, ...] = Field(min_length=1, max_length=MAX_PAIRS)
+    outputs: tuple[Output, ...] = Field(min_length=1, max_length=MAX_OUTPUTS)
+
+    @property
+    def thermal_cycle_s(self) -> float:
+        """Time between two evaluations of the slow nodes, s."""
+        return self.position_cycle_s * self.slow_every
+
+    def input_index(self, name: str) -> int:
+        """Number of an input. Raises KeyError."""
+        return {i.name: n for n, i in enumerate(self.inputs)}[name]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> CompensationTable:
+        known = _unique("input", (i.name for i in self.inputs))
+        components = _unique("component", (c.name for c in self.components))
+        _unique("output", (o.name for o in self.outputs))
+        believed = {i.name for i in self.inputs if not i.optional}
+        for i in self.inputs:
+            for s in i.substitute:
+                if s.input not in believed or s.input == i.name:
+                    raise ValueError(f"input {i.name}: {s.input!r} cannot be a source of its substitute")
+        for number, node in enumerate(self.nodes):
+            _check_node(number, node, known)
+        for number, profile in enumerate(self.profiles):
+            if profile.input is not None and profile.input not in known:
+                raise ValueError(f"profile {number}: input {profile.input!r} is not in the table")
+            _check_turns(number, profile, self.inputs)
+        for number, pair in enumerate(self.pairs):
+            if pair.component not in components:
+                raise ValueError(f"pair {number}: component {pair.component!r} is not in the table")
+            if pair.profile >= len(self.profiles) or pair.driver >= len(self.nodes):
+                raise ValueError(f"pair {number}: no profile {pair.profile} or no node {pair.driver}")
+        for output in self.outputs:
+            for term in output.terms:
+                if term.component not in components or any(f >= len(self.nodes) for f in term.factors):
+                    raise ValueError(f"output {output.name}: no component {term.component!r} or node {term.factors}")
+        _check_totals(self)
+        return self
+
+
+def _unique(what: str, names) -> set[str]:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise ValueError(f"{what} {name!r} occurs twice")
+        seen.add(name)
+    return seen
+
+
+def _check_node(number: int, node: Node, inputs: set[str]) -> None:
+    fewest, most = node.operands
+    if not fewest <= len(node.of) <= most:
+        raise ValueError(f"node {number} ({node.op}): {len(node.of)} operands (allowed: {fewest}..{most})")
+    for operand in node.of:
+        if operand >= number:
+            raise ValueError(f"node {number} ({node.op}): operand {operand} does not come before it")
+    if isinstance(node, InputNode) and node.input not in inputs:
+        raise ValueError(f"node {number}: input {node.input!r} is not in the table")
+    if isinstance(node, AffineNode) and len(node.weights) != len(node.of):
+        raise ValueError(f"node {number}: {len(node.weights)} weights for {len(node.of)} operands")
+    if isinstance(node, ClipNode) and not node.low <= node.high:
+        raise ValueError(f"node {number}: clip range is reversed")
+    if isinstance(node, SwitchNode) and not node.off <= node.on:
+        raise ValueError(f"node {number}: switch turns off above where it turns on")
+
+
+def _check_turns(number: int, profile: Profile, inputs: tuple[TableInput, ...]) -> None:
+    """A periodic profile counts its periods in 32 bits."""
+    if not profile.periodic:
+        return
+    channel = next(i for i in inputs if i.name == profile.input)
+    period = (len(profile.values) - 1) * profile.step
+    if max(abs(channel.low - profile.start), abs(channel.high - profile.start)) / period > 1e9:
+        raise ValueError(f"profile {number}: more than 1e9 periods within the range of {channel.name}")
+
+
+def _check_totals(table: CompensationTable) -> None:
+    totals = {
+        "operands": (sum(len(n.of) for n in table.nodes), MAX_OPERANDS),
+        "lookup values": (sum(len(n.values) for n in table.nodes if isinstance(n, LookupNode)), MAX_LOOKUP_VALUES),
+        "profile values": (sum(len(p.values) for p in table.profiles), MAX_VALUES),
+        "synthesis terms": (sum(len(o.terms) for o in table.outputs), MAX_MONOMIALS),
+    }
+    for what, (found, allowed) in totals.items():
+        if found > allowed:
+            raise ValueError(f"{found} {what} (allowed: {allowed})")

@@ -1,0 +1,20 @@
+"""Error model -> compensation table -> evaluators: compile, `.ect` file, reference, Numba, C runtime.
+
+compile_table     components as profile x driver pairs -> CompensationTable (`compile`)
+ect               the binary file and its JSON twin: `ect.write`, `ect.read`
+reference         plain-Python evaluator, the definition; `batch`: Numba over recordings and over points
+bounds            what a table can reach and what a cycle costs, before it runs
+"""
+
+from __future__ import annotations
+
+from errpipe.tables.compile import (
+    ComponentSource,
+    Limits,
+    MonomialSource,
+    OutputSource,
+    compile_table,
+    with_limits,
+)
+
+__all__ = ["ComponentSource", "Limits", "MonomialSource", "OutputSource", "compile_table", "with_limits"]

@@ -1,0 +1,331 @@
+"""Error components as sums of profile(position) x driver(state), compiled into one table.
+
+Equal drivers become one node, in order of first use, so equal input gives an equal table. Pairs of the same
+component, axis and driver are added into one profile (a periodic one only to another of its period).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from errpipe.domain import components as iso
+from errpipe.domain import driver as d
+from errpipe.domain import table as t
+from errpipe.errors import GateError
+from errpipe.tables import bounds
+from errpipe.tables.gridding import grid
+from errpipe.terms._base import Lowered
+
+# A lag this many thermal cycles long runs in thermal cycles: a single-precision controller would lose it in a
+# position cycle, where it moves by less than a rounding.
+SLOW_LAG_CYCLES = 20.0
+
+
+@dataclass(frozen=True)
+class ComponentSource:
+    """One component to compile: the sum of its pairs, in um or urad. keep: None lets the drivers decide."""
+
+    name: str
+    unit: str
+    pairs: tuple[Lowered, ...]
+    keep: bool | None = None
+
+
+@dataclass(frozen=True)
+class MonomialSource:
+    """weight x component x product of at most four drivers (coordinates in mm, tool length, sine, cosine)."""
+
+    weight: float
+    component: str
+    factors: tuple[d.Driver, ...] = ()
+
+
+@dataclass(frozen=True)
+class OutputSource:
+    """One output: the sum of its monomials, in `unit` of deviation, corrected along `axis`."""
+
+    name: str
+    terms: tuple[MonomialSource, ...]
+    axis: str = ""
+    unit: str = "um"
+    correction_unit: str = "mm"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of one output, in um or urad and s; None: the largest deviation the table can reach, no rate limit."""
+
+    magnitude: float | None = None
+    slew: float | None = None
+    acceleration: float | None = None
+
+
+@dataclass
+class _Nodes:
+    """Nodes under construction, each structure once."""
+
+    inputs: dict[str, t.TableInput]
+    thermal_cycle_s: float
+    nodes: list[t.Node] = field(default_factory=list)
+    numbers: dict[t.Node, int] = field(default_factory=dict)
+
+    def add(self, node: t.Node) -> int:
+        """Number of a node, new or known."""
+        if node not in self.numbers:
+            self.numbers[node] = len(self.nodes)
+            self.nodes.append(node)
+        return self.numbers[node]
+
+    def read(self, name: str, slow: bool) -> int:
+        """The node of an input. Raises GateError for an input that nobody described."""
+        if name not in self.inputs:
+            raise GateError(f"a driver reads {name!r}, which is not an input of the table ({', '.join(self.inputs)})")
+        return self.add(t.InputNode(input=name, slow=slow or not self.inputs[name].fast))
+
+    def position(self, axis: str) -> t.TableInput:
+        """The input that holds the position of an axis. Raises GateError where there is none."""
+        return position_input(tuple(self.inputs.values()), axis)
+
+    def compile(self, driver: d.Driver, slow: bool = False) -> int:
+        """Number of the node that computes a driver; slow: everything below it is only needed in thermal cycles."""
+        match driver:
+            case d.Constant():
+                return self.add(t.ConstantNode(value=driver.value, slow=True))
+            case d.Input():
+                return self.read(driver.name, slow)
+            case d.Direction():
+                return self.direction(driver.axis, driver.threshold, driver.start)
+            case d.Approach():
+                side = self.direction(driver.axis, driver.threshold, driver.start)
+                place = self.read(self.position(driver.axis).name, False)
+                return self.add(t.ApproachNode(of=(place, side), length=driver.length))
+            case d.Lag():
+                slow = slow or min(driver.tau_up, driver.tau_down) >= SLOW_LAG_CYCLES * self.thermal_cycle_s
+        children = driver.of if isinstance(driver.of, tuple) else (driver.of,)
+        of = tuple(self.compile(child, slow) for child in children)
+        if len(of) == 1 and (isinstance(driver, d.Product) or driver == d.Affine(weights=(1.0,), of=(children[0],))):
+            return of[0]
+        return self.add(_node(driver, of, slow or all(self.nodes[o].slow for o in of)))
+
+    def direction(self, axis: str, threshold: float, start: int) -> int:
+        """The node of an axis' direction of travel; an input that knows it goes first."""
+        of = [self.read(self.position(axis).name, False)]
+        for kind in ("direction", "velocity"):
+            known = [i.name for i in self.inputs.values() if i.kind == kind and i.axis == axis]
+            if known:
+                of.append(self.read(known[0], False))
+                break
+        return self.add(t.DirectionNode(of=tuple(of), threshold=threshold, start=start))
+
+    def reads(self, number: int) -> set[str]:
+        """Names of the inputs below a node."""
+        node = self.nodes[number]
+        if isinstance(node, t.InputNode):
+            return {node.input}
+        return set().union(*(self.reads(o) for o in node.of))
+
+
+def _node(driver: d.Driver, of: tuple[int, ...], slow: bool) -> t.Node:
+    match driver:
+        case d.Affine():
+            return t.AffineNode(of=of, slow=slow, offset=driver.offset, weights=driver.weights)
+        case d.First():
+            return t.FirstNode(of=of, slow=slow)
+        case d.Lag():
+            return t.LagNode(of=of, slow=slow, tau_up=driver.tau_up, tau_down=driver.tau_down, start=driver.start)
+        case d.Product():
+            return t.ProductNode(of=of, slow=slow)
+        case d.Power():
+            return t.PowerNode(of=of, slow=slow, exponent=driver.exponent)
+        case d.Clip():
+            return t.ClipNode(of=of, slow=slow, low=driver.low, high=driver.high)
+        case d.Switch():
+            return t.SwitchNode(of=of, slow=slow, on=driver.on, off=driver.off)
+        case d.Lookup():
+            return t.LookupNode(of=of, slow=slow, start=driver.start, step=driver.step, values=driver.values)
+    raise TypeError(f"unknown driver {driver!r}")
+
+
+def position_input(inputs: Sequence[t.TableInput], axis: str) -> t.TableInput:
+    """The input that holds the position of an axis. Raises GateError where there is none."""
+    for channel in inputs:
+        if channel.kind == "position" and channel.axis == axis:
+            return channel
+    raise GateError(f"no input holds the position of axis {axis}")
+
+
+def compile_table(
+    components: Sequence[ComponentSource],
+    *,
+    inputs: Sequence[t.TableInput],
+    outputs: Sequence[OutputSource] | None = None,
+    travel: Mapping[str, tuple[float, float]] | None = None,
+    limits: Mapping[str, Limits] | None = None,
+    error_bound: float = 0.01,
+    position_cycle_s: float = 0.001,
+    thermal_cycle_s: float = 1.0,
+    ramp_s: float = 1.0,
+    fade_s: float = 1.0,
+    machine: str = "",
+    title: str = "",
+    version: str = "",
+    fingerprint: str = "",
+    most_intervals: int = 16384,
+) -> t.CompensationTable:
+    """Compile components into a table.
+
+    inputs: every input that drivers and profiles read (positions by axis; inputs nobody reads are left out);
+    outputs: None gives one output per component; travel: axis -> range of its profiles (default: the position
+    input's validity, else its plausible range); error_bound: largest interpolation error of each pair at
+    its driver's largest value, um or urad. Raises GateError where a component cannot be compiled.
+    """
+    slow_every = max(1, round(thermal_cycle_s / position_cycle_s))
+    build = _Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
+    groups = [_groups(build, c) for c in components]
+    monomials = [_monomials(build, o) for o in (_plain_outputs(components) if outputs is None else outputs)]
+    spans = bounds.node_spans(build.nodes, inputs)
+    profiles: dict[t.Profile, int] = {}
+    pairs = []
+    for component, found in zip(components, groups, strict=True):
+        for group in found:
+            profile = group.profile(build, spans, travel or {}, error_bound, most_intervals)
+            number = profiles.setdefault(profile, len(profiles))
+            keep = group.keeps(build) if component.keep is None else component.keep
+            pairs.append(t.Pair(component=component.name, profile=number, driver=group.driver, keep=keep))
+    used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in profiles}
+    used |= {s.input for i in inputs if i.name in used for s in i.substitute}
+    table = t.CompensationTable(
+        machine=_short(machine, 63),
+        title=_short(title, 127),
+        version=version,
+        fingerprint=fingerprint,
+        position_cycle_s=position_cycle_s,
+        slow_every=slow_every,
+        ramp_s=ramp_s,
+        fade_s=fade_s,
+        inputs=tuple(i for i in inputs if i.name in used),
+        nodes=tuple(build.nodes),
+        profiles=tuple(profiles),
+        components=tuple(t.Component(name=c.name, unit=c.unit) for c in components),
+        pairs=tuple(pairs),
+        outputs=tuple(monomials),
+    )
+    return with_limits(table, limits or {})
+
+
+@dataclass
+class _Group:
+    """Pairs that share component, axis, driver and period: their profiles add up."""
+
+    driver: int
+    axis: str | None
+    period: float | None
+    curves: list[Callable[[np.ndarray], np.ndarray] | None]
+
+    def keeps(self, build: _Nodes) -> bool:
+        """Whether no validity box speaks about its driver."""
+        return all(build.inputs[name].valid is None for name in build.reads(self.driver))
+
+    def curve(self, x: np.ndarray) -> np.ndarray:
+        total = np.zeros(np.shape(x))
+        for c in self.curves:
+            total = total + (1.0 if c is None else np.asarray(c(x), dtype=float))
+        return total
+
+    def profile(
+        self, build: _Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
+    ) -> t.Profile:
+        if self.axis is None:
+            return _constant(float(self.curve(np.zeros(1))[0]))
+        channel = build.position(self.axis)
+        low, high = travel.get(self.axis) or channel.valid or (channel.low, channel.high)
+        factor = max(bounds.largest(spans[self.driver]), 1e-9)
+        made = grid(
+            self.curve,
+            low,
+            high,
+            bound=bound / factor,
+            unit=_unit(0.001 / max(1.0, factor)),
+            period=self.period,
+            most=most,
+            what=f"profile over {self.axis}",
+        )
+        if len(set(made.values)) == 1:
+            return _constant(made.values[0] * made.scale)
+        return t.Profile.model_validate(made.model_dump() | {"input": channel.name})
+
+
+def _groups(build: _Nodes, component: ComponentSource) -> list[_Group]:
+    found: dict[tuple, _Group] = {}
+    for pair in component.pairs or (Lowered(d.Constant(value=0.0)),):
+        driver = build.compile(pair.driver)
+        axis = pair.axis if pair.profile is not None else None
+        key = (driver, axis, pair.period if axis else None)
+        found.setdefault(key, _Group(driver, axis, key[2], [])).curves.append(pair.profile)
+    return list(found.values())
+
+
+def _constant(value: float) -> t.Profile:
+    if value == 0.0:
+        return t.Profile(values=(0,))
+    return t.Profile(values=(1 if value > 0 else -1,), scale=abs(value))
+
+
+def _unit(largest: float) -> float:
+    """The largest power of ten not above a number (1e-3 stays 1e-3)."""
+    exponent = -3
+    while float(f"1e{exponent}") > largest:
+        exponent -= 1
+    return float(f"1e{exponent}")
+
+
+def _plain_outputs(components: Sequence[ComponentSource]) -> list[OutputSource]:
+    """One output per component; those along a direction are corrected in mm along it."""
+    out = []
+    for c in components:
+        direction = iso.parse(c.name).direction
+        axis = direction if c.unit == "um" and direction not in "RD" else ""
+        unit = "mm" if c.unit == "um" else "urad"
+        out.append(OutputSource(c.name, (MonomialSource(1.0, c.name),), axis, c.unit, unit))
+    return out
+
+
+def _monomials(build: _Nodes, output: OutputSource) -> t.Output:
+    terms = tuple(
+        t.Monomial(weight=m.weight, component=m.component, factors=tuple(build.compile(f) for f in m.factors))
+        for m in output.terms
+    )
+    return t.Output(
+        name=output.name, axis=output.axis, unit=output.unit, correction_unit=output.correction_unit, terms=terms
+    )
+
+
+def with_limits(table: t.CompensationTable, limits: Mapping[str, Limits]) -> t.CompensationTable:
+    """The table with limits per output; without a magnitude, what the table can reach, rounded up."""
+    unknown = set(limits) - {o.name for o in table.outputs}
+    if unknown:
+        raise GateError(f"limits for outputs the table does not have: {', '.join(sorted(unknown))}")
+    outputs = []
+    for output, reach in zip(table.outputs, bounds.outputs(table), strict=True):
+        own = limits.get(output.name, Limits())
+        magnitude = own.magnitude or _rounded_up(reach.deviation + reach.gridding)
+        changed = {"magnitude": magnitude, "slew": own.slew, "acceleration": own.acceleration}
+        outputs.append(t.Output.model_validate(output.model_dump() | changed))
+    return t.CompensationTable.model_validate(table.model_dump() | {"outputs": [o.model_dump() for o in outputs]})
+
+
+def _rounded_up(value: float) -> float | None:
+    if not 0.0 < value < t.LARGEST_NUMBER / 10:
+        return None
+    exponent = int(np.floor(np.log10(value))) - 1
+    return float(f"{np.ceil(value / 10.0**exponent):.0f}e{exponent}")
+
+
+def _short(text: str, longest: int) -> str:
+    data = text.encode()
+    if len(data) <= longest:
+        return text
+    return data[: longest - 3].decode(errors="ignore") + "…"

@@ -1,0 +1,104 @@
+"""A curve on a uniform grid of integers: the spacing for a stated error bound, and the errors that remain.
+
+Straight lines between grid points miss a curve by at most h^2 / 8 * max|f''|. That picks the first spacing; dense
+sampling of the difference then decides, so kinks and steps are seen too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from errpipe.domain.table import LARGEST_VALUE, Profile
+from errpipe.errors import GateError
+
+SAMPLES = 4096  # for the first look at the curve, and at least as many for the check
+PER_STEP = 16  # samples between two grid points when the error is measured
+MOST_INTERVALS = 16384
+
+
+def grid(
+    curve: Callable[[np.ndarray], np.ndarray],
+    low: float,
+    high: float,
+    *,
+    bound: float,
+    unit: float = 0.001,
+    period: float | None = None,
+    most: int = MOST_INTERVALS,
+    what: str = "profile",
+) -> Profile:
+    """The profile of `curve` over [low, high], or over one period from 0, without its input.
+
+    bound: largest interpolation error allowed, in the curve's unit; unit: the value of one integer step (made
+    ten times larger as often as 32 bits demand). Raises GateError where `most` intervals are not enough and
+    where the curve is not finite.
+    """
+    start, end = (0.0, period) if period is not None else (low, high)
+    if not start < end:
+        raise GateError(f"{what}: nothing to grid between {start:g} and {end:g}")
+    first = _evaluate(curve, np.linspace(start, end, SAMPLES + 1), what)
+    intervals = min(_first_guess(first, bound), most)
+    while True:
+        error = interpolation_error(curve, start, end, intervals)
+        if error <= bound:
+            break
+        if intervals >= most:
+            raise GateError(
+                f"{what}: {most} intervals leave {error:.3g} between the grid points (allowed {bound:.3g}). "
+                "Allow a larger error, or look for a step in the curve."
+            )
+        intervals = min(most, max(intervals + 1, int(np.ceil(intervals * min(4.0, 1.02 * (error / bound) ** 0.5)))))
+    return quantise(curve, start, end, max(intervals, 2 if period is not None else 1), error, unit, period is not None)
+
+
+def quantise(
+    curve: Callable[[np.ndarray], np.ndarray],
+    start: float,
+    end: float,
+    intervals: int,
+    error: float,
+    unit: float,
+    periodic: bool,
+) -> Profile:
+    """The profile with a given number of intervals; `error` is reported as its interpolation error."""
+    step = (end - start) / intervals
+    nodes = _evaluate(curve, start + step * np.arange(intervals + 1), "profile")
+    if periodic:
+        nodes[-1] = nodes[0]
+    while np.max(np.abs(nodes)) / unit > LARGEST_VALUE:
+        unit *= 10.0
+    values = np.rint(nodes / unit)
+    return Profile.model_construct(
+        input=None,
+        start=float(start),
+        step=float(step),
+        scale=float(unit),
+        periodic=periodic,
+        values=tuple(int(v) for v in values),
+        interpolation_error=float(error),
+        rounding_error=float(np.max(np.abs(values * unit - nodes))),
+    )
+
+
+def interpolation_error(curve: Callable, start: float, end: float, intervals: int) -> float:
+    """Largest distance between the curve and its straight pieces, by dense sampling."""
+    per_step = max(PER_STEP, -(-SAMPLES // intervals))
+    x = np.linspace(start, end, intervals * per_step + 1)
+    dense = _evaluate(curve, x, "profile")
+    straight = np.interp(x, x[::per_step], dense[::per_step])
+    return float(np.max(np.abs(dense - straight)))
+
+
+def _first_guess(samples: np.ndarray, bound: float) -> int:
+    bend = float(np.max(np.abs(np.diff(samples, 2)), initial=0.0)) * SAMPLES**2
+    return max(1, int(np.ceil((bend / 8.0 / bound) ** 0.5)))
+
+
+def _evaluate(curve: Callable, x: np.ndarray, what: str) -> np.ndarray:
+    y = np.asarray(curve(x), dtype=float)
+    y = np.array(np.broadcast_to(y, x.shape))
+    if not np.all(np.isfinite(y)):
+        raise GateError(f"{what}: not a number at {x[~np.isfinite(y)][0]:g}")
+    return y

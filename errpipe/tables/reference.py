@@ -1,0 +1,475 @@
+"""The plain-Python evaluator: what a compensation table means, one cycle at a time.
+
+The order of every operation here is the definition (`schemas/ect-1.md` says the same in words); the Numba
+kernel, the C runtime and the function block repeat it and give the same bits.
+
+One cycle: readings are conditioned (every result lies within its input's [low, high]); nodes run in
+order, slow ones only in thermal cycles (the first cycle and every `slow_every`-th after it); profiles, pairs,
+synthesis; then limits. A state (first, lag, direction, approach) follows its operand until every required
+input below it has had a believed reading, and starts there.
+
+Two ways to call it: at the controller's fixed rate (dt None), or over a recording (dt given: time since the
+row before). Over a recording every node runs in every row, and ramp, fade time, slew and acceleration,
+which belong to a fixed rate, do nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from errpipe.domain import table as t
+from errpipe.tables.arithmetic import exp, power
+
+_BIT = {name: 1 << n for n, name in enumerate(t.STATUS)}
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What one cycle gives. deviation: um or urad by output; correction: in the output's correction_unit."""
+
+    deviation: dict[str, float]
+    correction: dict[str, float]
+    components: dict[str, float]
+    status: int
+    heartbeat: int
+    faults: dict[str, str]
+    sources: dict[str, str]
+
+    def says(self) -> tuple[str, ...]:
+        """Names of the status bits that are set."""
+        return tuple(name for name, bit in _BIT.items() if self.status & bit)
+
+
+class Evaluator:
+    """Runs one table. Holds the states; `reset` starts a new run."""
+
+    def __init__(self, table: t.CompensationTable):
+        self.table = table
+        self._number = {i.name: n for n, i in enumerate(table.inputs)}
+        self._component = {c.name: n for n, c in enumerate(table.components)}
+        self._inverse_step = [1.0 / p.step for p in table.profiles]
+        self._inverse_turn = [1.0 / (len(p.values) - 1) if p.periodic else 0.0 for p in table.profiles]
+        self._alphas = [self._lag_factors(n) for n in table.nodes]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next cycle is the first of a run."""
+        table = self.table
+        inputs, nodes, outputs = len(table.inputs), len(table.nodes), len(table.outputs)
+        self._raw = [float("nan")] * inputs
+        self._wait = [0.0] * inputs
+        self._good = [0.0] * inputs
+        self._age = [0.0] * inputs
+        self._seen = [False] * inputs
+        self._usable = [i.optional for i in table.inputs]
+        self._value = [0.0] * inputs
+        self._node = [0.0] * nodes
+        self._ready = [False] * nodes
+        self._a = [0.0] * nodes
+        self._fade = -1.0
+        self._ramp = 0.0
+        self._correction = [0.0] * outputs
+        self._rate = [0.0] * outputs
+        self._target = [0.0] * outputs
+        self._until_slow = 0
+        self._heartbeat = 0
+        self._status = 0
+
+    def cycle(self, inputs: Mapping[str, float], dt: float | None = None, enable: bool = True) -> Cycle:
+        """One cycle. inputs: new readings by name (NaN: a failed one; absent: none since the last cycle).
+
+        dt: None at the controller's rate, else s since the row before. Raises KeyError for an unknown input.
+        """
+        self._status = _BIT["running"]
+        replay = dt is not None
+        step = dt if replay else self.table.position_cycle_s
+        slow = replay or self._until_slow == 0
+        self._until_slow = (self.table.slow_every if slow else self._until_slow) - 1
+        faults, sources, lost = self._condition(inputs, step)
+        self._run_nodes(slow, dt)
+        self._move_fade(self._fade_target(lost), step, replay)
+        components = self._components()
+        deviation = self._synthesis(components)
+        correction = self._limit(deviation, step, replay, enable)
+        self._heartbeat = (self._heartbeat + 1) % (1 << 32)
+        names = [o.name for o in self.table.outputs]
+        return Cycle(
+            dict(zip(names, deviation, strict=True)),
+            dict(zip(names, correction, strict=True)),
+            dict(zip(self._component, components, strict=True)),
+            self._status,
+            self._heartbeat,
+            {i.name: t.FAULTS[f] for i, f in zip(self.table.inputs, faults, strict=True)},
+            {i.name: t.SOURCES[s] for i, s in zip(self.table.inputs, sources, strict=True)},
+        )
+
+    def nodes(self) -> tuple[float, ...]:
+        """Values of all nodes after the last cycle."""
+        return tuple(self._node)
+
+    # readings ---------------------------------------------------------------------------------------
+
+    def _condition(self, readings: Mapping[str, float], dt: float) -> tuple[list[int], list[int], bool]:
+        for name in readings:
+            if name not in self._number:
+                raise KeyError(f"the table has no input {name!r} (inputs: {', '.join(self._number)})")
+        faults = [self._judge(n, i, readings, dt) for n, i in enumerate(self.table.inputs)]
+        sources = [0] * len(faults)
+        lost = False
+        for n, i in enumerate(self.table.inputs):
+            if faults[n] != 0:
+                sources[n] = self._stand_in(n, i, faults)
+                if not i.optional:
+                    self._status |= _BIT[("", "substituted", "held", "defaulted")[sources[n]]]
+                    lost = lost or (sources[n] == 3 and i.fade_on_default)
+        return faults, sources, lost
+
+    def _judge(self, n: int, channel: t.TableInput, readings: Mapping[str, float], dt: float) -> int:
+        self._age[n] = self._age[n] + dt
+        self._wait[n] = self._wait[n] + dt
+        if channel.name in readings:
+            self._raw[n] = float(readings[channel.name])
+            self._wait[n] = 0.0
+        v = self._raw[n]
+        if not -t.LARGEST_RESULT <= v <= t.LARGEST_RESULT:
+            return 1
+        if channel.stale_after_s is not None and self._wait[n] > channel.stale_after_s:
+            return 2
+        if v < channel.low or v > channel.high:
+            return 3
+        if channel.max_rate is not None and self._seen[n]:
+            moved = v - self._good[n]
+            if moved < 0.0:
+                moved = -moved
+            if moved > channel.max_rate * self._age[n]:
+                return 4
+        self._good[n] = v
+        self._value[n] = v
+        self._age[n] = 0.0
+        self._seen[n] = True
+        self._usable[n] = True
+        return 0
+
+    def _stand_in(self, n: int, channel: t.TableInput, faults: list[int]) -> int:
+        if channel.optional:
+            self._value[n] = channel.default
+            return 3
+        sources = [self._number[s.input] for s in channel.substitute]
+        if sources and all(faults[s] == 0 for s in sources):
+            v = channel.substitute_offset
+            for s, part in zip(sources, channel.substitute, strict=True):
+                v = v + part.weight * self._good[s]
+            if v < channel.low:
+                v = channel.low
+            if v > channel.high:
+                v = channel.high
+            self._value[n] = v
+            self._usable[n] = True
+            return 1
+        if self._seen[n] and (channel.hold_s is None or self._age[n] <= channel.hold_s):
+            self._value[n] = self._good[n]
+            return 2
+        self._value[n] = channel.default
+        return 3
+
+    # nodes ------------------------------------------------------------------------------------------
+
+    def _lag_factors(self, node: t.Node) -> tuple[float, float]:
+        if not isinstance(node, t.LagNode):
+            return 0.0, 0.0
+        dt = self.table.thermal_cycle_s if node.slow else self.table.position_cycle_s
+        return exp(-(dt / node.tau_up)), exp(-(dt / node.tau_down))
+
+    def _run_nodes(self, slow: bool, dt: float | None) -> None:
+        waiting = False
+        for n, node in enumerate(self.table.nodes):
+            if node.slow and not slow:
+                waiting = waiting or not self._ready[n]
+                continue
+            started = self._ready[n]
+            if not started:
+                self._ready[n] = self._is_ready(node)
+                waiting = waiting or not self._ready[n]
+            value = self._run_node(n, node, started, dt)
+            if not -t.LARGEST_RESULT <= value <= t.LARGEST_RESULT:
+                value = 0.0
+                self._status |= _BIT["not_finite"]
+            self._node[n] = value
+        if waiting:
+            self._status |= _BIT["waiting"]
+
+    def _is_ready(self, node: t.Node) -> bool:
+        if isinstance(node, t.InputNode):
+            return self._usable[self._number[node.input]]
+        return all(self._ready[operand] for operand in node.of)
+
+    def _run_node(self, n: int, node: t.Node, started: bool, dt: float | None) -> float:
+        values = self._node
+        match node:
+            case t.ConstantNode():
+                return node.value
+            case t.InputNode():
+                return self._value[self._number[node.input]]
+            case t.AffineNode():
+                total = node.offset
+                for weight, operand in zip(node.weights, node.of, strict=True):
+                    total = total + weight * values[operand]
+                return total
+            case t.FirstNode():
+                return values[n] if started else values[node.of[0]]
+            case t.LagNode():
+                return self._lag(n, node, values[node.of[0]], started, dt)
+            case t.ProductNode():
+                total = values[node.of[0]]
+                for operand in node.of[1:]:
+                    total = total * values[operand]
+                return total
+            case t.PowerNode():
+                return power(values[node.of[0]], node.exponent)
+            case t.ClipNode():
+                u = values[node.of[0]]
+                return node.low if u < node.low else node.high if u > node.high else u
+            case t.SwitchNode():
+                u = values[node.of[0]]
+                return 1.0 if u >= node.on else 0.0 if u <= node.off else values[n]
+            case t.DirectionNode():
+                return self._direction(n, node, started)
+            case t.ApproachNode():
+                return self._approach(n, node, values[node.of[0]], values[node.of[1]], started)
+            case t.LookupNode():
+                return _lookup(node, values[node.of[0]])
+        raise TypeError(f"unknown node {node!r}")
+
+    def _lag(self, n: int, node: t.LagNode, u: float, started: bool, dt: float | None) -> float:
+        before, y = self._a[n], self._node[n]
+        self._a[n] = u
+        if not started:
+            return u if node.start == "input" else 0.0
+        if dt is None:
+            up, down = self._alphas[n]
+            alpha = up if before >= y else down
+        else:
+            alpha = exp(-(dt / (node.tau_up if before >= y else node.tau_down)))
+        return before + (y - before) * alpha
+
+    def _direction(self, n: int, node: t.DirectionNode, started: bool) -> float:
+        x = self._node[node.of[0]]
+        known = self._node[node.of[1]] if len(node.of) > 1 else 0.0
+        side = self._node[n]
+        if not started:
+            side = float(node.start)
+            self._a[n] = x
+        if known > 0.0:
+            side = 1.0
+            self._a[n] = x
+        elif known < 0.0:
+            side = -1.0
+            self._a[n] = x
+        elif side > 0.0:
+            if x >= self._a[n]:
+                self._a[n] = x
+            elif self._a[n] - x > node.threshold:
+                side = -1.0
+                self._a[n] = x
+        elif x <= self._a[n]:
+            self._a[n] = x
+        elif x - self._a[n] > node.threshold:
+            side = 1.0
+            self._a[n] = x
+        return side
+
+    def _approach(self, n: int, node: t.ApproachNode, x: float, side: float, started: bool) -> float:
+        way = x - self._a[n]
+        self._a[n] = x
+        if not started:
+            return side
+        if way < 0.0:
+            way = -way
+        z = self._node[n]
+        return side - (side - z) * exp(-(way / node.length)) if way > 0.0 else z
+
+    # profiles, synthesis, limits ---------------------------------------------------------------------
+
+    def _fade_target(self, lost: bool) -> float:
+        if lost:
+            return 0.0
+        target = 1.0
+        for n, channel in enumerate(self.table.inputs):
+            if channel.valid is None:
+                continue
+            v = self._value[n]
+            outside = channel.valid[0] - v if v < channel.valid[0] else v - channel.valid[1]
+            if outside > 0.0:
+                left = 1.0 - outside / channel.margin
+                if left < target:
+                    target = left
+        return target if target > 0.0 else 0.0
+
+    def _move_fade(self, target: float, dt: float, replay: bool) -> None:
+        self._fade = _towards(self._fade, target, dt, 0.0 if replay or self._fade < 0.0 else self.table.fade_s)
+        if self._fade < 1.0:
+            self._status |= _BIT["fading"]
+        if self._fade <= 0.0:
+            self._status |= _BIT["faded"]
+
+    def _components(self) -> list[float]:
+        profiles = [self._profile(n, p) for n, p in enumerate(self.table.profiles)]
+        sums = [0.0] * len(self.table.components)
+        for pair in self.table.pairs:
+            part = profiles[pair.profile] * self._node[pair.driver]
+            if not pair.keep:
+                part = part * self._fade
+            sums[self._component[pair.component]] += part
+        return sums
+
+    def _profile(self, n: int, profile: t.Profile) -> float:
+        if profile.input is None:
+            return profile.values[0] * profile.scale
+        last = len(profile.values) - 1
+        s = (self._value[self._number[profile.input]] - profile.start) * self._inverse_step[n]
+        if profile.periodic:
+            turns = s * self._inverse_turn[n]
+            whole = int(turns)
+            if turns < whole:
+                whole -= 1
+            s = s - float(whole) * last
+        elif s < 0.0 or s > last:
+            self._status |= _BIT["beyond_profile"]
+        if s < 0.0:
+            s = 0.0
+        if s > last:
+            s = float(last)
+        j = int(s)
+        if j > last - 1:
+            j = last - 1
+        f = s - j
+        left, right = profile.values[j], profile.values[j + 1]
+        return (left + f * (right - left)) * profile.scale
+
+    def _synthesis(self, components: list[float]) -> list[float]:
+        out = []
+        for output in self.table.outputs:
+            total = 0.0
+            for term in output.terms:
+                part = term.weight * components[self._component[term.component]]
+                for factor in term.factors:
+                    part = part * self._node[factor]
+                total = total + part
+            if not -t.LARGEST_RESULT <= total <= t.LARGEST_RESULT:
+                total = 0.0
+                self._status |= _BIT["not_finite"]
+            out.append(total)
+        return out
+
+    def _limit(self, deviation: list[float], dt: float, replay: bool, enable: bool) -> list[float]:
+        ramp_s = 0.0 if replay else self.table.ramp_s
+        self._ramp = _towards(self._ramp, 1.0 if enable else 0.0, dt, ramp_s)
+        if self._ramp >= 1.0:
+            self._status |= _BIT["active"]
+        elif self._ramp > 0.0:
+            self._status |= _BIT["ramping"]
+        out = []
+        for n, output in enumerate(self.table.outputs):
+            target = -deviation[n] * self._ramp
+            if output.magnitude is not None:
+                if target > output.magnitude:
+                    target = output.magnitude
+                    self._status |= _BIT["at_magnitude"]
+                if target < -output.magnitude:
+                    target = -output.magnitude
+                    self._status |= _BIT["at_magnitude"]
+            if replay or (output.slew is None and output.acceleration is None):
+                self._correction[n] = target
+            else:
+                self._approach_target(n, output, target, dt)
+            out.append(self._correction[n] * output.factor)
+        return out
+
+    def _approach_target(self, n: int, output: t.Output, target: float, dt: float) -> None:
+        """Move a correction to its target within slew and acceleration; on target, it stays on it exactly.
+
+        Rates are per cycle. Of the rates reachable in this cycle the fastest is taken from which the
+        closing speed can still be braked before the target.
+        """
+        way = target - self._correction[n]
+        drift = target - self._target[n]
+        self._target[n] = target
+        slowest, fastest = -t.LARGEST_RESULT, t.LARGEST_RESULT
+        brake = 0.0
+        if output.slew is not None:
+            fastest = output.slew * dt
+            slowest = -fastest
+        if output.acceleration is not None:
+            brake = output.acceleration * dt * dt
+            if self._rate[n] + brake < fastest:
+                fastest = self._rate[n] + brake
+            if self._rate[n] - brake > slowest:
+                slowest = self._rate[n] - brake
+        arrives = slowest <= way <= fastest
+        if arrives and brake > 0.0:
+            landing = way - drift
+            arrives = -brake <= landing <= brake
+        if arrives:
+            self._rate[n] = way
+            self._correction[n] = target
+            return
+        self._status |= _BIT["at_rate"]
+        rate = self._closing_rate(n, way, drift, slowest, fastest, brake)
+        self._rate[n] = rate
+        self._correction[n] = self._correction[n] + rate
+
+    def _closing_rate(
+        self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float
+    ) -> float:
+        """The candidates: full away, keep, full towards; without an acceleration limit always full towards."""
+        keep = self._rate[n]
+        if keep > fastest:
+            keep = fastest
+        if keep < slowest:
+            keep = slowest
+        if way > 0.0:
+            towards, away, sign = fastest, slowest, 1.0
+        else:
+            towards, away, sign = slowest, fastest, -1.0
+        if brake <= 0.0:
+            return towards
+        if _can_stop(sign * (towards - drift), sign * (way - towards), brake):
+            return towards
+        if _can_stop(sign * (keep - drift), sign * (way - keep), brake):
+            return keep
+        return away
+
+
+def _can_stop(closing: float, left: float, brake: float) -> bool:
+    """Whether a closing speed can be braked to nothing within what is left of the way (per cycle)."""
+    if closing <= 0.0:
+        return True
+    return closing * closing + closing * brake <= 2.0 * brake * left
+
+
+def _towards(value: float, target: float, dt: float, whole: float) -> float:
+    """Move from value to target by at most dt / whole; at once where whole is 0."""
+    if whole <= 0.0:
+        return target
+    step = dt / whole
+    if target > value + step:
+        return value + step
+    if target < value - step:
+        return value - step
+    return target
+
+
+def _lookup(node: t.LookupNode, u: float) -> float:
+    last = len(node.values) - 1
+    s = (u - node.start) * (1.0 / node.step)
+    if s < 0.0:
+        s = 0.0
+    if s > last:
+        s = float(last)
+    j = int(s)
+    if j > last - 1:
+        j = last - 1
+    f = s - j
+    left = node.values[j]
+    return left + f * (node.values[j + 1] - left)
