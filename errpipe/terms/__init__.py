@@ -7,6 +7,7 @@ from errpipe.terms.ambient_drift import AmbientDrift
 from errpipe.terms.angular_abbe import AngularAbbe
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.centrifugal_growth import CentrifugalGrowth
+from errpipe.terms.chebyshev import Chebyshev
 from errpipe.terms.clock_offset import ClockOffset
 from errpipe.terms.coolant_effect import CoolantEffect
 from errpipe.terms.coulomb_friction import CoulombFriction
@@ -16,17 +17,23 @@ from errpipe.terms.following_error import FollowingError
 from errpipe.terms.friction_hysteresis import FrictionHysteresis
 from errpipe.terms.gradient_bending import GradientBending
 from errpipe.terms.gravity_sag import GravitySag
+from errpipe.terms.harmonics import Harmonics
 from errpipe.terms.inertial_deflection import InertialDeflection
 from errpipe.terms.interpolation import Interpolation
 from errpipe.terms.local_wear import LocalWear
+from errpipe.terms.offset import Offset
 from errpipe.terms.pitch_cyclic import PitchCyclic
+from errpipe.terms.profile_driver import ProfileDriver
 from errpipe.terms.reversal_spike import ReversalSpike
+from errpipe.terms.run_offset import RunOffset
+from errpipe.terms.run_pose import RunPose
 from errpipe.terms.scale_error import ScaleError
 from errpipe.terms.scale_expansion import ScaleExpansion
 from errpipe.terms.screw_windup import ScrewWindup
 from errpipe.terms.sensor_drift import SensorDrift
 from errpipe.terms.sensor_fault import SensorFault
 from errpipe.terms.servo_mismatch import ServoMismatch
+from errpipe.terms.smooth_curve import SmoothCurve
 from errpipe.terms.spindle_growth import SpindleGrowth
 from errpipe.terms.squareness import Squareness
 from errpipe.terms.straightness import Straightness
@@ -76,4 +83,11 @@ TERMS = (
     SensorDrift,
     ClockOffset,
     SensorFault,
+    Chebyshev,
+    Harmonics,
+    Offset,
+    ProfileDriver,
+    RunOffset,
+    RunPose,
+    SmoothCurve,
 )
