@@ -1,0 +1,197 @@
+"""From terms and a recording to the columns of a least-squares problem, for one response or several at once.
+
+Responses that share a nuisance (a workpiece's rotation shows in two deviations) are stacked into one problem.
+Terms are evaluated on the whole recording, so that a lag sees what happened before a judged block; only then are
+rows chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, did_you_mean
+from errpipe.fitting.identifiability import Named
+from errpipe.terms._base import Parameter, Term
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A term in a problem: which block it acts in (-1: in all of them), and its linear columns."""
+
+    term: Term
+    block: int
+    columns: slice
+    nuisance: bool
+    free: tuple[Parameter, ...]  # linear parameters that are not fixed
+    searched: slice  # its part of the vector of non-linear parameters
+
+
+@dataclass
+class Problem:
+    """Stacked rows of one or several components.
+
+    rows: row numbers of the recording per block; response: (n,); sequence: integer per row, one per run and block.
+    """
+
+    recording: Recording
+    components: tuple[str, ...]
+    rows: tuple[np.ndarray, ...]
+    response: np.ndarray
+    sequence: np.ndarray
+    slots: tuple[Slot, ...]
+    width: int
+    unknowns: tuple[Parameter, ...]
+    dropped: int = 0
+    _still: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def columns_of(self, slot: Slot, nonlinear: np.ndarray) -> np.ndarray:
+        """Design columns of one slot over the stacked rows, shape (n, free linear parameters)."""
+        key = id(slot)
+        if slot.searched.start == slot.searched.stop and key in self._still:
+            return self._still[key]
+        out = np.zeros((self.response.size, len(slot.free)))
+        start = 0
+        for b, chosen in enumerate(self.rows):
+            if slot.block in (b, -1):
+                out[start : start + chosen.size] = self._basis(slot, b, nonlinear)[chosen]
+            start += chosen.size
+        if slot.searched.start == slot.searched.stop:
+            self._still[key] = out
+        return out
+
+    def _basis(self, slot: Slot, block: int, nonlinear: np.ndarray) -> np.ndarray:
+        term = slot.term
+        values = inner_values(term, nonlinear[slot.searched])
+        shared = getattr(term, "shared", None)
+        found = shared(self.recording, self.components[block]) if shared else term.basis(self.recording, *values)
+        keep = [k for k, p in enumerate(term.linear()) if p.name not in term.fixed]
+        return found if len(keep) == found.shape[1] else found[:, keep]
+
+    def design(self, nonlinear: np.ndarray) -> np.ndarray:
+        """All columns, shape (n, width)."""
+        out = np.empty((self.response.size, self.width))
+        for slot in self.slots:
+            out[:, slot.columns] = self.columns_of(slot, nonlinear)
+        return out
+
+    def derivative(self, nonlinear: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        """d(design @ coefficients)/d(non-linear), shape (n, q), by central differences through the terms."""
+        out = np.zeros((self.response.size, len(self.unknowns)))
+        for slot in self.slots:
+            for j in range(slot.searched.start, slot.searched.stop):
+                step = 1e-4 * max(abs(nonlinear[j]), 1e-9)
+                up, down = nonlinear.copy(), nonlinear.copy()
+                up[j] += step
+                down[j] -= step
+                gains = coefficients[slot.columns]
+                change = self.columns_of(slot, up) @ gains - self.columns_of(slot, down) @ gains
+                out[:, j] += change / (2 * step)
+        return out
+
+    def penalties(self) -> list[np.ndarray]:
+        """Penalty matrices of the terms that have one, each (width, width)."""
+        found = []
+        for slot in self.slots:
+            inner = slot.term.penalty()
+            if inner is not None:
+                whole = np.zeros((self.width, self.width))
+                whole[slot.columns, slot.columns] = inner
+                found.append(whole)
+        return found
+
+    def names(self) -> list[Named]:
+        """One name per design column."""
+        out = []
+        for slot in self.slots:
+            drivers = slot.term.drivers(self.recording)
+            out += [Named(p.name, slot.term.term, drivers) for p in slot.free]
+        return out
+
+
+def inner_values(term: Term, searched: np.ndarray) -> list[float]:
+    """All non-linear parameters of a term: fixed ones from the term, the others in order from `searched`."""
+    left = list(map(float, searched))
+    return [term.fixed[p.name] if p.name in term.fixed else left.pop(0) for p in term.nonlinear()]
+
+
+def response_name(recording: Recording, component: str) -> str:
+    """Name of a component's error column. Raises DataError where there is none."""
+    name = recording.name("error", component=component)
+    if name is None:
+        known = recording.components()
+        hint = did_you_mean(component, known)
+        raise DataError(f"fit: the recording has no response {component} (present: {', '.join(known)}).{hint}")
+    return name
+
+
+def assemble(
+    recording: Recording,
+    blocks: Sequence[tuple[str, Sequence[Term]]],
+    nuisance: Sequence[Term],
+    rows: np.ndarray | None = None,
+) -> Problem:
+    """The problem of fitting each component with its terms, on the rows of a mask (all where None).
+
+    Terms are settled on those rows. Rows without the response or without something a term needs are left out.
+    Raises DataError where no row is left.
+    """
+    mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
+    seen = recording if mask.all() else recording.take(mask)
+    slots, unknowns, width = [], [], 0
+    placed = [(t.settled(seen), b, False) for b, (_, terms) in enumerate(blocks) for t in terms]
+    for term in (t.settled(seen) for t in nuisance):
+        placed += [(term, -1, True)] if hasattr(term, "shared") else [(term, b, True) for b in range(len(blocks))]
+    for term, block, is_nuisance in placed:
+        free = tuple(p for p in term.linear() if p.name not in term.fixed)
+        begin = len(unknowns)
+        unknowns += term.free()
+        slots.append(Slot(term, block, slice(width, width + len(free)), is_nuisance, free, slice(begin, len(unknowns))))
+        width += len(free)
+    return _stack(recording, tuple(c for c, _ in blocks), mask, tuple(slots), width, tuple(unknowns))
+
+
+def _stack(recording, components, mask, slots, width, unknowns) -> Problem:
+    middle = np.array([_middle(p) for p in unknowns])
+    run, kept, response, sequence, dropped = recording.run_codes(), [], [], [], 0
+    probe = Problem(recording, components, (), np.empty(0), np.empty(0), slots, width, unknowns)
+    for b, component in enumerate(components):
+        y = recording.array(response_name(recording, component)).astype(float)
+        usable = np.isfinite(y) & mask
+        complete = usable.copy()
+        for slot in slots:
+            if slot.block in (b, -1):
+                complete &= np.isfinite(probe._basis(slot, b, middle)).all(axis=1)
+        dropped += int(np.count_nonzero(usable & ~complete))
+        chosen = np.flatnonzero(complete)
+        if chosen.size == 0:
+            raise DataError(f"fit: no row has both {component} and everything its terms need")
+        kept.append(chosen)
+        response.append(y[chosen] - _fixed_part(recording, b, slots)[chosen])
+        sequence.append(run[chosen] + b * (int(run.max()) + 1))
+    return Problem(
+        recording, components, tuple(kept), np.concatenate(response), np.concatenate(sequence), slots, width, unknowns,
+        dropped,
+    )  # fmt: skip
+
+
+def _middle(parameter: Parameter) -> float:
+    low, high = parameter.typical
+    return float(np.sqrt(low * high)) if low > 0 else 0.5 * (low + high)
+
+
+def _fixed_part(recording: Recording, block: int, slots: Sequence[Slot]) -> np.ndarray:
+    """What terms with fixed linear parameters add by themselves, shape (rows,)."""
+    total = np.zeros(len(recording))
+    for slot in slots:
+        term = slot.term
+        given = [k for k, p in enumerate(term.linear()) if p.name in term.fixed]
+        if slot.block == block and given:
+            if slot.searched.stop > slot.searched.start:
+                raise DataError(f"fit: {term.term} fixes a linear parameter, so its non-linear ones must be fixed too")
+            basis = term.basis(recording, *inner_values(term, np.empty(0)))
+            total = total + basis[:, given] @ np.array([term.fixed[term.linear()[k].name] for k in given])
+    return total

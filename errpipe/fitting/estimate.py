@@ -1,0 +1,240 @@
+"""Solve one assembled problem: non-linear search, linear solve by the method asked for, covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.fitting import identifiability, separable, solve, uncertainty
+from errpipe.fitting.design import Problem
+from errpipe.fitting.spec import ModelSpec
+
+ROUNDS = 3  # of search and robust weights, each with the other's last answer; the third moves nothing that shows
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Linear coefficients (width,), non-linear values (q,), and covariance of both together (width + q squared)."""
+
+    coefficients: np.ndarray
+    nonlinear: np.ndarray
+    residual: np.ndarray
+    degrees: float
+    strength: tuple[float, ...]
+    covariance: np.ndarray | None = None
+    noise: uncertainty.Noise | None = None
+    rows_effective: float = 0.0
+    freedom: float = 0.0
+
+
+def estimate(
+    problem: Problem, spec: ModelSpec, *, folds: Sequence[tuple[np.ndarray, np.ndarray]] = (), intervals: bool = True
+) -> Estimate:
+    """Solve `problem` as `spec` asks. folds: row masks of the recording, for the strength of ridge.
+
+    Raises NotIdentifiable where the rows cannot tell parameters apart (not for ridge, which is the remedy).
+    """
+    if problem.width == 0:
+        return _nothing(problem)
+    priors = _priors(problem, spec)
+    penalties = problem.penalties()
+    if problem.unknowns:
+        nonlinear, found = _separable(problem, spec, penalties, priors, folds)
+    else:
+        nonlinear = np.empty(0)
+        found = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
+    if penalties and spec.method == "linear" and found.residual.size > 3 * found.degrees:
+        found = _again_with_memory(problem, nonlinear, penalties, priors, found)
+    design = problem.design(nonlinear)
+    penalty = _penalty(problem, spec, penalties, found, priors)
+    if intervals and spec.method != "ridge":
+        identifiability.check(
+            design, problem.names(), problem.recording,
+            component=" and ".join(problem.components), penalty=penalty, most=spec.most_inflation,
+        )  # fmt: skip
+    plain = Estimate(found.coefficients, nonlinear, found.residual, found.degrees + nonlinear.size, found.strength)
+    return _with_intervals(plain, problem, spec, design, penalty) if intervals else plain
+
+
+def _nothing(problem: Problem) -> Estimate:
+    rms = float(np.sqrt(np.mean(problem.response**2)))
+    noise = uncertainty.Noise(rms, 0.0, 0.0)
+    return Estimate(
+        np.empty(0), np.empty(0), problem.response, 0.0, (), np.empty((0, 0)), noise, float(problem.response.size),
+        float(problem.response.size),
+    )  # fmt: skip
+
+
+def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None) -> solve.Solution:
+    y = problem.response
+    if spec.method == "ridge":
+        return solve.ridge(design, y, _shrunk(problem), folds=[_within(problem, f) for f in folds])
+    if penalties:
+        found = solve.penalised(design, y, penalties, priors=priors, rows_effective=rows_effective)
+        if spec.method == "linear":
+            return found
+        first = solve.robust(design, y, penalty=_sum(penalties, found.strength), priors=priors, loss=spec.loss)
+        found = solve.penalised(design, y, penalties, weights=first.weights, priors=priors)
+        again = solve.robust(design, y, penalty=_sum(penalties, found.strength), priors=priors, loss=spec.loss)
+        return solve.Solution(**(again.__dict__ | {"strength": found.strength}))
+    if spec.method == "robust":
+        return solve.robust(design, y, priors=priors, loss=spec.loss)
+    noise = _noise_guess(design, y) if priors else 1.0
+    return solve.least_squares(design, y, priors=priors, noise=noise)
+
+
+def _noise_guess(design: np.ndarray, y: np.ndarray) -> float:
+    found = solve.least_squares(design, y)
+    return float(np.sqrt(np.sum(found.residual**2) / max(y.size - found.degrees, 1.0)))
+
+
+def _again_with_memory(problem, nonlinear, penalties, priors, found) -> solve.Solution:
+    """A smooth curve chosen as if rows were independent follows noise that has a memory: choose once more."""
+    design = problem.design(nonlinear)
+    noise = uncertainty.noise_model(problem.sequence, design, found.residual, _sum(penalties, found.strength))
+    effective = uncertainty.rows_effective(problem.sequence, noise)
+    if effective > 0.8 * found.residual.size:
+        return found
+    return solve.penalised(design, problem.response, penalties, priors=priors, rows_effective=effective)
+
+
+def _separable(problem, spec, penalties, priors, folds):
+    """Alternate: non-linear parameters for given weights, then weights and linear parameters for these."""
+    moving = [s for s in problem.slots if s.searched.stop > s.searched.start]
+    still = [s for s in problem.slots if s.searched.stop == s.searched.start]
+    unknowns = [
+        separable.Unknown(p.name, *_bounds(p), _starts(slot, p))
+        for slot in moving
+        for p in slot.term.free()
+    ]  # fmt: skip
+    order = np.r_[tuple(slice(s.columns.start, s.columns.stop) for s in (*still, *moving))] if problem.width else []
+    fixed = len(order) - sum(len(s.free) for s in moving)
+    nothing = np.array([_middle(u) for u in unknowns])
+    weights, nonlinear, found, extra = np.ones(problem.response.size), None, None, np.empty((0, problem.width))
+    for _ in range(ROUNDS if spec.method == "robust" or penalties else 1):
+        root = np.sqrt(weights)[:, None]
+        below = extra[:, order]
+        constant = [problem.columns_of(s, nothing) for s in still]
+        held = np.vstack([np.hstack([np.empty((root.size, 0)), *constant]) * root, below[:, :fixed]])
+
+        def columns(values, root=root, below=below):
+            return np.vstack([np.hstack([problem.columns_of(s, values) for s in moving]) * root, below[:, fixed:]])
+
+        response = np.r_[problem.response * root[:, 0], np.zeros(below.shape[0])]
+        before = nonlinear
+        nonlinear = separable.search(columns, held, response, unknowns, begin=nonlinear)
+        found = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
+        weights = found.weights if spec.method == "robust" else weights
+        extra = _factor(_sum(penalties, found.strength)) if penalties else extra
+        if before is not None and np.allclose(before, nonlinear, rtol=1e-5):
+            break
+    return nonlinear, found
+
+
+def _bounds(parameter) -> tuple[float, float]:
+    low, high = parameter.bounds
+    span = parameter.typical
+    wide = 10.0 * max(abs(span[0]), abs(span[1]), 1e-6)
+    return (low if np.isfinite(low) else -wide, high if np.isfinite(high) else wide)
+
+
+def _starts(slot, parameter) -> tuple[float, ...]:
+    """Where to begin: the term's own list, else spread over what is typical, with the bounds' sides beyond it."""
+    own = slot.term.starts(parameter.name)
+    if own:
+        return own
+    low, high = parameter.typical
+    if 0 < low < high:
+        inside = np.geomspace(low, high, separable.STARTS - 4)
+        outer = [max(low / 3, parameter.bounds[0]), max(low / 10, parameter.bounds[0])]
+        beyond = [min(high * 3, parameter.bounds[1]), min(high * 10, parameter.bounds[1])]
+        return tuple(sorted({*map(float, inside), *map(float, outer), *map(float, beyond)}))
+    return tuple(np.linspace(low, high, separable.STARTS))
+
+
+def _middle(unknown: separable.Unknown) -> float:
+    trial = unknown.trial()
+    return float(trial[trial.size // 2])
+
+
+def _factor(penalty: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(penalty)
+    keep = values > 1e-12 * max(values.max(), 1e-300)
+    return np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+
+
+def _sum(penalties, strengths) -> np.ndarray:
+    return sum(s * p for s, p in zip(strengths, penalties, strict=True))
+
+
+def _shrunk(problem: Problem) -> np.ndarray:
+    shrunk = np.zeros(problem.width, dtype=bool)
+    for slot in problem.slots:
+        shrunk[slot.columns] = not slot.nuisance and slot.term.term != "offset"
+    return shrunk
+
+
+def _within(problem: Problem, fold) -> tuple[np.ndarray, np.ndarray]:
+    rows = np.concatenate(problem.rows)
+    return fold[0][rows], fold[1][rows]
+
+
+def _penalty(problem, spec, penalties, found, priors) -> np.ndarray | None:
+    """What the solve added to the normal matrix, shape (width, width)."""
+    total = np.zeros((problem.width, problem.width))
+    if spec.method == "ridge":
+        return None
+    if penalties:
+        total += _sum(penalties, found.strength)
+    if priors:
+        noise = float(np.sqrt(np.mean(found.residual**2)))
+        for p in priors:
+            total[p.column, p.column] += (noise / p.spread) ** 2
+    return total if penalties or priors else None
+
+
+def _priors(problem: Problem, spec: ModelSpec) -> list[solve.Prior]:
+    found = []
+    for component in spec.components:
+        b = problem.components.index(component.component) if component.component in problem.components else None
+        for prior in component.priors:
+            for slot in problem.slots:
+                for k, p in enumerate(slot.free):
+                    if slot.block == b and slot.term.term == prior.term and p.name == prior.parameter:
+                        found.append(solve.Prior(slot.columns.start + k, prior.value, prior.spread))
+    return found
+
+
+def _with_intervals(plain: Estimate, problem: Problem, spec: ModelSpec, design, penalty) -> Estimate:
+    jacobian, wide = design, penalty
+    if plain.nonlinear.size:
+        jacobian = np.hstack([design, problem.derivative(plain.nonlinear, plain.coefficients)])
+        if penalty is not None:
+            wide = np.zeros((jacobian.shape[1],) * 2)
+            wide[: penalty.shape[0], : penalty.shape[0]] = penalty
+    scores, curvature = plain.residual, None
+    if spec.method == "robust":
+        scale = max(solve.scale_of(plain.residual, plain.degrees), 1e-300)
+        psi, slope = solve.influence(plain.residual / scale, spec.loss)
+        scores, curvature = psi * scale, np.maximum(slope, 0.0)
+    if spec.method == "ridge":
+        wide = _ridge_penalty(problem, design, plain.strength[0], jacobian.shape[1])
+    inverse = solve.least_squares(jacobian, np.zeros(scores.size), weights=curvature, penalty=wide).inverse
+    noise = uncertainty.noise_model(problem.sequence, jacobian, scores, wide)
+    spread = uncertainty.covariance(problem.sequence, jacobian, inverse, noise, scores, wide)
+    effective = uncertainty.rows_effective(problem.sequence, noise)
+    freedom = uncertainty.degrees_of_freedom(scores.size, plain.degrees, noise)
+    return Estimate(
+        plain.coefficients, plain.nonlinear, plain.residual, plain.degrees, plain.strength, spread, noise, effective,
+        freedom,
+    )  # fmt: skip
+
+
+def _ridge_penalty(problem: Problem, design: np.ndarray, strength: float, size: int) -> np.ndarray:
+    shrunk = _shrunk(problem)
+    spread = solve.spread_of(design, shrunk)
+    whole = np.zeros((size, size))
+    whole[: problem.width, : problem.width] = np.diag(spread**2 * shrunk) * design.shape[0] * strength
+    return whole

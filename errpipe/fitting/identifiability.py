@@ -1,0 +1,135 @@
+"""Can these rows tell these parameters apart? If not: which two, why, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import NotIdentifiable
+
+MOST_INFLATION = 200.0  # of a variance by the other columns: a correlation of 0.9975; beyond it the names are arbitrary
+
+
+@dataclass(frozen=True)
+class Named:
+    """One design column: parameter, term, the columns of the recording that drive it."""
+
+    parameter: str
+    term: str
+    drivers: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.parameter} ({self.term})"
+
+
+def check(
+    design: np.ndarray,
+    names: Sequence[Named],
+    recording: Recording,
+    *,
+    component: str,
+    penalty: np.ndarray | None = None,
+    most: float = MOST_INFLATION,
+) -> np.ndarray:
+    """Variance inflation of each column, shape (p,), about the level where the design has one.
+
+    Raises NotIdentifiable naming the columns that stand in for each other, and a remedy. A column that never
+    moves is refused too.
+    """
+    length = np.sqrt(np.sum(design**2, axis=0))
+    for k in np.flatnonzero(length == 0):
+        raise NotIdentifiable(_never_moves(names[k], component))
+    scaled = design / length
+    gram = scaled.T @ scaled
+    if penalty is not None:
+        gram = gram + penalty / np.outer(length, length)
+    level = [k for k, n in enumerate(names) if n.term == "offset"]
+    values, vectors = np.linalg.eigh(gram)
+    spread = _spread(scaled) if level else np.ones(design.shape[1])
+    if values[0] <= 1e-13 * values[-1]:
+        raise NotIdentifiable(_words(vectors[:, 0], scaled, names, recording, component))
+    inflation = np.diag(vectors / values @ vectors.T) * spread**2
+    inflation[level] = 1.0
+    worst = int(np.argmax(inflation))
+    if inflation[worst] > most:
+        inverse = vectors / values @ vectors.T
+        direction = inverse[:, worst] / np.sqrt(np.diag(inverse) * inverse[worst, worst])
+        direction[level] = 0.0
+        raise NotIdentifiable(_words(direction, scaled, names, recording, component))
+    return inflation
+
+
+def _spread(scaled: np.ndarray) -> np.ndarray:
+    """Share of each unit-length column that is not its mean."""
+    return np.sqrt(np.maximum(1.0 - scaled.shape[0] * scaled.mean(axis=0) ** 2, 1e-12))
+
+
+def _words(direction, scaled, names, recording, component) -> str:
+    order = np.argsort(-np.abs(direction), kind="stable")
+    one, two = names[order[0]], names[order[1]]
+    r = _correlation(scaled[:, order[0]], scaled[:, order[1]])
+    involved = [names[k] for k in order if abs(direction[k]) > 0.1 * abs(direction[order[0]])]
+    if abs(r) < 0.95 and len(involved) > 2:
+        listed = ", ".join(map(str, involved[1:6]))
+        return (
+            f"fit: {one} of {component} is a combination of {listed}"
+            + (" and others" if len(involved) > 6 else "")
+            + f" on these rows.\n     {_remedy(one, two, recording)}"
+        )
+    why = _why(one, two, recording)
+    return (
+        f"fit: {one} and {two} of {component} cannot be told apart: {why} (correlation {abs(r):.3f})."
+        f"\n     {_remedy(one, two, recording)}"
+    )
+
+
+def _never_moves(name: Named, component: str) -> str:
+    what = " and ".join(name.drivers) or "its driver"
+    return (
+        f"fit: {name} of {component} cannot be found: {what} never moves it away from zero on these rows."
+        f"\n     Leave the term out, or record a run in which {what} changes."
+    )
+
+
+def _why(one: Named, two: Named, recording: Recording) -> str:
+    first = [c for c in one.drivers if c not in two.drivers]
+    second = [c for c in two.drivers if c not in one.drivers]
+    for a in first:
+        for b in second:
+            if _numeric(recording, a) and _numeric(recording, b):
+                r = _correlation(recording.array(a), recording.array(b))
+                if abs(r) > 0.95:
+                    return f"{a} {'rose' if r > 0 else 'fell'} with {b}"
+    for c in (*first, *second):
+        if c in recording.names("temperature"):
+            return f"{c} hardly changed"
+    return "they say the same twice" if not first and not second else "their columns move together in every run"
+
+
+def _remedy(one: Named, two: Named, recording: Recording) -> str:
+    warm = set(recording.names("temperature"))
+    first, second = set(one.drivers) & warm, set(two.drivers) & warm
+    if not set(one.drivers) ^ set(two.drivers):
+        return "Leave one of them out, or fix its value."
+    if first and second and first != second:
+        return "Leave one sensor out, use method: ridge, or record a run in which the two temperatures part."
+    if first | second:
+        return "Fix one of them, or record runs at clearly different temperatures."
+    return "Fix one of them, or record a run in which they part."
+
+
+def _numeric(recording: Recording, name: str) -> bool:
+    return name in recording.frame.columns and recording.frame[name].dtype.kind == "f"
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    known = np.isfinite(a) & np.isfinite(b)
+    x, y = a[known] - a[known].mean(), b[known] - b[known].mean()
+    size = np.sqrt(float(x @ x) * float(y @ y))
+    if size < 1e-12:  # a level: compare as they stand
+        x, y = a[known], b[known]
+        size = np.sqrt(float(x @ x) * float(y @ y))
+    return float(x @ y / size) if size > 0 else 1.0

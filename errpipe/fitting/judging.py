@@ -1,0 +1,154 @@
+"""Models judged by rows that had no say in them: residuals of held-out groups, and what they size.
+
+Where a recording has nuisance (the datum of a run, the pose of a workpiece), it is solved for on the judged rows
+too, for the model and for doing nothing alike, and the degrees of freedom that costs are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting.components import (
+    evaluate,
+    folds_of,
+    groups_of,
+    solved_plainly,
+    without_nuisance,
+)
+from errpipe.fitting.design import assemble, response_name
+from errpipe.fitting.holdout import Fold, check
+from errpipe.fitting.spec import ComponentSpec, ModelSpec
+from errpipe.fitting.validity import distance
+
+TIE = 0.01  # a term must take at least this share of the held-out error away to stay (from taste)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One group that sat out. before: response without the model; after: what the model leaves; shape (n,).
+
+    rows: row numbers; outside: distance from the validity box of the rows that fitted, (n,); used: degrees of freedom
+    that nuisance took on these rows.
+    """
+
+    label: str
+    rows: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    outside: np.ndarray
+    used: float
+
+    def rms(self, values: np.ndarray) -> float:
+        """Root mean square of `values` over the degrees of freedom left, in the response's unit."""
+        return float(np.sqrt(np.sum(values**2) / max(values.size - self.used, 1.0)))
+
+
+def judge(recording: Recording, spec: ModelSpec, fold: Fold, gain: float = 1.0) -> dict[str, HeldOut]:
+    """Fit on one side of a fold, judge on the other, per component. gain: share of the model that is applied."""
+    check(fold)
+    out = {}
+    model = solved_plainly(recording, spec, fold.train)
+    values = evaluate(model, recording)
+    for group in groups_of(spec):
+        out.update(_left(recording, spec, group, fold, values, model, gain))
+    return out
+
+
+def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, values, model: ErrorModel, gain):
+    usable = fold.test.copy()
+    for component in group:
+        usable &= np.isfinite(values[component.component])
+    if not usable.any():
+        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
+    problem = assemble(recording, [(c.component, ()) for c in group], spec.nuisance, usable)
+    predicted = np.concatenate([values[c][r] for c, r in zip(problem.components, problem.rows, strict=True)])
+    before = without_nuisance(problem, problem.response)
+    after = without_nuisance(problem, problem.response - gain * predicted)
+    used = float(np.linalg.matrix_rank(problem.design(np.empty(0)))) if problem.width else 0.0
+    far, out, start = distance(model.validity, recording), {}, 0
+    for component, rows in zip(problem.components, problem.rows, strict=True):
+        part = slice(start, start + rows.size)
+        share = used * rows.size / problem.response.size
+        out[component] = HeldOut(fold.label, rows, before[part], after[part], far[rows], share)
+        start = part.stop
+    return out
+
+
+def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[str, list[HeldOut]]:
+    """`judge` for every fold of the specification's hold-out inside the rows of a mask."""
+    out: dict[str, list[HeldOut]] = {c.component: [] for c in spec.components}
+    for fold in folds_of(recording, spec, mask):
+        for component, found in judge(recording, spec, fold).items():
+            out[component].append(found)
+    return out
+
+
+def calibrated(model: ErrorModel, judged: dict[str, list[HeldOut]]) -> ErrorModel:
+    """The model with the half width of its 90 % prediction interval, inside the box and beyond it."""
+    components = []
+    for component in model.components:
+        folds = judged[component.component]
+        half = half_width90(folds)
+        components.append(
+            component.model_copy(update={"half_width90": half, "widening90": widening90(folds, half)})
+        )  # fmt: skip
+    return model.model_copy(update={"components": tuple(components)})
+
+
+def half_width90(folds: Sequence[HeldOut]) -> float:
+    """90 % quantile of the held-out error inside the box (conformal by group: every group weighs the same)."""
+    size = np.concatenate([np.abs(f.after) for f in folds])
+    weight = np.concatenate([np.full(f.rows.size, 1.0 / f.rows.size) for f in folds])
+    inside = np.concatenate([f.outside for f in folds]) <= 0.0
+    if np.count_nonzero(inside) >= 0.2 * size.size:
+        size, weight = size[inside], weight[inside]
+    order = np.argsort(size, kind="stable")
+    reached = np.cumsum(weight[order]) / weight.sum()
+    return float(size[order][min(int(np.searchsorted(reached, 0.9)), size.size - 1)])
+
+
+def widening90(folds: Sequence[HeldOut], half: float) -> float:
+    """Half width added per range's width outside the box: from held-out rows outside, else one `half` (from taste)."""
+    size = np.concatenate([np.abs(f.after) for f in folds])
+    outside = np.concatenate([f.outside for f in folds])
+    beyond = outside > 0.02
+    if np.count_nonzero(beyond) < 50:
+        return half
+    return max(float(np.quantile(np.maximum(size[beyond] - half, 0.0) / outside[beyond], 0.9)), half)
+
+
+def select(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ModelSpec:
+    """Leave out, one by one, the terms without which held-out rows do no worse; doing nothing wins ties."""
+    kept = []
+    for component in spec.components:
+        terms = list(component.terms)
+        score = _score(recording, spec, component, terms, mask)
+        while terms:
+            tried = [
+                (_score(recording, spec, component, terms[:k] + terms[k + 1 :], mask), k) for k in range(len(terms))
+            ]
+            best, k = min(tried)
+            if best > score * (1.0 + TIE):
+                break
+            score = best
+            terms.pop(k)
+        kept.append(component.model_copy(update={"terms": tuple(terms)}))
+    return spec.model_copy(update={"components": tuple(kept), "selection": "none"})
+
+
+def _score(recording, spec, component, terms, mask) -> float:
+    one = component.model_copy(update={"terms": tuple(terms), "priors": ()})
+    alone = spec.model_copy(update={"components": (one,), "selection": "none"})
+    judged = judge_all(recording, alone, mask)[component.component]
+    return float(np.sqrt(np.mean([f.rms(f.after) ** 2 for f in judged])))
+
+
+def responses(recording: Recording, spec: ModelSpec) -> dict[str, np.ndarray]:
+    """The recorded response of every component, shape (rows,)."""
+    return {c.component: recording.array(response_name(recording, c.component)) for c in spec.components}

@@ -1,0 +1,45 @@
+"""fit: a recording and a specification -> an error model. evaluate: the model's deviations on any recording."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting.components import evaluate, solved, term_of
+from errpipe.fitting.judging import calibrated, judge_all, select
+from errpipe.fitting.spec import ComponentSpec, ModelSpec, PriorSpec
+
+__all__ = ["ComponentSpec", "ModelSpec", "PriorSpec", "evaluate", "fit", "term_of"]
+
+NORMAL90 = 1.645
+
+
+def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None, calibrate: bool = True) -> ErrorModel:
+    """Fit every component of `spec` on the rows of a mask (all where None).
+
+    calibrate: refit without each hold-out group to size the 90 % prediction interval. Where the specification asks
+    for selection, terms that held-out rows do not need are left out. Raises DataError where a response or a needed
+    column is missing, NotIdentifiable where the rows cannot tell parameters apart.
+    """
+    mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
+    chosen = select(recording, spec, mask) if spec.selection == "held-out" else spec
+    model = solved(recording, chosen, mask)
+    if not calibrate:
+        return model
+    try:
+        judged = judge_all(recording, chosen, mask)
+    except DataError as why:
+        return _uncalibrated(model, str(why))
+    return calibrated(model, judged)
+
+
+def _uncalibrated(model: ErrorModel, why: str) -> ErrorModel:
+    """Nothing can sit out: the interval is that of the fitted rows, and a note says so."""
+    components = tuple(
+        c.model_copy(update={"half_width90": NORMAL90 * c.rms_after, "widening90": NORMAL90 * c.rms_after})
+        for c in model.components
+    )
+    note = f"the prediction interval comes from the fitted rows themselves and is likely too narrow ({why})"
+    return model.model_copy(update={"components": components, "notes": (*model.notes, note)})

@@ -1,0 +1,62 @@
+"""What a fit is asked for, as it stands in a pipeline file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Union
+
+from pydantic import Field, model_validator
+
+from errpipe.domain.recording import Frozen
+from errpipe.fitting.holdout import HoldOut
+from errpipe.terms import TERMS
+
+AnyTerm = Annotated[Union[tuple(TERMS)], Field(discriminator="term")]  # noqa: UP007  (made from the registry)
+
+
+class PriorSpec(Frozen):
+    """What is known of a parameter before the fit: about `value`, give or take `spread`."""
+
+    term: str = Field(description="Id of the term.")
+    parameter: str = Field(description="Name of one of its linear parameters.")
+    value: float = Field(description="In the parameter's unit.")
+    spread: float = Field(gt=0, description="One standard deviation, in the parameter's unit.")
+
+
+class ComponentSpec(Frozen):
+    """The terms that one response is fitted with."""
+
+    component: str = Field(description="Response of the recording, such as EXX or E_Z.")
+    terms: tuple[AnyTerm, ...] = Field((), description="Terms whose sum is the deviation; none: do nothing.")
+    priors: tuple[PriorSpec, ...] = Field((), description="What is known before.")
+
+
+class ModelSpec(Frozen):
+    """A model to fit: one response or several, what is nuisance, and how to solve."""
+
+    components: tuple[ComponentSpec, ...] = Field(min_length=1, description="Responses and their terms.")
+    nuisance: tuple[AnyTerm, ...] = Field((), description="Set-up, not machine: fitted, never compensated.")
+    method: Literal["linear", "ridge", "robust"] = Field(
+        "linear", description="Least squares; ridge where sensors resemble each other; robust against outliers."
+    )
+    loss: Literal["huber", "tukey"] = Field("tukey", description="How the robust method weighs large residuals.")
+    datum: Literal["absolute", "run_start"] = Field(
+        "absolute", description="What zero means: the machine's own zero, or each run's first row."
+    )
+    holdout: HoldOut = Field(HoldOut(), description="Rows that sit out to size intervals, ridge and selection.")
+    selection: Literal["none", "held-out"] = Field(
+        "none", description="held-out: leave out, one by one, terms without which held-out rows do no worse."
+    )
+    most_inflation: float = Field(
+        200.0, gt=1, description="Refuse a parameter whose variance the other columns inflate by more than this."
+    )
+
+    @model_validator(mode="after")
+    def _each_once(self) -> ModelSpec:
+        names = [c.component for c in self.components]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"component {twice[0]} is listed twice")
+        for term in self.nuisance:
+            if term.compensable:
+                raise ValueError(f"{term.term} cannot be nuisance: it is the machine's (allowed: run_offset, run_pose)")
+        return self

@@ -1,0 +1,170 @@
+"""How well parameters are known when neighbouring rows share their noise.
+
+Rows of a machine's log are not independent draws: the noise has a memory of its own, and what a model leaves
+out repeats within a run. Counting rows gives intervals that are several times too narrow. Two estimates:
+
+* noise model: white plus first-order autoregressive noise within each run, its two shape parameters by restricted
+  likelihood (which, unlike the autocorrelation of residuals, does not forget that p parameters were fitted);
+* runs: the sandwich over runs, which assumes nothing about what happens inside one, where runs are enough to ask.
+
+The noise model's covariance is stated; where the runs disagree by clearly more than their own uncertainty (the
+model leaves something out), the larger of the two is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+from scipy.stats import chi2, t
+
+from errpipe.fitting.solve import one_thread
+from errpipe.kernels import whitening
+
+RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)
+SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)
+MOST_ROWS = 20_000  # rows the noise model is fitted to; further ones change its third digit
+FEWEST_RUNS = 6  # fewer runs say nothing about their spread
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation, and the share of the variance that is correlated by `rho` from row to row."""
+
+    sigma: float
+    rho: float
+    share: float
+
+    def inflation(self) -> float:
+        """Rows per independent row, for a mean over a long run."""
+        return 1.0 + 2.0 * self.share * self.rho / (1.0 - self.rho)
+
+
+def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, penalty: np.ndarray | None) -> Noise:
+    """Restricted maximum likelihood of the noise behind a least-squares residual.
+
+    sequence: integer per row, (n,); jacobian: (n, p); residual: (n,), of fitting p parameters; penalty: (p, p).
+    """
+    if residual.size > MOST_ROWS:
+        sequence, jacobian, residual = _some_rows(sequence, jacobian, residual)
+    both = np.column_stack([jacobian / _length(jacobian), residual])
+    scaled = None if penalty is None else penalty / np.outer(_length(jacobian), _length(jacobian))
+
+    def cost(rho: float, share: float) -> tuple[float, float]:
+        return _restricted(*whitening.innovations(sequence, both, rho, share), scaled)
+
+    with one_thread():
+        white = cost(0.0, 0.0)
+        if not np.isfinite(white[0]):
+            return Noise(float(np.sqrt(np.mean(residual**2))), 0.0, 0.0)
+        start = min((cost(r, s)[0], r, s) for r in RHO for s in SHARE)
+        best = minimize(
+            lambda v: cost(float(expit(v[0])), float(expit(v[1])))[0],
+            logit([start[1], start[2]]), method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 80},
+        )  # fmt: skip
+        rho, share = min(float(expit(best.x[0])), _longest_memory(sequence)), float(expit(best.x[1]))
+        # Two more parameters must earn their keep, or noise of no memory would get one by chance.
+        if white[0] - best.fun < 1.0:
+            rho, share = 0.0, 0.0
+        return Noise(cost(rho, share)[1], rho, share)
+
+
+def _longest_memory(sequence: np.ndarray) -> float:
+    """A memory beyond a quarter of a run cannot be told from a trend in it: rho is capped there."""
+    lengths = np.unique(sequence, return_counts=True)[1]
+    return min(0.9995, max(0.9, 1.0 - 4.0 / float(lengths.max())))
+
+
+def _restricted(whitened: np.ndarray, logdet: float, penalty: np.ndarray | None) -> tuple[float, float]:
+    """(minus log restricted likelihood, sigma) of whitened [jacobian | residual]."""
+    design, response = whitened[:, :-1], whitened[:, -1]
+    gram = design.T @ design if penalty is None else design.T @ design + penalty
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-12 * max(values.max(initial=0.0), 1e-300)
+    inner = (vectors[:, keep].T @ (design.T @ response)) ** 2 / values[keep]
+    degrees = response.size - int(keep.sum())
+    if degrees < 3:
+        return np.inf, np.nan
+    left = max(float(response @ response) - float(inner.sum()), 1e-300)
+    return 0.5 * (degrees * np.log(left / degrees) + logdet + float(np.log(values[keep]).sum())), np.sqrt(
+        left / degrees
+    )
+
+
+def _some_rows(sequence, jacobian, residual):
+    """Whole sequences, spread over the recording, up to MOST_ROWS; a part of the first where one is longer."""
+    starts = np.flatnonzero(np.r_[True, sequence[1:] != sequence[:-1]])
+    ends = np.r_[starts[1:], sequence.size]
+    chosen, count = np.zeros(sequence.size, dtype=bool), 0
+    for k in np.argsort([(7 * i) % 97 for i in range(starts.size)], kind="stable"):
+        take = min(ends[k] - starts[k], MOST_ROWS - count)
+        chosen[starts[k] : starts[k] + take] = True
+        count += take
+        if count >= MOST_ROWS:
+            break
+    return sequence[chosen], jacobian[chosen], residual[chosen]
+
+
+def _length(jacobian: np.ndarray) -> np.ndarray:
+    length = np.sqrt(np.sum(jacobian**2, axis=0))
+    return np.where(length > 0, length, 1.0)
+
+
+def covariance(
+    sequence: np.ndarray,
+    jacobian: np.ndarray,
+    inverse: np.ndarray,
+    noise: Noise,
+    scores: np.ndarray,
+    penalty: np.ndarray | None = None,
+) -> np.ndarray:
+    """Covariance of the parameters, shape (p, p).
+
+    inverse: (J'J + penalty)^-1 of the solve; scores: residuals as they entered the last step, (n,), zero where a
+    robust solve dropped the row. What a penalty pulls away counts as spread too (Nychka 1988): without it intervals
+    of a smooth curve would miss by its bias.
+    """
+    with one_thread():
+        spread = noise.sigma**2 * (jacobian.T @ whitening.correlated(sequence, jacobian, noise.rho, noise.share))
+        if penalty is not None:
+            spread = spread + noise.sigma**2 * noise.inflation() * penalty
+        modelled = inverse @ spread @ inverse
+        between = _between(sequence, jacobian, inverse, scores)
+    if between is None:
+        return modelled
+    runs, seen = between
+    ratio = np.sqrt(np.maximum(np.diag(seen), 0.0) / np.maximum(np.diag(modelled), 1e-300))
+    doubt = np.sqrt(chi2.ppf(0.95, runs - 1) / (runs - 1))
+    factor = np.where(ratio > doubt, ratio, 1.0)
+    return modelled * np.outer(factor, factor)
+
+
+def _between(sequence, jacobian, inverse, scores) -> tuple[int, np.ndarray] | None:
+    runs = np.unique(sequence)
+    if runs.size < FEWEST_RUNS:
+        return None
+    moved = np.array([inverse @ (jacobian[sequence == k].T @ scores[sequence == k]) for k in runs])
+    return runs.size, moved.T @ moved * runs.size / (runs.size - 1)
+
+
+def rows_effective(sequence: np.ndarray, noise: Noise) -> float:
+    """How many independent rows weigh as much as these, for a mean: n over the sum of the autocorrelation."""
+    lengths = np.unique(sequence, return_counts=True)[1].astype(float)
+    if noise.rho <= 0.0 or noise.share <= 0.0:
+        return float(lengths.sum())
+    r = noise.rho
+    tail = 2 * noise.share * r / (1 - r) * (1 - (1 - r**lengths) / (lengths * (1 - r)))
+    return float(np.sum(lengths / (1.0 + tail)))
+
+
+def degrees_of_freedom(rows: int, parameters: float, noise: Noise) -> float:
+    """Degrees of freedom behind `noise.sigma`: rows over the sum of the squared autocorrelation, less parameters."""
+    memory = 1.0 + 2.0 * (noise.share * noise.rho) ** 2 / (1.0 - noise.rho**2)
+    return max((rows - parameters) / memory, 2.0)
+
+
+def half_width(standard_error: np.ndarray | float, degrees: float, level: float = 0.95) -> np.ndarray | float:
+    """Half width of a parameter's interval with `degrees` of freedom behind its noise."""
+    return standard_error * float(t.ppf(0.5 + level / 2.0, max(degrees, 2.0)))
