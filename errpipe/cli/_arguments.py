@@ -1,0 +1,53 @@
+"""Arguments and first steps that several verbs share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from errpipe.errors import UsageError
+
+PipelineFile = typer.Argument(..., metavar="PIPELINE", help="The pipeline file (YAML).", show_default=False)
+Out = typer.Option(
+    None, "--out", metavar="DIR", help="Folder for the outputs; default: out/<name of the pipeline file>.",
+    show_default=False,
+)  # fmt: skip
+To = typer.Option(None, "--to", metavar="STAGE", help="Only this stage and what it reads.", show_default=False)
+Sets = typer.Option(
+    [], "--set", metavar="STAGE.KEY=VALUE", help="Set one key for this run; the value is YAML. Repeatable.",
+    show_default=False,
+)  # fmt: skip
+Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage in any case. Repeatable.", show_default=False)
+At = typer.Option(
+    [], "--at", metavar="INPUT=VALUE", help="Value of one input, in its canonical unit. Repeatable.", show_default=False
+)
+Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
+
+
+def load(file: Path, sets: list[str]) -> Any:
+    """The pipeline, read with the stages of errpipe. Raises ConfigError, UsageError."""
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+
+    return load_pipeline(file, STAGES, sets=sets)
+
+
+def out_of(file: Path, out: Path | None) -> Path:
+    """Where outputs go when the command line does not say."""
+    return out if out is not None else Path("out") / file.stem
+
+
+def values(at: list[str]) -> dict[str, float]:
+    """The inputs of `--at x=100 --at T_nut=25`. Raises UsageError."""
+    found: dict[str, float] = {}
+    for text in at:
+        name, equals, value = text.partition("=")
+        try:
+            if not equals or not name.strip():
+                raise ValueError
+            found[name.strip()] = float(value)
+        except ValueError:
+            raise UsageError(f"--at {text}: not of the form INPUT=VALUE, such as x=100") from None
+    return found

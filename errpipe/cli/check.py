@@ -1,0 +1,87 @@
+"""`errpipe check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from errpipe.cli._arguments import Json
+from errpipe.errors import ConfigError, Problem
+
+
+def command(
+    files: list[Path] = typer.Argument(
+        ..., metavar="FILE...", help="Pipelines, machines, manifests or their folders.", show_default=False
+    ),
+    style: Literal["text", "github"] = typer.Option("text", "--format", help="How problems are printed."),
+    json: bool = Json,
+) -> None:
+    """Check configuration files: all problems at once, with lines.
+
+    \b
+    Example:
+      errpipe check pipelines/drilled-plates.yaml
+      errpipe check pipelines/drilled-plates.yaml --format github
+    """
+    from errpipe.cli.say import say
+
+    found: list[Problem] = []
+    checked = []
+    for file in files:
+        path = file / "recording.yaml" if file.is_dir() else file
+        try:
+            checked.append({"file": str(path), "what": _check(path)})
+        except ConfigError as err:
+            found += err.problems
+    if found and style == "github":
+        say("check", {}, map(_github, sorted(found)), as_json=False)
+        raise typer.Exit(2)
+    if found:
+        raise ConfigError(found)
+    say("check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=json)
+
+
+def _check(path: Path) -> str:
+    """What a file is. Raises ConfigError."""
+    from errpipe import yamlfile
+
+    document = yamlfile.read(path)
+    keys = document.value if isinstance(document.value, dict) else {}
+    if "recording" in keys:
+        from errpipe.domain.recording import Manifest
+
+        manifest = document.validate(Manifest)
+        gone = [n for n, table in enumerate(manifest.tables) if not (path.parent / table).is_file()]
+        document.problems += [document.problem(("tables", n), "no such file beside the manifest") for n in gone]
+        document.raise_problems()
+        return "recording manifest"
+    if "machine" in keys and "pipeline" not in keys:
+        from errpipe.domain.machine import Machine
+
+        document.validate(Machine)
+        return "machine"
+    return _check_pipeline(path)
+
+
+def _check_pipeline(path: Path) -> str:
+    from errpipe.cli._arguments import load
+    from errpipe.pipeline.spec import missing_inputs
+
+    missing = missing_inputs(path, load(path, []))
+    if missing:
+        raise ConfigError(missing)
+    return "pipeline"
+
+
+def _github(problem: Problem) -> str:
+    """A problem as a GitHub workflow command."""
+    place = f"file={_escaped(problem.file, True)},line={problem.line or 1},col={problem.column or 1}"
+    key = f"{problem.key}: " if problem.key else ""
+    return f"::error {place},title=errpipe::{_escaped(key + problem.message, False)}"
+
+
+def _escaped(text: str, prop: bool) -> str:
+    text = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return text.replace(":", "%3A").replace(",", "%2C") if prop else text

@@ -1,0 +1,25 @@
+"""`errpipe eval`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import At, Json, values
+
+
+def command(
+    table: Path = typer.Argument(..., metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
+    at: list[str] = At,
+    json: bool = Json,
+) -> None:
+    """Evaluate a compensation table at one point.
+
+    \b
+    Example:
+      errpipe eval out/axis/export/table.ect --at x=100 --at T_nut=25
+    """
+    from errpipe.cli.say import answer, work
+
+    answer("eval", work("evaluate").evaluate(table, values(at)), as_json=json)

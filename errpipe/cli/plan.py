@@ -1,0 +1,42 @@
+"""`errpipe plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+
+
+def command(
+    pipeline: Path = PipelineFile,
+    out: Path | None = Out,
+    to: str | None = To,
+    sets: list[str] = Sets,
+    force: list[str] = Force,
+    exit_code: bool = typer.Option(False, "--exit-code", help="Exit with 5 where a stage would run."),
+    json: bool = Json,
+) -> None:
+    """Say which stages would run, and why; write nothing.
+
+    \b
+    Example:
+      errpipe plan pipelines/drilled-plates.yaml --set fit.robust=true
+      errpipe plan pipelines/drilled-plates.yaml --exit-code
+    """
+    from errpipe.cli._arguments import load, out_of
+    from errpipe.cli.say import say
+    from errpipe.pipeline import runner
+
+    steps = runner.plan(load(pipeline, sets), out_of(pipeline, out), to=to, force=force)
+    pending = any(step.action != "fresh" for step in steps)
+    code = 5 if pending and exit_code else 0
+    width = max(len(step.name) for step in steps)
+    lines = [f"{s.name:<{width}}  {s.action:<7}  {'; '.join(s.reasons)}".rstrip() for s in steps]
+    result = {
+        "pending": pending,
+        "stages": [{"name": s.name, "kind": s.kind, "action": s.action, "reasons": s.reasons} for s in steps],
+    }
+    say("plan", result, lines, as_json=json, code=code)
+    raise typer.Exit(code)

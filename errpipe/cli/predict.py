@@ -1,0 +1,29 @@
+"""`errpipe predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    source: Path = typer.Argument(..., metavar="MODEL_OR_TABLE", help="An error model or a table (.json, .ect)."),
+    recording: Path = typer.Argument(..., metavar="RECORDING", help="Folder with a recording manifest."),
+    out: Path = typer.Option(..., "--out", metavar="FILE.csv", help="One row per recording row, in order."),
+    json: bool = Json,
+) -> None:
+    """Predict every response of a recording, as a controller would.
+
+    Row k uses rows up to k of its own run only. Columns: run, time, and per response NAME
+    NAME_predicted, NAME_lower, NAME_upper (90 %), NAME_outside (1 outside the validity box).
+
+    \b
+    Example:
+      errpipe predict out/axis/fit/error_model.json examples/vmc-1 --out predicted.csv
+    """
+    from errpipe.cli.say import answer, work
+
+    answer("predict", work("predict").predict(source, recording, out), as_json=json)

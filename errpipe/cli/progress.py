@@ -1,0 +1,60 @@
+"""What a run looks like on standard error: a line per stage, and a moving bar where a person watches."""
+
+from __future__ import annotations
+
+import os
+import sys
+from threading import Lock
+from typing import TextIO
+
+from errpipe.pipeline.runner import Step, Talk
+
+_WIDTH = 24
+
+
+def watched(stream: TextIO) -> bool:
+    """Whether a moving bar makes sense: a terminal, not in CI, colours and motion not refused."""
+    return stream.isatty() and not any(os.environ.get(name) for name in ("CI", "NO_COLOR")) and (
+        os.environ.get("TERM") != "dumb"
+    )
+
+
+class Watcher:
+    """Says what the engine does. Stages may run side by side, so every line is written under a lock."""
+
+    def __init__(self, out: str, stream: TextIO | None = None):
+        self.out = out
+        self.stream = stream or sys.stderr
+        self.moving = watched(self.stream)
+        self._lock = Lock()
+
+    def talk(self) -> Talk:
+        """The callbacks for the engine."""
+        return Talk(waiting=self._waiting, started=self._started, progress=self._progress, finished=self._finished)
+
+    def _waiting(self) -> None:
+        self._line(f"another errpipe is at work in {self.out}; waiting for it")
+
+    def _started(self, step: Step) -> None:
+        self._line(f"{step.name}: runs ({'; '.join(step.reasons[:3])}{'; …' if len(step.reasons) > 3 else ''})")
+
+    def _progress(self, name: str, fraction: float, text: str) -> None:
+        if self.moving:
+            done = round(_WIDTH * min(max(fraction, 0.0), 1.0))
+            with self._lock:
+                self.stream.write(f"\r\033[K{name} [{'#' * done}{'.' * (_WIDTH - done)}] {text}")
+                self.stream.flush()
+
+    def _finished(self, step: Step) -> None:
+        if step.action == "fresh":
+            self._line(f"{step.name}: nothing to do")
+        elif not step.written:
+            self._line(f"{step.name}: done, nothing new")
+        else:
+            count = len(step.written)
+            self._line(f"{step.name}: done, {count} file{'s' if count != 1 else ''} written")
+
+    def _line(self, text: str) -> None:
+        with self._lock:
+            self.stream.write(("\r\033[K" if self.moving else "") + text + "\n")
+            self.stream.flush()

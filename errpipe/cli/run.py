@@ -1,0 +1,70 @@
+"""`errpipe run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+
+
+def command(
+    pipeline: Path = PipelineFile,
+    out: Path | None = Out,
+    to: str | None = To,
+    sets: list[str] = Sets,
+    force: list[str] = Force,
+    jobs: int = typer.Option(1, "--jobs", "-j", min=1, metavar="N", help="Stages that may run at a time."),
+    depfile: Path | None = typer.Option(
+        None, "--depfile", metavar="FILE", help="Write the inputs as a rule for make.", show_default=False
+    ),
+    depfile_target: str | None = typer.Option(
+        None, "--depfile-target", metavar="NAME", help="Target of that rule; default: the stamp, else the lock file.",
+        show_default=False,
+    ),
+    stamp: Path | None = typer.Option(
+        None, "--stamp", metavar="FILE", help="Touch this file at the end, also if nothing ran.", show_default=False
+    ),
+    json: bool = Json,
+) -> None:
+    """Bring the outputs of a pipeline up to date.
+
+    Only stages run whose inputs, parameters, code or outputs differ from those of the last run.
+
+    \b
+    Example:
+      errpipe run pipelines/drilled-plates.yaml --to fit --out out/plates
+      errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
+    """
+    from errpipe.cli._arguments import load, out_of
+    from errpipe.cli.progress import Watcher
+    from errpipe.cli.say import brief, say
+    from errpipe.pipeline import runner
+
+    spec = load(pipeline, sets)
+    folder = out_of(pipeline, out)
+    steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=Watcher(str(folder)).talk())
+    if depfile is not None:
+        from errpipe import jsonfile
+        from errpipe.pipeline.depfile import depfile as rule
+        from errpipe.pipeline.depfile import inputs_of
+
+        target = depfile_target or str(stamp or folder / "errpipe.lock")
+        stages = [spec.stage(step.name) for step in steps]
+        jsonfile.write_text(depfile, rule(target, inputs_of(spec, stages)))
+    if stamp is not None:
+        from errpipe.pipeline.depfile import touch
+
+        touch(stamp)
+    result = {
+        "title": spec.title,
+        "stages": [
+            {"name": s.name, "kind": s.kind, "action": s.action, "reasons": s.reasons, "outputs": s.outputs,
+             "written": s.written, "summary": dict(s.summary)}
+            for s in steps
+        ],
+    }  # fmt: skip
+    lines = [f"{s.name}: {', '.join(f'{k} {brief(v)}' for k, v in s.summary.items())}" for s in steps if s.summary]
+    pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
+    say("run", result, [*lines, *pages], as_json=json)

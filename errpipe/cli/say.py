@@ -1,0 +1,76 @@
+"""How verbs speak: results on standard output (text, or one JSON document), talk on standard error.
+
+The JSON document, version 1, is the same for every verb, also when it fails:
+
+    {"errpipe": 1, "command": "run", "ok": true,  "exit_code": 0, "result": {...}}
+    {"errpipe": 1, "command": "run", "ok": false, "exit_code": 2, "error": {"kind": "ConfigError",
+     "message": "...", "problems": [{"file": "...", "line": 7, "column": 11, "key": "...", "message": "..."}]}}
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from importlib import import_module
+from typing import Any
+
+from errpipe import jsonfile
+from errpipe.errors import ConfigError, UsageError
+
+DOCUMENT = 1
+
+
+def say(command: str, result: Mapping[str, Any], lines: Iterable[str] = (), *, as_json: bool, code: int = 0) -> None:
+    """Print the result of a verb: `lines` for people, or `result` as the one JSON document."""
+    if as_json:
+        text = jsonfile.dumps(
+            {"errpipe": DOCUMENT, "command": command, "ok": code == 0, "exit_code": code, "result": dict(result)}
+        )
+    else:
+        text = "".join(f"{line}\n" for line in lines)
+    sys.stdout.write(text)
+
+
+def answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> None:
+    """Print what a stage function returned: its "says" (lines for people), or every key with its value."""
+    result = dict(result)
+    says = result.pop("says", None)
+    lines = says if says is not None else [f"{key}: {brief(value)}" for key, value in result.items()]
+    say(command, result, [lines] if isinstance(lines, str) else lines, as_json=as_json)
+
+
+def brief(value: Any) -> str:
+    """A result's value in a line."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return value if isinstance(value, str) else jsonfile.dumps(value, indent=None).strip()
+
+
+def talk(text: str) -> None:
+    """One line on standard error."""
+    sys.stderr.write(text + "\n")
+
+
+def complain(command: str, message: str, code: int, as_json: bool, err: Exception | None = None) -> int:
+    """Say what went wrong; returns the exit code."""
+    sys.stdout.flush()
+    sys.stderr.write(message + "\n")
+    if as_json:
+        error: dict[str, Any] = {"kind": type(err).__name__ if err is not None else "Error", "message": message}
+        if isinstance(err, ConfigError):
+            error["problems"] = [asdict(problem) for problem in err.problems]
+        document = {"errpipe": DOCUMENT, "command": command, "ok": False, "exit_code": code, "error": error}
+        sys.stdout.write(jsonfile.dumps(document))
+    return code
+
+
+def work(module: str) -> Any:
+    """The stage module behind a verb, imported only now."""
+    name = f"errpipe.stages.{module}"
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as err:
+        if err.name in (name, "errpipe.stages"):
+            raise UsageError("this verb is not part of this version of errpipe") from None
+        raise

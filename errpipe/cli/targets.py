@@ -1,0 +1,18 @@
+"""`errpipe targets`."""
+
+from __future__ import annotations
+
+from errpipe.cli._arguments import Json
+
+
+def command(json: bool = Json) -> None:
+    """List the controller formats, their limits and how well proved each is.
+
+    \b
+    Example:
+      errpipe targets
+      errpipe targets --json
+    """
+    from errpipe.cli.say import answer, work
+
+    answer("targets", work("export").targets(), as_json=json)

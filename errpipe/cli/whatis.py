@@ -1,0 +1,24 @@
+"""`errpipe whatis`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    file: Path = typer.Argument(..., metavar="FILE", help="Any file that errpipe reads or writes."),
+    json: bool = Json,
+) -> None:
+    """Say what a file is: machine, model, validity, cost per cycle.
+
+    \b
+    Example:
+      errpipe whatis out/axis/export/table.ect
+    """
+    from errpipe.cli.say import answer, work
+
+    answer("whatis", work("whatis").whatis(file), as_json=json)

@@ -1,0 +1,115 @@
+"""JSON Schemas (draft-07) of the models that people write or read, for editors and other programs.
+
+Draft-07 and no newer, because editors' language servers stop there. A union told apart by a key becomes
+`allOf: [if key == a then ..., ...]`, so that a validator blames the one branch that was meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter
+
+from errpipe.yamlfile import Options
+
+_NUMBER_WITH_UNIT = {"type": "string", "pattern": r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d].*$"}
+_NUMBERS = ("number", "integer")
+
+
+def json_schema(model: type[BaseModel], title: str) -> dict[str, Any]:
+    """The draft-07 schema of a model, by the names used in files."""
+    full = TypeAdapter(model).json_schema(by_alias=True, ref_template="#/definitions/{model}")
+    definitions = {name: _draft7(part) for name, part in sorted(full.pop("$defs", {}).items())}
+    schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_draft7(full), "title": title}
+    if definitions:
+        schema["definitions"] = definitions
+    if issubclass(model, Options):
+        for _, _, prop in properties(schema):
+            _accept_quantities(prop)
+    return schema
+
+
+def properties(schema: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Every property of the schema: name of its model, its own name, its schema."""
+    for owner, part in [("", schema), *schema.get("definitions", {}).items()]:
+        for name, prop in part.get("properties", {}).items():
+            yield owner, name, prop
+
+
+def undescribed(schema: Mapping[str, Any]) -> list[str]:
+    """`Model.key` of every property without a description, or with a number but no unit (`1`: a pure number)."""
+    found = []
+    for owner, name, prop in properties(schema):
+        if not prop.get("description"):
+            found.append(f"{owner}.{name}: no description")
+        if _has_number(prop) and "unit" not in prop:
+            found.append(f"{owner}.{name}: a number without a unit")
+    return found
+
+
+def _draft7(node: Any) -> Any:
+    """One schema node, translated."""
+    if isinstance(node, list):
+        return [_draft7(part) for part in node]
+    if not isinstance(node, dict):
+        return node
+    node = {key: value for key, value in node.items() if key != "title" or not isinstance(value, str)}
+    if "discriminator" in node:
+        return _choice(node)
+    new = {}
+    for key, value in node.items():
+        if key in ("properties", "definitions", "patternProperties"):
+            new[key] = {name: _draft7(part) for name, part in value.items()}
+        elif key == "prefixItems":
+            new["items"], new["additionalItems"] = _draft7(value), False
+        elif key in ("default", "const", "enum", "examples"):
+            new[key] = value
+        else:
+            new[key] = _draft7(value)
+    if "const" in new:
+        new.setdefault("description", f"Always {new['const']}.")
+    if "$ref" in new and len(new) > 1:
+        new["allOf"] = [{"$ref": new.pop("$ref")}]  # beside a $ref draft-07 reads nothing
+    return new
+
+
+def _choice(node: Mapping[str, Any]) -> dict[str, Any]:
+    """A discriminated union as if/then."""
+    key, mapping = node["discriminator"]["propertyName"], node["discriminator"]["mapping"]
+    rest = {name: _draft7(value) for name, value in node.items() if name not in ("discriminator", "oneOf")}
+    return rest | {
+        "type": "object",
+        "required": [key],
+        "properties": {key: {"enum": sorted(mapping)}},
+        "allOf": [
+            {"if": {"properties": {key: {"const": tag}}, "required": [key]}, "then": {"$ref": mapping[tag]}}
+            for tag in sorted(mapping)
+        ],
+    }
+
+
+def _has_number(prop: Mapping[str, Any]) -> bool:
+    kinds = prop.get("type")
+    inner = [prop.get("items"), prop.get("additionalProperties"), *prop.get("anyOf", ())]
+    inner += prop["items"] if isinstance(prop.get("items"), list) else []
+    return kinds in _NUMBERS or any(_has_number(part) for part in inner if isinstance(part, dict))
+
+
+def _accept_quantities(prop: dict[str, Any]) -> None:
+    """Where a property has a unit, a text such as `20 um` stands for a number."""
+    if "unit" not in prop or prop["unit"] == "1" or "const" in prop:
+        return
+    if prop.get("type") in _NUMBERS:
+        bounds = {key: prop.pop(key) for key in list(prop) if key not in ("description", "unit", "default")}
+        prop["anyOf"] = [bounds, dict(_NUMBER_WITH_UNIT)]
+        return
+    if "anyOf" in prop and any(part.get("type") in _NUMBERS for part in prop["anyOf"]):
+        prop["anyOf"] = [*prop["anyOf"], dict(_NUMBER_WITH_UNIT)]
+    for part in [prop, *prop.get("anyOf", ())]:
+        items = part.get("items")
+        for entry in items if isinstance(items, list) else [items]:
+            if isinstance(entry, dict) and entry.get("type") in _NUMBERS:
+                number = dict(entry)
+                entry.clear()
+                entry["anyOf"] = [number, dict(_NUMBER_WITH_UNIT)]
