@@ -70,7 +70,7 @@ def first_line(name: str) -> str:
 
 
 app = typer.Typer(
-    cls=_Verbs, subcommand_metavar="VERB ...", add_completion=False, rich_markup_mode=None, no_args_is_help=False, epilog=EXIT_CODES,
+    cls=_Verbs, subcommand_metavar="VERB ...", add_completion=False, rich_markup_mode=None, epilog=EXIT_CODES,
     context_settings={"help_option_names": ["-h", "--help"]},
 )  # fmt: skip
 
@@ -126,7 +126,8 @@ def _refusal(name: str, err: Exception, as_json: bool) -> int:
     if isinstance(err, _CLICK_USAGE):
         text = err.format_message()  # type: ignore[attr-defined]
         line = f"errpipe {name}".strip()
-        return complain(name, f"{line}: {text[0].lower()}{text[1:]}\n({line} --help shows what is possible)", 2, as_json)
+        text = f"{line}: {text[0].lower()}{text[1:]}\n({line} --help shows what is possible)"
+        return complain(name, text, 2, as_json)
     if isinstance(err, OSError) and err.filename is not None and err.strerror:
         return complain(name, f"{err.filename}: {err.strerror.lower()}", 2, as_json)
     text = f"internal error, please report it: {type(err).__name__}: {err}\n(--debug shows where it happened)"

@@ -1,0 +1,161 @@
+"""Imports run downward only; packages on one line are strangers; a few libraries belong to a few packages.
+
+Checked on the syntax tree of every file, so that imports inside functions and under TYPE_CHECKING count too.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import errpipe
+
+TOP = Path(errpipe.__file__).parent
+
+# Upper may import lower; names on one line may not import each other.
+LAYERS = (
+    ("cli",),
+    ("stages",),
+    ("pipeline",),
+    ("formats", "cleaning", "validation", "diagnosis", "reporting", "targets", "simulation", "ncprogram"),
+    ("fitting", "kinematics", "tables"),
+    ("terms",),
+    ("domain", "kernels"),
+    ("yamlfile", "jsonfile"),
+    ("errors",),
+)
+LINE = {name: number for number, names in enumerate(LAYERS) for name in names}
+
+# Packages that may import less than what lies below them.
+ONLY = {"pipeline": {"yamlfile", "jsonfile", "errors"}, "kernels": set()}
+
+# Library -> packages that may import it.
+LIBRARIES = {
+    "numba": {"kernels"},
+    "typer": {"cli"},
+    "click": set(),
+    "sklearn": {"fitting", "validation", "diagnosis"},
+    "ruamel": {"yamlfile"},
+    "yaml": set(),
+    "pickle": set(),
+    "cloudpickle": set(),
+    "dill": set(),
+    "joblib": set(),
+    "skops": set(),
+}
+
+# Folders of plug-ins: one file per thing, and no file leans on another one (`_shared.py` files apart).
+PLUG_INS = ("terms", "formats", "targets", "cleaning")
+
+
+def imports(source: str, module: str) -> Iterator[tuple[int, str]]:
+    """(line, absolute name) of everything that a module imports; `from a import b` counts as a.b."""
+    package = module.split(".")
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            # relative: one level up drops the module's own name (for a package's __init__ that is "__init__")
+            base = package[: len(package) - node.level] if node.level else []
+            start = ".".join([*base, *(node.module or "").split(".")]).strip(".")
+            yield from ((node.lineno, f"{start}.{alias.name}") for alias in node.names)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("__import__", "import_module"):
+            yield from ((node.lineno, arg.value) for arg in node.args[:1] if isinstance(arg, ast.Constant))
+
+
+def breaches(source: str, module: str) -> list[str]:
+    """What a module imports and must not, one line each. `module` is its full name, such as errpipe.terms.backlash."""
+    own = [*module.split("."), ""][1]
+    found: list[str] = []
+    for line, name in imports(source, module):
+        parts = name.split(".")
+        where = f"{module}:{line}"
+        if parts[0] != "errpipe":
+            owners = LIBRARIES.get(parts[0], {own})
+            if own not in owners:
+                found.append(f"{where} imports {parts[0]}, which is for {', '.join(sorted(owners)) or 'no one'}")
+            continue
+        other = parts[1] if len(parts) > 1 else ""
+        if other == own:
+            if _is_plug_in(module, own) and _is_plug_in(".".join(parts[:3]), own):
+                found.append(f"{where} imports {name}: files of {own} do not lean on each other")
+            continue
+        if other not in LINE or own not in LINE:
+            continue  # errpipe itself: the version
+        if LINE[other] < LINE[own]:
+            found.append(f"{where} imports {name}: {own} lies below {other}")
+        elif LINE[other] == LINE[own]:
+            found.append(f"{where} imports {name}: {own} and {other} are strangers")
+        elif own in ONLY and other not in ONLY[own]:
+            found.append(f"{where} imports {name}: {own} may import only {', '.join(sorted(ONLY[own])) or 'libraries'}")
+    return found
+
+
+def _is_plug_in(module: str, package: str) -> bool:
+    """Whether a module is one of the files of a plug-in folder (not the registry, not shared `_files`)."""
+    name = module.split(".")[-1]
+    return package in PLUG_INS and not name.startswith("_") and (TOP / package / f"{name}.py").is_file()
+
+
+def modules() -> list[tuple[str, Path]]:
+    """Every module of errpipe by its full name; a package's own file ends in `.__init__`."""
+    return [
+        (".".join(("errpipe", *path.relative_to(TOP).with_suffix("").parts)), path)
+        for path in sorted(TOP.rglob("*.py"))
+    ]
+
+
+@pytest.mark.parametrize("name, path", [pytest.param(n, p, id=n) for n, p in modules()])
+def test_imports_run_downward(name: str, path: Path) -> None:
+    assert breaches(path.read_text(encoding="utf-8"), name) == []
+
+
+def test_every_package_has_a_line() -> None:
+    here = {path.name for path in TOP.iterdir() if path.is_dir() and any(path.glob("*.py"))}
+    here |= {path.stem for path in TOP.glob("*.py")} - {"__init__"}
+    assert here <= set(LINE), f"no line for {sorted(here - set(LINE))}: say where it stands in LAYERS"
+
+
+@pytest.mark.parametrize(
+    "module, source, word",
+    [
+        ("errpipe.terms.backlash", "from errpipe.fitting import solve", "below fitting"),
+        ("errpipe.terms.backlash", "def f():\n    import errpipe.cli.app", "below cli"),
+        ("errpipe.terms.backlash", "from errpipe import fitting", "below fitting"),
+        ("errpipe.terms.backlash", "from .. import fitting", "below fitting"),
+        ("errpipe.terms.__init__", "from ..fitting import solve", "below fitting"),
+        ("errpipe.terms.backlash", "from ..fitting.solve import x", "below fitting"),
+        ("errpipe.formats.csv", "import errpipe.targets.iso", "strangers"),
+        ("errpipe.domain.table", "from errpipe.kernels import kernel", "strangers"),
+        ("errpipe.jsonfile", "from errpipe.yamlfile import load", "strangers"),
+        ("errpipe.pipeline.spec", "from errpipe.domain.recording import Manifest", "may import only"),
+        ("errpipe.kernels.lag", "from errpipe.errors import DataError", "may import only"),
+        ("errpipe.fitting.solve", "if TYPE_CHECKING:\n    import numba", "imports numba"),
+        ("errpipe.stages.fit", "import typer", "imports typer"),
+        ("errpipe.tables.gridding", "from sklearn.linear_model import Ridge", "imports sklearn"),
+        ("errpipe.stages.fit", "import pickle", "imports pickle"),
+        ("errpipe.domain.table", "importlib.import_module('errpipe.cli.app')", "below cli"),
+        ("errpipe.terms.backlash", "from errpipe.terms.squareness import Squareness", "do not lean"),
+        ("errpipe.terms.backlash", "from .squareness import Squareness", "do not lean"),
+    ],
+)
+def test_a_planted_breach_is_found(module: str, source: str, word: str) -> None:
+    (found,) = breaches(source, module)
+    assert word in found
+
+
+@pytest.mark.parametrize(
+    "module, source",
+    [
+        ("errpipe.terms.backlash", "from errpipe.terms._base import Term\nfrom errpipe.domain.driver import Driver"),
+        ("errpipe.pipeline.spec", "from errpipe import __version__, jsonfile\nimport errpipe"),
+        ("errpipe.kernels.lag", "import numba\nimport numpy as np\nfrom errpipe.kernels import kernel"),
+        ("errpipe.cli.run", "import typer\nfrom errpipe.stages import STAGES\nfrom . import say"),
+        ("errpipe.terms.__init__", "from errpipe.terms.backlash import Backlash"),
+    ],
+)
+def test_what_is_allowed_passes(module: str, source: str) -> None:
+    assert breaches(source, module) == []

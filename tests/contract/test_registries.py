@@ -1,0 +1,54 @@
+"""A plug-in is one file and one line: every file of a plug-in folder stands in its registry, and nothing else does."""
+
+from __future__ import annotations
+
+import types
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import errpipe
+from errpipe.cli import app
+
+TOP = Path(errpipe.__file__).parent
+
+# package -> its registry tuple. Files whose name starts with `_` are shared by plug-ins, not plug-ins.
+REGISTRIES = {"terms": "TERMS", "formats": "FORMATS", "targets": "TARGETS", "cleaning": "RULES", "stages": "STAGES"}
+
+
+def home(entry: Any) -> str:
+    """The file that a registered thing comes from."""
+    if isinstance(entry, types.ModuleType):
+        return entry.__name__.split(".")[-1]
+    return (entry if isinstance(entry, type) else type(entry)).__module__.split(".")[-1]
+
+
+@pytest.mark.parametrize("package", [name for name in REGISTRIES if name != "stages"])
+def test_every_file_is_registered_and_nothing_else(package: str) -> None:
+    files = {path.stem for path in (TOP / package).glob("*.py") if not path.stem.startswith("_")}
+    registered = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
+    assert {home(entry) for entry in registered} == files
+
+
+@pytest.mark.parametrize("package", REGISTRIES)
+def test_a_registry_is_a_tuple_without_doubles(package: str) -> None:
+    registered = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
+    assert isinstance(registered, tuple) and len(set(map(id, registered))) == len(registered) > 0
+
+
+def test_every_stage_has_its_own_kind_and_reads_kinds_that_exist() -> None:
+    from errpipe.stages import STAGES
+
+    kinds = [stage.model_fields["kind"].annotation.__args__[0] for stage in STAGES]
+    assert len(set(kinds)) == len(kinds)
+    for stage in STAGES:
+        for slot, need in stage.reads.items():
+            assert set(need.kinds) <= set(kinds), f"{stage.__name__} reads {slot} of a kind that no stage has"
+
+
+def test_every_verb_is_a_file_and_every_file_a_verb() -> None:
+    shared = {"app", "say", "progress"}
+    files = {path.stem for path in (TOP / "cli").glob("*.py") if not path.stem.startswith("_")} - shared
+    assert {name.replace("-", "_") for name in app.VERBS} == files
