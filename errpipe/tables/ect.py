@@ -1,0 +1,408 @@
+"""The binary compensation table, `.ect` version 1: fixed little-endian records that a PLC STRUCT overlays.
+
+`schemas/ect-1.md` describes every field; this file is its writer and its strict reader. Layout: a header of 512
+bytes (identity, cycles, table of 11 sections), then the sections, each starting at a multiple of 8. Everything
+the JSON twin holds is in the file, so both turn into each other without losing a bit. What the controller
+would have to divide or exponentiate (reciprocal steps, lag factors) is stored beside its source, and the
+reader refuses a file where the two disagree.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from errpipe import jsonfile
+from errpipe.domain import table as t
+from errpipe.errors import VerifyError
+from errpipe.tables import layout as lay
+from errpipe.tables.arithmetic import exp
+
+
+def write(table: t.CompensationTable, path: Path) -> bool:
+    """Write the binary file, whole. True if the bytes changed."""
+    return jsonfile.write_bytes(path, dumps(table))
+
+
+def read(path: Path) -> t.CompensationTable:
+    """Read a binary file. Raises VerifyError saying what is wrong with it."""
+    try:
+        data = Path(path).read_bytes()
+    except OSError as err:
+        raise VerifyError(f"{path}: cannot be read: {err.strerror}") from None
+    try:
+        return loads(data)
+    except VerifyError as err:
+        raise VerifyError(f"{path}: {err}") from None
+
+
+def write_json(table: t.CompensationTable, path: Path) -> bool:
+    """Write the JSON twin. True if the bytes changed."""
+    return jsonfile.write(path, table.model_dump(mode="json"))
+
+
+def read_json(path: Path) -> t.CompensationTable:
+    """Read the JSON twin. Raises VerifyError saying what is wrong with it."""
+    content = jsonfile.read(path)
+    try:
+        return t.CompensationTable.model_validate(content)
+    except ValidationError as err:
+        raise VerifyError(f"{path}: {_first_problem(err)}") from None
+
+
+def read_any(path: Path) -> t.CompensationTable:
+    """Read either twin, told apart by content. Raises VerifyError."""
+    try:
+        with Path(path).open("rb") as stream:
+            start = stream.read(1)
+    except OSError as err:
+        raise VerifyError(f"{path}: cannot be read: {err.strerror}") from None
+    return read_json(path) if start == b"{" else read(path)
+
+
+def fingerprint(table: t.CompensationTable) -> str:
+    """CRC-32 that the file carries, as 8 hexadecimal digits: the name by which a controller shows its table."""
+    return f"{struct.unpack_from('<I', dumps(table), 20)[0]:08x}"
+
+
+# writing --------------------------------------------------------------------------------------------
+
+
+def dumps(table: t.CompensationTable) -> bytes:
+    """The bytes of the file."""
+    sections = _sections(table)
+    at = lay.HEADER_SIZE
+    index, body = b"", b""
+    for number, (_, record) in lay.RECORDS.items():
+        data = sections[number]
+        index += lay.SECTION.pack(number, record.size, len(data) // record.size, at)
+        data += bytes(-len(data) % 8)
+        body += data
+        at += len(data)
+    identity = lay.IDENTITY.pack(
+        table.machine.encode(), table.title.encode(), table.version.encode(), bytes.fromhex(table.fingerprint)
+    )
+    fixed = (table.slow_every, table.position_cycle_s, table.thermal_cycle_s, table.ramp_s, table.fade_s)
+    head = lay.HEADER.pack(lay.MAGIC, lay.VERSION, lay.HEADER_SIZE, at, 0, *fixed) + identity + index
+    data = bytearray(head + bytes(lay.HEADER_SIZE - len(head)) + body)
+    struct.pack_into("<I", data, 20, zlib.crc32(data[lay.CRC_FROM:]))
+    return bytes(data)
+
+
+def _sections(table: t.CompensationTable) -> dict[int, bytes]:
+    inputs = {i.name: n for n, i in enumerate(table.inputs)}
+    components = {c.name: n for n, c in enumerate(table.components)}
+    out: dict[int, bytes] = dict.fromkeys(lay.RECORDS, b"")
+    substitutes = 0
+    for i in table.inputs:
+        out[1] += _input_record(i, substitutes)
+        substitutes += len(i.substitute)
+        out[2] += b"".join(lay.SUBSTITUTE.pack(inputs[s.input], s.weight) for s in i.substitute)
+    operands = constants = 0
+    for node in table.nodes:
+        out[3] += _node_record(node, operands, constants, inputs, table)
+        weights = node.weights if isinstance(node, t.AffineNode) else (1.0,) * len(node.of)
+        out[4] += b"".join(lay.OPERAND.pack(o, w) for o, w in zip(node.of, weights, strict=True))
+        operands += len(node.of)
+        if isinstance(node, t.LookupNode):
+            out[5] += struct.pack(f"<{len(node.values)}d", *node.values)
+            constants += len(node.values)
+    values = 0
+    for p in table.profiles:
+        out[6] += _profile_record(p, values, inputs)
+        out[7] += struct.pack(f"<{len(p.values)}i", *p.values)
+        values += len(p.values)
+    out[8] = b"".join(lay.COMPONENT.pack(c.name.encode(), lay.UNITS.index(c.unit)) for c in table.components)
+    out[9] = b"".join(
+        lay.PAIR.pack(components[p.component], p.profile, p.driver, lay.KEEP if p.keep else 0) for p in table.pairs
+    )
+    terms = 0
+    for o in table.outputs:
+        out[10] += _output_record(o, terms)
+        out[11] += b"".join(_term_record(m, components) for m in o.terms)
+        terms += len(o.terms)
+    return out
+
+
+def _input_record(i: t.TableInput, first: int) -> bytes:
+    flags = lay.input_flags(i)
+    valid = i.valid or (0.0, 0.0)
+    return lay.INPUT.pack(
+        i.name.encode(), i.axis.encode(), i.unit.encode(), lay.KINDS.index(i.kind), flags, first, len(i.substitute),
+        i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, i.hold_s or 0.0, i.default, i.substitute_offset,
+        *valid, i.margin or 0.0,
+    )  # fmt: skip
+
+
+def _node_record(node: t.Node, first: int, constants: int, inputs: dict[str, int], table: t.CompensationTable) -> bytes:
+    code, _, fields = lay.OPERATIONS[node.op]
+    flags = lay.SLOW if node.slow else 0
+    parameters = [float(getattr(node, f)) for f in fields]
+    number, count = 0, 0
+    if isinstance(node, t.InputNode):
+        number = inputs[node.input]
+    if isinstance(node, t.LagNode):
+        flags |= lay.START_ZERO if node.start == "zero" else 0
+        parameters += lag_factors(node, table)
+    if isinstance(node, t.LookupNode):
+        parameters.append(1.0 / node.step)
+        number, count = constants, len(node.values)
+    parameters += [0.0] * (4 - len(parameters))
+    return lay.NODE.pack(code, flags, first, len(node.of), number, count, *parameters)
+
+
+def lag_factors(node: t.LagNode, table: t.CompensationTable) -> list[float]:
+    """What remains of a difference after one cycle of the node's rate, rising and falling."""
+    dt = table.thermal_cycle_s if node.slow else table.position_cycle_s
+    return [exp(-(dt / node.tau_up)), exp(-(dt / node.tau_down))]
+
+
+def _profile_record(p: t.Profile, first: int, inputs: dict[str, int]) -> bytes:
+    number = -1 if p.input is None else inputs[p.input]
+    return lay.PROFILE.pack(
+        number, lay.PERIODIC if p.periodic else 0, first, len(p.values),
+        p.start, p.step, 1.0 / p.step, p.scale, p.interpolation_error, p.rounding_error,
+    )  # fmt: skip
+
+
+def _output_record(o: t.Output, first: int) -> bytes:
+    flags = lay.output_flags(o)
+    units = lay.UNITS.index(o.unit) | lay.CORRECTION_UNITS.index(o.correction_unit) << 8
+    limits = (o.magnitude or 0.0, o.slew or 0.0, o.acceleration or 0.0)
+    return lay.OUTPUT.pack(o.name.encode(), o.axis.encode(), units, flags, first, len(o.terms), o.factor, *limits)
+
+
+def _term_record(m: t.Monomial, components: dict[str, int]) -> bytes:
+    factors = (*m.factors, *(lay.NONE,) * (t.MAX_FACTORS - len(m.factors)))
+    return lay.TERM.pack(components[m.component], len(m.factors), *factors, m.weight)
+
+
+# reading --------------------------------------------------------------------------------------------
+
+
+def loads(data: bytes) -> t.CompensationTable:
+    """The table in the bytes of a file. Raises VerifyError: damaged, truncated, foreign or contradicting itself."""
+    fixed = _check_header(data)
+    rows = _rows(data, _section_index(data))
+    try:
+        table = _build(data, fixed, rows)
+    except ValidationError as err:
+        raise VerifyError(_first_problem(err)) from None
+    if dumps(table) != data:
+        raise VerifyError(_contradiction(dumps(table), data))
+    return table
+
+
+def _check_header(data: bytes) -> tuple[Any, ...]:
+    if len(data) < 8 or data[:4] != lay.MAGIC[:4]:
+        raise VerifyError("not a compensation table (it does not start with ECT)")
+    if data[:8] != lay.MAGIC:
+        raise VerifyError("damaged by a transfer in text mode (its line ends were changed)")
+    if len(data) < lay.HEADER_SIZE:
+        raise VerifyError(f"cut off: {len(data)} bytes, its header alone has {lay.HEADER_SIZE}")
+    fixed = lay.HEADER.unpack_from(data)
+    if fixed[1] != lay.VERSION:
+        raise VerifyError(f"format version {fixed[1]} (this program reads version {lay.VERSION})")
+    if fixed[2] != lay.HEADER_SIZE:
+        raise VerifyError(f"header size {fixed[2]} (version {lay.VERSION} has {lay.HEADER_SIZE})")
+    if fixed[3] != len(data):
+        raise VerifyError(f"{'cut off' if len(data) < fixed[3] else 'too long'}: {len(data)} of {fixed[3]} bytes")
+    found = zlib.crc32(data[lay.CRC_FROM:])
+    if fixed[4] != found:
+        raise VerifyError(f"damaged: checksum {found:08x} (the file says {fixed[4]:08x})")
+    return fixed
+
+
+def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
+    """Section id -> (count, offset), in the one order and place the version allows."""
+    index = {}
+    at = lay.HEADER_SIZE
+    for position, (number, (what, record)) in enumerate(lay.RECORDS.items()):
+        found = lay.SECTION.unpack_from(data, lay.SECTIONS_AT + position * lay.SECTION.size)
+        if found[:2] != (number, record.size):
+            raise VerifyError(f"section {number} ({what}): id {found[0]} with records of {found[1]} bytes")
+        if found[2] > lay.MOST[number]:
+            raise VerifyError(f"{found[2]} {what} (allowed: {lay.MOST[number]})")
+        if found[3] != at:
+            raise VerifyError(f"section {number} ({what}) starts at {found[3]}, not at {at}")
+        size = record.size * found[2]
+        at += size + -size % 8
+        if at > len(data):
+            raise VerifyError(f"section {number} ({what}) ends behind the end of the file")
+        index[number] = found[2], found[3]
+    if at != len(data):
+        raise VerifyError(f"{len(data) - at} bytes behind the last section")
+    return index
+
+
+def _rows(data: bytes, index: dict[int, tuple[int, int]]) -> dict[int, list[tuple]]:
+    rows = {}
+    for number, (count, offset) in index.items():
+        record = lay.RECORDS[number][1]
+        rows[number] = list(record.iter_unpack(data[offset : offset + count * record.size]))
+    return rows
+
+
+def _build(data: bytes, fixed: tuple, rows: dict[int, list[tuple]]) -> t.CompensationTable:
+    machine, title, version, fingerprint = lay.IDENTITY.unpack_from(data, lay.IDENTITY_AT)
+    inputs = [_text(r[0], "input name") for r in rows[1]]
+    components = [_text(r[0], "component name") for r in rows[8]]
+    return t.CompensationTable.model_validate(
+        {
+            "machine": _text(machine, "machine"),
+            "title": _text(title, "title"),
+            "version": _text(version, "version"),
+            "fingerprint": fingerprint.hex() if any(fingerprint) else "",
+            "slow_every": fixed[5],
+            "position_cycle_s": fixed[6],
+            "ramp_s": fixed[8],
+            "fade_s": fixed[9],
+            "inputs": [_input(r, rows[2], inputs) for r in rows[1]],
+            "nodes": [_node(n, r, rows[4], rows[5], inputs) for n, r in enumerate(rows[3])],
+            "profiles": [_profile(n, r, rows[7], inputs) for n, r in enumerate(rows[6])],
+            "components": [
+                {"name": c, "unit": _pick(lay.UNITS, r[1], "unit")} for c, r in zip(components, rows[8], strict=True)
+            ],
+            "pairs": [_pair(r, components) for r in rows[9]],
+            "outputs": [_output(r, rows[11], components) for r in rows[10]],
+        }
+    )
+
+
+def _input(row: tuple, substitutes: list[tuple], names: list[str]) -> dict[str, Any]:
+    name, axis, unit, kind, flags, first, count = row[:7]
+    low, high, max_rate, stale, hold, default, offset, valid_low, valid_high, margin = row[7:]
+    return {
+        "name": _text(name, "input name"),
+        "kind": _pick(lay.KINDS, kind, "input kind"),
+        "axis": _text(axis, "axis"),
+        "unit": _text(unit, "unit"),
+        "low": low,
+        "high": high,
+        "max_rate": max_rate if flags & lay.HAS_MAX_RATE else None,
+        "stale_after_s": stale if flags & lay.HAS_STALE else None,
+        "substitute": [
+            {"input": _pick(names, s[0], "input"), "weight": s[1]}
+            for s in _slice(substitutes, first, count, "substitutes")
+        ],
+        "substitute_offset": offset,
+        "hold_s": hold if flags & lay.HAS_HOLD else None,
+        "default": default,
+        "optional": bool(flags & lay.OPTIONAL),
+        "fade_on_default": bool(flags & lay.FADE_ON_DEFAULT),
+        "valid": (valid_low, valid_high) if flags & lay.HAS_VALID else None,
+        "margin": margin if flags & lay.HAS_VALID else None,
+    }
+
+
+def _node(number: int, row: tuple, operands: list[tuple], reals: list[tuple], inputs: list[str]) -> dict[str, Any]:
+    code, flags, first, count, other, others = row[:6]
+    if code not in lay.BY_CODE:
+        raise VerifyError(f"node {number}: operation {code} is unknown (allowed: 1..{len(lay.BY_CODE)})")
+    op, cls, fields = lay.BY_CODE[code]
+    own = _slice(operands, first, count, "operands")
+    out: dict[str, Any] = {"op": op, "slow": bool(flags & lay.SLOW), "of": [o[0] for o in own]}
+    out |= dict(zip(fields, row[6:], strict=False))
+    if cls is t.AffineNode:
+        out["weights"] = [o[1] for o in own]
+    if cls is t.InputNode:
+        out["input"] = _pick(inputs, other, "input")
+    if cls is t.LagNode:
+        out["start"] = "zero" if flags & lay.START_ZERO else "input"
+    if cls is t.DirectionNode:
+        out["start"] = int(out["start"]) if out["start"] in (-1.0, 1.0) else out["start"]
+    if cls is t.LookupNode:
+        out["values"] = [r[0] for r in _slice(reals, other, others, "lookup values")]
+    return out
+
+
+def _profile(number: int, row: tuple, values: list[tuple], inputs: list[str]) -> dict[str, Any]:
+    source, flags, first, count, start, step, _, scale, interpolation, rounding = row
+    return {
+        "input": None if source == -1 else _pick(inputs, source, f"input of profile {number}"),
+        "start": start,
+        "step": step,
+        "scale": scale,
+        "periodic": bool(flags & lay.PERIODIC),
+        "values": [v[0] for v in _slice(values, first, count, "profile values")],
+        "interpolation_error": interpolation,
+        "rounding_error": rounding,
+    }
+
+
+def _pair(row: tuple, components: list[str]) -> dict[str, Any]:
+    component, profile, driver, flags = row
+    name = _pick(components, component, "component")
+    return {"component": name, "profile": profile, "driver": driver, "keep": bool(flags & lay.KEEP)}
+
+
+def _output(row: tuple, terms: list[tuple], components: list[str]) -> dict[str, Any]:
+    name, axis, units, flags, first, count, _, magnitude, slew, acceleration = row
+    return {
+        "name": _text(name, "output name"),
+        "axis": _text(axis, "axis"),
+        "unit": _pick(lay.UNITS, units & 0xFF, "unit"),
+        "correction_unit": _pick(lay.CORRECTION_UNITS, units >> 8, "correction unit"),
+        "magnitude": magnitude if flags & lay.HAS_MAGNITUDE else None,
+        "slew": slew if flags & lay.HAS_SLEW else None,
+        "acceleration": acceleration if flags & lay.HAS_ACCELERATION else None,
+        "terms": [_term(r, components) for r in _slice(terms, first, count, "terms")],
+    }
+
+
+def _term(row: tuple, components: list[str]) -> dict[str, Any]:
+    component, count = row[:2]
+    if count > t.MAX_FACTORS:
+        raise VerifyError(f"a term has {count} factors (allowed: {t.MAX_FACTORS})")
+    return {
+        "weight": row[6],
+        "component": _pick(components, component, "component"),
+        "factors": list(row[2 : 2 + count]),
+    }
+
+
+def _text(raw: bytes, what: str) -> str:
+    try:
+        return raw.rstrip(b"\0").decode()
+    except UnicodeDecodeError:
+        raise VerifyError(f"{what} is not UTF-8 text") from None
+
+
+def _pick(allowed: Any, number: int, what: str) -> Any:
+    if not 0 <= number < len(allowed):
+        raise VerifyError(f"{what} number {number} (allowed: 0..{len(allowed) - 1})")
+    return allowed[number]
+
+
+def _slice(rows: list[tuple], first: int, count: int, what: str) -> list[tuple]:
+    if first + count > len(rows):
+        raise VerifyError(f"{what} {first}..{first + count - 1} of only {len(rows)}")
+    return rows[first : first + count]
+
+
+def _contradiction(expected: bytes, found: bytes) -> str:
+    """Where a file that can be read is not what its own content writes: reserved bytes, reciprocals, lag factors."""
+    pairs = enumerate(zip(expected, found, strict=False))
+    at = next((n for n, (a, b) in pairs if a != b and not 20 <= n < 24), min(len(expected), len(found)))
+    where = "header"
+    for number, offset in _offsets(found):
+        if at >= offset:
+            what, record = lay.RECORDS[number]
+            where = f"{what}, record {(at - offset) // record.size}, byte {(at - offset) % record.size}"
+    return f"contradicts itself at byte {at} ({where})"
+
+
+def _offsets(data: bytes) -> Iterable[tuple[int, int]]:
+    return ((number, offset) for number, (_, offset) in _section_index(data).items())
+
+
+def _first_problem(err: ValidationError) -> str:
+    problem = err.errors()[0]
+    place = ".".join(str(p) for p in problem["loc"])
+    message = problem["msg"].removeprefix("Value error, ")
+    return f"{place}: {message}" if place else message

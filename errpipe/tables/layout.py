@@ -1,0 +1,90 @@
+"""Records of the binary compensation table, `.ect` version 1: `schemas/ect-1.md` describes every field."""
+
+from __future__ import annotations
+
+import struct
+
+from errpipe.domain import table as t
+
+MAGIC = b"ECT\x00\r\n\x1a\n"  # a transfer in text mode damages it
+VERSION = 1
+HEADER = struct.Struct("<8sIIIII4xdddd")  # magic, version, header size, file size, crc, slow_every, cycles, ramp, fade
+HEADER_SIZE = 512
+CRC_FROM = 24  # the checksum covers everything behind itself
+IDENTITY_AT = 64
+IDENTITY = struct.Struct("<64s128s32s32s")  # machine, title, version, fingerprint
+SECTIONS_AT = IDENTITY_AT + IDENTITY.size
+SECTION = struct.Struct("<IIII")  # id, record size, count, offset
+
+INPUT = struct.Struct("<32s8s16sHHII4x" + "10d")
+SUBSTITUTE = struct.Struct("<I4xd")
+NODE = struct.Struct("<HHIIII4x" + "4d")
+OPERAND = struct.Struct("<I4xd")
+REAL = struct.Struct("<d")
+PROFILE = struct.Struct("<iIII" + "6d")
+VALUE = struct.Struct("<i")
+COMPONENT = struct.Struct("<16sI4x")
+PAIR = struct.Struct("<IIII")
+OUTPUT = struct.Struct("<32s8sIIII" + "4d")
+TERM = struct.Struct("<II4Id")
+
+RECORDS = {
+    1: ("inputs", INPUT), 2: ("substitutes", SUBSTITUTE), 3: ("nodes", NODE), 4: ("operands", OPERAND),
+    5: ("lookup values", REAL), 6: ("profiles", PROFILE), 7: ("profile values", VALUE), 8: ("components", COMPONENT),
+    9: ("pairs", PAIR), 10: ("outputs", OUTPUT), 11: ("terms", TERM),
+}  # fmt: skip
+MOST = {
+    1: t.MAX_INPUTS, 2: t.MAX_OPERANDS, 3: t.MAX_NODES, 4: t.MAX_OPERANDS, 5: t.MAX_LOOKUP_VALUES, 6: t.MAX_PROFILES,
+    7: t.MAX_VALUES, 8: t.MAX_COMPONENTS, 9: t.MAX_PAIRS, 10: t.MAX_OUTPUTS, 11: t.MAX_MONOMIALS,
+}  # fmt: skip
+
+KINDS = ("position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other")
+UNITS = ("um", "urad")
+CORRECTION_UNITS = ("mm", "um", "urad", "deg", "rad")
+NONE = 0xFFFFFFFF
+
+# Input flags, node flags, profile flags, pair flags.
+OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 4, 8, 16, 32
+SLOW, START_ZERO = 1, 2
+PERIODIC = 1
+KEEP = 1
+# Output flags
+HAS_MAGNITUDE, HAS_SLEW, HAS_ACCELERATION = 1, 2, 4
+
+# Operation -> (code, class, parameters in the order of the record).
+OPERATIONS: dict[str, tuple[int, type[t.Node], tuple[str, ...]]] = {
+    "constant": (1, t.ConstantNode, ("value",)),
+    "input": (2, t.InputNode, ()),
+    "affine": (3, t.AffineNode, ("offset",)),
+    "first": (4, t.FirstNode, ()),
+    "lag": (5, t.LagNode, ("tau_up", "tau_down")),
+    "product": (6, t.ProductNode, ()),
+    "power": (7, t.PowerNode, ("exponent",)),
+    "clip": (8, t.ClipNode, ("low", "high")),
+    "switch": (9, t.SwitchNode, ("on", "off")),
+    "direction": (10, t.DirectionNode, ("threshold", "start")),
+    "approach": (11, t.ApproachNode, ("length",)),
+    "lookup": (12, t.LookupNode, ("start", "step")),
+}
+BY_CODE = {code: (op, cls, fields) for op, (code, cls, fields) in OPERATIONS.items()}
+
+
+def input_flags(i: t.TableInput) -> int:
+    """The flags of an input's record."""
+    return (
+        (OPTIONAL if i.optional else 0)
+        | (FADE_ON_DEFAULT if i.fade_on_default else 0)
+        | (HAS_VALID if i.valid is not None else 0)
+        | (HAS_MAX_RATE if i.max_rate is not None else 0)
+        | (HAS_STALE if i.stale_after_s is not None else 0)
+        | (HAS_HOLD if i.hold_s is not None else 0)
+    )
+
+
+def output_flags(o: t.Output) -> int:
+    """The flags of an output's record."""
+    return (
+        (HAS_MAGNITUDE if o.magnitude is not None else 0)
+        | (HAS_SLEW if o.slew is not None else 0)
+        | (HAS_ACCELERATION if o.acceleration is not None else 0)
+    )
