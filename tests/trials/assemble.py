@@ -52,6 +52,24 @@ RESEMBLES = {
 }
 
 
+USUAL_NOISE = {  # rms, um (N for forces); what the public sample shows
+    "linear positioning": (0.3, 1.6),
+    "spindle drift": (0.2, 2.5),
+    "circular test": (0.12, 1.2),
+    "feedback trace": (0.25, 1.2),
+    "N": (1.5, 6.0),
+    "volumetric grid": (0.3, 4.0),
+    "cutting series": (0.6, 1.8),
+}
+NO_FORM = {"reversal_spike", "clock_offset", "sensor_fault", "torque_ripple", "friction_hysteresis"}
+LEAST_OWN = 0.75  # share of a hidden contribution that its own textbook form must explain
+# Effects that may act on one stretch of the axis only.
+STRETCH = {
+    "backlash", "pitch_cyclic", "interpolation", "friction_hysteresis", "screw_windup", "coulomb_friction",
+    "viscous_friction", "torque_ripple", "straightness",
+}  # fmt: skip
+
+
 class Unfit(Exception):
     """A draw that would not make a fair case: draw again."""
 
@@ -155,7 +173,8 @@ def hide(rng: np.random.Generator, bench: Bench, response: Response, tier: str, 
     included = choose(rng, response, names | {c.effect for c in carriers}, near)
     if carriers:
         included = [*included[:2]]
-    if any(c.effect == "clock_offset" for c in hidden):
+    late = any(c.effect == "clock_offset" for c in hidden)
+    if late:
         included = _late(hidden, response)
     gains = wrong_gains(rng, len(included) + len(carriers), 0.05 if tier == "concealed" else 0.02)
     everything = [*included, *carriers]
@@ -171,20 +190,37 @@ def hide(rng: np.random.Generator, bench: Bench, response: Response, tier: str, 
         hidden = [hidden[0].scaled(factor)]
         noise = want / rng.uniform(0.9, 3.0)
     else:
-        sizes = [c.rms(rows) for c in hidden]
-        if min(sizes) <= 0:
-            raise Unfit("the effect does not act")
-        if len(hidden) == 2:
-            target = sizes[0] * rng.uniform(0.6, 1.6)
-            hidden[1] = hidden[1] if hidden[1].carrier else hidden[1].scaled(target / sizes[1])
-            sizes[1] = hidden[1].rms(rows)
-        least = min(sizes)
-        if rest > least:
+        hidden, least = _sized(rng, bench, response, hidden)
+        if rest > least:  # what wrong gains cause must stay below the hidden effect
             shrink = least / rest * rng.uniform(0.4, 1.0)
-            gains = [round(1 + (g - 1) * shrink, 4) for g in gains]
-        noise = least / ratio(rng) if len(hidden) == 1 else least / rng.uniform(1.5, 4.0)
+            smaller = max(shrink, 0.4)
+            everything = [c if c in carriers or late else c.scaled(smaller) for c in everything]
+            rest = _rms(off_by(everything, gains, n)[rows])
+            if rest > least:
+                gains = [round(1 + (g - 1) * least / rest * 0.9, 4) for g in gains]
+        noise = least / (ratio(rng) if len(hidden) == 1 else rng.uniform(1.5, 4.5))
     datum = float(noise * rng.uniform(-4, 4)) if rng.random() < 0.5 else 0.0
     return Story(response, everything, gains, datum, hidden, float(noise))
+
+
+def _sized(
+    rng: np.random.Generator, bench: Bench, response: Response, hidden: list[Contribution]
+) -> tuple[list[Contribution], float]:
+    """Hidden effects near a size that suits the usual noise of the protocol, and the smaller one's rms."""
+    sizes = [c.rms(bench.measured) for c in hidden]
+    if min(sizes) <= 0:
+        raise Unfit("the effect does not act")
+    low, high = USUAL_NOISE[response.unit if response.unit == "N" else bench.protocol]
+    noise = np.exp(rng.uniform(np.log(low), np.log(high)))
+    if response.component == "E_X" and bench.protocol == "spindle drift":
+        noise *= 0.3
+    target = 3.0 * noise
+    out = []
+    for c, size in zip(hidden, sizes, strict=True):
+        wanted = float(np.clip(target * rng.uniform(0.7, 1.5) / size, 0.25, 1.4))
+        fixed = c.carrier is not None or c.effect in ("clock_offset", "air_refraction", "feed_heating")
+        out.append(c if fixed else c.scaled(wanted))
+    return out, min(c.rms(bench.measured) for c in out)
 
 
 def _late(hidden: list[Contribution], response: Response) -> list[Contribution]:
@@ -218,12 +254,9 @@ def _partly(rng, bench: Bench, one: Contribution) -> Contribution:
         raise Unfit("already local")
     runs = np.array(bench.run)
     labels = [r for r in dict.fromkeys(bench.run) if bench.measured[runs == r].any()]
-    places = [d for d in one.drivers if bench.columns[d].spec["role"] == "position"]
-    options = (["runs"] if len(labels) > 3 else []) + ["time"] * (len(labels) <= 3)
-    if bench.protocol in ("linear positioning", "feedback trace", "volumetric grid") and "backlash pitch_cyclic".count(
-        one.effect
-    ):
-        options += ["stretch"] if places or bench.protocol == "linear positioning" else []
+    options = ["runs", "runs"] if len(labels) > 1 else ["time"]
+    if one.effect in STRETCH and bench.protocol != "circular test":
+        options.append("stretch")
     kind = str(rng.choice(options))
     if kind == "runs":
         some = int(rng.integers(max(1, len(labels) // 5), max(2, len(labels) // 2 + 1)))
@@ -246,7 +279,9 @@ def _partly(rng, bench: Bench, one: Contribution) -> Contribution:
     part = mask & bench.measured
     if part.sum() < 20:
         raise Unfit("too little of it")
-    values = np.where(mask, one.values - one.values[part].mean() * 0.0, 0.0)
+    values = np.where(mask, one.values, 0.0)
+    if np.std(one.values[part]) < 0.35 * np.sqrt(np.mean(one.values[part] ** 2)):
+        raise Unfit("a mere step")
     return Contribution(one.effect, values, one.drivers, one.params, active=mask, where=where)
 
 
@@ -329,7 +364,7 @@ def key_of(bench: Bench, story: Story, tier: str) -> dict[str, Any]:
 def _one_effect(
     bench: Bench, story: Story, c: Contribution, included: Array, noise: float, tier: str, key: dict
 ) -> None:
-    rows = bench.measured & (c.active if c.active is not None and tier == "partial" else True)
+    rows = bench.measured
     rivals = np.hstack([included, *(h.values[:, None] for h in story.hidden if h is not c)])
     base = rivals[rows] - rivals[rows].mean(axis=0)
     target = c.values[rows] - c.values[rows].mean()
@@ -337,12 +372,14 @@ def _one_effect(
         left = target - base @ np.linalg.lstsq(base, target, rcond=1e-10)[0]
         if np.sqrt(np.mean(left**2)) * np.sqrt(rows.sum()) < 12 * noise or np.mean(left**2) < 0.05 * np.mean(target**2):
             raise Unfit("the gains can play the hidden effect")
-    verdict = compare(bench, story.response.component, c.effect, c.drivers, c.values, rivals, noise, rows)
+    verdict = compare(bench, story.response.component, c, rivals, noise, rows, tier == "partial")
+    if verdict.own_share < LEAST_OWN and c.effect not in NO_FORM and tier != "novel":
+        raise Unfit("too far from its own signature")
     if tier == "novel":
         if verdict.best[1] > 0.85:
             raise Unfit(f"{verdict.best[0]} explains the novel mechanism")
         return
-    if len(verdict.accepted) > 4:
+    if len(verdict.accepted) > 3:
         raise Unfit("anything would do")
     key["effects"].append(verdict.accepted)
     key["drivers"].update({e: verdict.drivers.get(e, []) for e in verdict.accepted})

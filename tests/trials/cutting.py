@@ -68,8 +68,9 @@ def make(rng: np.random.Generator) -> Bench:
     def at(series: Array) -> Array:
         return np.interp(t, clock, series)
 
-    life = np.array([rng.uniform(0.9, 2.2) * p["cut"][p["tool"] == k].max() for k in range(int(p["tool"].max()) + 1)])
-    worn = wear(p["cut"], life[p["tool"].astype(int)] if rng.random() < 0.5 else np.full(n, life.max()), rng)
+    usual = rng.uniform(1.0, 1.8) * p["cut"].max()
+    lives = usual * (1 + rng.choice([0.0, 0.1]) * rng.uniform(-1, 1, int(p["tool"].max()) + 1))
+    worn = wear(p["cut"], lives[p["tool"].astype(int)], rng)
     hard = 1 + 0.03 * np.sin(t / rng.uniform(8000, 30000)) + rng.normal(0, 0.03, n)
     force = rng.uniform(900, 1700) * p["depth"] * (p["feed"] / p["rpm"]) ** 0.75 * hard * (1 + 0.15 * worn)
     base = rng.uniform(18.5, 23.0)

@@ -19,7 +19,7 @@ def motion(
     i, x = 0, rng.uniform(0.3, 0.7) * travel
     start, way = x, float(rng.choice([-1, 1]))
     while i < n:
-        v = feed / 60.0 * rng.uniform(0.3, 1.05) * (1 if rng.random() < 0.8 else 0.12)
+        v = feed / 60.0 * rng.uniform(0.3, 1.05) * (1 if rng.random() < 0.72 else rng.uniform(0.05, 0.2))
         room = (0.93 * travel - x) if way > 0 else (x - 0.07 * travel)
         hold = min(rng.uniform(0.9, 5.5), max(room / v, 0.15))
         k = max(int(hold / dt), 4)

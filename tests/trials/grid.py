@@ -154,6 +154,7 @@ def _effects(rng, w, size, own) -> dict[str, Contribution]:
         + rng.uniform(-0.5, 0.5) * np.sin(2 * np.pi * u)
         + rng.uniform(-0.15, 0.15) * np.sin(3 * np.pi * u)
     )
+    arch = arch - np.polyval(np.polyfit(u, arch, 1), u)
     add("straightness", sign() * rng.uniform(4, 18) * arch, (a,))
     a = str(rng.choice(AXES))
     lever = str(rng.choice(["overhang", *[b for b in AXES if b not in (a, own)]])) if rng.random() < 0.8 else "overhang"
@@ -171,7 +172,7 @@ def _effects(rng, w, size, own) -> dict[str, Contribution]:
     air = w["base"] + now(bodies.lump(DT, w["air"], rng.uniform(20, 200)))
     add(
         "air_refraction",
-        sign() * path_error(w[own] + rng.uniform(0, 300), air, np.full(air.size, 1010.0), (w["base"], 1010.0)),
+        sign() * path_error(w[own] + rng.uniform(0, 40), air, np.full(air.size, 1010.0), (w["base"], 1010.0)),
         (own, "T_air"),
     )
     k = sign() * rng.uniform(1.5, 6)

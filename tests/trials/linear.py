@@ -177,7 +177,8 @@ def make(rng: np.random.Generator) -> Bench:
     lead = float(rng.choice([5, 8, 10, 12, 16, 20]))
     period = float(rng.choice([0.01, 0.02, 0.04, 0.1]))
     drive_at_zero = bool(rng.random() < 0.6)
-    w, phases = walk(rng, travel, logged=bool(rng.random() < 0.55))
+    logged = bool(rng.random() < 0.55)
+    w, phases = walk(rng, travel, logged)
     heat = warm_up(rng, float(w.t[-1]), phases, travel, drive_at_zero)
     base = {k: rng.uniform(19.5, 23.0) for k in ("nut", "bearing", "bed", "air")}
 
@@ -223,7 +224,8 @@ def make(rng: np.random.Generator) -> Bench:
         w.measured,
         {},
     )
-    bench.responses[component] = Response(component, "um", effects, _novel(rng, w, heat, at, low, travel))
+    hideable = tuple(e for e in effects if logged or e != "feed_heating")  # without a log nobody knows the motion
+    bench.responses[component] = Response(component, "um", effects, _novel(rng, w, heat, at, low, travel), hideable)
     return bench
 
 

@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .case import Array, Bench
+from .case import Array, Bench, Contribution
 
 EXPLAINS = 0.97  # share of the hidden contribution that another effect's textbook form explains
 LAGS = np.geomspace(150, 30000, 13)
@@ -27,15 +27,21 @@ class Form:
     tau: float | None = None
 
 
-def lagged(t: Array, u: Array, taus: Array) -> Array:
-    """First-order lags (rows, taus) of u held between rows; starts settled."""
+def lagged(t: Array, u: Array, taus: Array, *, steps: bool = False) -> Array:
+    """First-order lags (rows, taus) of u: straight between rows and settled at the start, or with `steps` held and cold."""
     out = np.empty((t.size, taus.size))
-    state = np.full(taus.size, u[0])
-    steps = np.maximum(np.diff(t), 0.0)
-    keep = np.exp(-steps[:, None] / taus)
+    dt = np.maximum(np.diff(t), 0.0)
+    keep = np.exp(-dt[:, None] / taus)
+    if steps:
+        before = after = np.repeat(u[:-1, None], taus.size, axis=1)
+        state = np.zeros(taus.size)
+    else:
+        trail = (np.diff(u) / np.maximum(dt, 1e-9))[:, None] * taus
+        before, after = u[:-1, None] - trail, u[1:, None] - trail
+        state = np.full(taus.size, u[0])
     out[0] = state
     for i in range(1, t.size):
-        state = u[i - 1] + (state - u[i - 1]) * keep[i - 1]
+        state = after[i - 1] + (state - before[i - 1]) * keep[i - 1]
         out[i] = state
     return out
 
@@ -44,14 +50,22 @@ def by_role(bench: Bench, role: str) -> list[str]:
     return [name for name, c in bench.columns.items() if c.spec["role"] == role]
 
 
+def _held(shown: Array) -> Array:
+    """Empty cells take the last value."""
+    seen = np.maximum.accumulate(np.where(np.isnan(shown), 0, np.arange(shown.size)))
+    return shown[seen]
+
+
 def _col(*arrays: Array) -> Array:
     return np.column_stack(arrays)
 
 
-def forms(bench: Bench) -> Iterator[Form]:
-    """Every textbook form that the columns allow."""
+def forms(bench: Bench, display: tuple[str, Array] | None = None) -> Iterator[Form]:
+    """Every textbook form that the columns allow; `display` replaces a column by what a faulty sensor shows."""
     t = bench.time()
     value = {n: c.values for n, c in bench.columns.items()}
+    if display is not None:
+        value[display[0]] = _held(display[1])
     yield Form("sensor_drift", ("t",), _col(t))
     yield from _axes(bench, value)
     yield from _thermal(bench, value, t)
@@ -69,20 +83,23 @@ def _axes(bench: Bench, value: dict[str, Array]) -> Iterator[Form]:
         yield from _circular_or_plain(bench, value, p, x, u, positions)
         if "screw_lead" in facts:
             a = 2 * np.pi * x / facts["screw_lead"]
-            yield Form("pitch_cyclic", (p,), _col(np.sin(a), np.cos(a), np.sin(2 * a), np.cos(2 * a)))
+            waves = _col(np.sin(a), np.cos(a), np.sin(2 * a), np.cos(2 * a))
+            yield Form("pitch_cyclic", (p,), waves * np.reshape(_radial(bench, value, p), (-1, 1)))
         if "encoder_period" in facts:
             a = 2 * np.pi * x / facts["encoder_period"]
             yield Form("interpolation", (p,), _col(np.sin(a), np.cos(a), np.sin(2 * a), np.cos(2 * a)))
-        for width in (0.06, 0.09, 0.13):
-            for centre in np.linspace(low, high, 15):
-                yield Form("local_wear", (p,), _col(np.exp(-0.5 * ((x - centre) / (width * (high - low))) ** 2)))
+        for width in (0.04, 0.06, 0.08) if bench.protocol != "volumetric grid" else ():
+            for centre in np.linspace(low, high, 25):
+                bump = np.exp(-0.5 * ((x - centre) / (width * (high - low))) ** 2)
+                yield Form("local_wear", (p,), _col(bump * _radial(bench, value, p)))
         side = sides.get(axis_of[p])
         if side is not None:
             name, s = side
             weight = _radial(bench, value, p)
             yield Form("backlash", (name,), _col(s * weight))
-            far = np.abs(x - facts.get("drive_end", low))
-            yield Form("screw_windup", (name, p), _col(s * far * weight, s * weight))
+            ends = [facts["drive_end"]] if "drive_end" in facts else facts.get("travel", [low, high])
+            for end in ends:
+                yield Form("screw_windup", (name, p), _col(s * np.abs(x - end) * weight))
     if bench.protocol == "volumetric grid":
         yield from _volume(bench, value, positions)
 
@@ -127,15 +144,15 @@ def _volume(bench, value, positions) -> Iterator[Form]:
         c = u - u.mean()
         yield Form("scale_error", (p,), _col(c))
         yield Form("squareness", (p,), _col(c))
-        yield Form("straightness", (p,), _col(c**2, c**3))
-        yield Form("straightness", (p,), _col(c, c**2, c**3))
+        v = 2 * (value[p] - value[p].min()) / np.ptp(value[p]) - 1
+        yield Form("straightness", (p,), _col(1.5 * v**2, 2.5 * v**3 - 1.5 * v))  # about the line through it
         yield Form("gravity_sag", (p,), _col(u**2))
         yield Form("gravity_sag", (p,), _col(u**3))
         for q in [*positions, *legs]:
             if q != p:
                 z = value[q] / 1000.0
-                yield Form("angular_abbe", (p, q), _col(z * c, z))
-                yield Form("angular_abbe", (p, q), _col(z * c, z * c**2))
+                yield Form("angular_abbe", (p, q), _col(z * c))
+                yield Form("angular_abbe", (p, q), _col(z * u, z * u**2))
         if "load" in value:
             yield Form("workpiece_load", ("load", p), _col(value["load"], value["load"] * c))
     if "load" in value:
@@ -180,12 +197,12 @@ def _process(bench: Bench, value: dict[str, Array], t: Array) -> Iterator[Form]:
         top = max(value[n].max(), 1.0)
         yield Form("centrifugal_growth", (n,), _col((value[n] / top) ** 2))
         for power in (0.8, 1.0, 1.3, 1.7):
-            lags = lagged(t, (value[n] / top) ** power, LAGS[:10])
+            lags = lagged(t, (value[n] / top) ** power, LAGS[:10], steps=True)
             for k in range(10):
                 yield Form("spindle_growth", (n,), _col(lags[:, k]), float(LAGS[k]))
     for n in by_role(bench, "coolant"):
         yield Form("coolant_effect", (n,), _col(value[n]))
-        for k, lag in enumerate(lagged(t, value[n], LAGS[:5]).T):
+        for k, lag in enumerate(lagged(t, value[n], LAGS[:5], steps=True).T):
             yield Form("coolant_effect", (n,), _col(lag), float(LAGS[k]))
         for s in (s for s in by_role(bench, "temperature") if "coolant" in bench.columns[s].spec["location"]):
             yield Form("coolant_effect", (n, s), _col(value[n] * (value[s] - value[s].mean()), value[n]))
@@ -202,10 +219,10 @@ def _process(bench: Bench, value: dict[str, Array], t: Array) -> Iterator[Form]:
     if bench.protocol == "linear positioning":
         motion = value["feed"] * (1 - bench.measured)
         for tau in LAGS[3:11]:
-            heat = lagged(t, motion, np.array([tau]))[:, 0]
+            heat = lagged(t, motion, np.array([tau]), steps=True)[:, 0]
             for p in places:
                 facts = bench.constants[bench.columns[p].spec["axis"]]
-                yield Form("feed_heating", (p, "feed"), _col((value[p] - facts["drive_end"]) * heat, heat), float(tau))
+                yield Form("feed_heating", (p, "feed"), _col((value[p] - facts["drive_end"]) * heat), float(tau))
     if bench.protocol == "linear positioning":
         side = value["dir"]
         yield Form("friction_hysteresis", ("dir",), _col(side))
@@ -219,7 +236,7 @@ def _process(bench: Bench, value: dict[str, Array], t: Array) -> Iterator[Form]:
             yield Form("following_error", (v,), _col(value[v]))
             yield Form("coulomb_friction", (v,), _col(s))
             yield Form("friction_hysteresis", (v,), _col(s))
-            for knee in (1.0, 3.0, 8.0):
+            for knee in (1.0, 2.0, 4.0, 8.0, 14.0):
                 yield Form("stribeck_friction", (v,), _col(s * np.exp(-((value[v] / knee) ** 2))))
         for a in pushes:
             yield Form("inertial_deflection", (a,), _col(value[a]))
@@ -295,33 +312,34 @@ def explained(target: Array, design: Array, others: Array) -> tuple[float, float
 
 
 def compare(
-    bench: Bench,
-    component: str,
-    hidden: str,
-    drivers: tuple[str, ...],
-    target: Array,
-    included: Array,
-    noise: float,
-    rows: Array,
+    bench: Bench, component: str, hidden: Contribution, included: Array, noise: float, rows: Array, partial: bool
 ) -> Verdict:
-    """Which effects the key must accept for `target` (all rows), and by which drivers."""
+    """Which effects the key must accept for a hidden contribution, and by which drivers.
+
+    With `partial` the rivals, too, may act only where the hidden effect does.
+    """
     index = np.flatnonzero(rows)
-    thin = max(1, index.size // 2500)
-    pick = index[::thin]
+    pick = index[:: max(1, index.size // 2500)]
+    gate = hidden.active if partial else None
     evidence = 9.0 * 2.0 / index.size  # chi-square of 9, noise half as informative as its rows
-    y, others = target[pick], included[pick]
-    accepted, seen, tau = {hidden}, {hidden: list(drivers)}, None
+    y, others = hidden.values[pick], included[pick]
+    name = hidden.effect
+    accepted, seen, tau = {name}, {name: list(hidden.drivers)}, None
     own, best = 0.0, ("", 0.0)
     best_of: dict[str, tuple[float, tuple[str, ...]]] = {}
     shares: list[tuple[float, Form]] = []
-    for form in forms(bench):
+    for form in forms(bench, hidden.display):
         if not possible(form.effect, component, form.drivers):
             continue
         share, left = explained(y, form.design[pick], others)
+        if gate is not None:
+            for design in (form.design, form.design - form.design[0]):
+                gated = explained(y, design[pick] * gate[pick, None], others)
+                share, left = max(share, gated[0]), min(left, gated[1])
         shares.append((share, form))
-        if form.effect == hidden and share > own:
+        if form.effect == name and share > own:
             own, tau = share, form.tau
-        if form.effect != hidden and share > best[1]:
+        if form.effect != name and share > best[1]:
             best = (form.effect, share)
         if share > best_of.get(form.effect, (-1.0, ()))[0]:
             best_of[form.effect] = (share, form.drivers)
@@ -329,8 +347,8 @@ def compare(
             accepted.add(form.effect)
     for effect in accepted:
         top = best_of.get(effect, (0.0, ()))[0]
-        names = seen.setdefault(effect, [])
+        known = seen.setdefault(effect, [])
         for share, form in shares:
             if form.effect == effect and share >= max(min(top, EXPLAINS), top - 0.01):
-                names.extend(d for d in form.drivers if d not in names)
-    return Verdict([hidden, *sorted(accepted - {hidden})], seen, own, best, tau)
+                known.extend(d for d in form.drivers if d not in known)
+    return Verdict([name, *sorted(accepted - {name})], seen, own, best, tau)
