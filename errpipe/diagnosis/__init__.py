@@ -1,0 +1,33 @@
+"""From a mismatch between recording and simulation to a named, located, modelled and proved cause.
+
+    prepare     rows that can be judged; sensors filled and smoothed; motion from positions
+    hypotheses  every effect in every binding as design columns: the textbook form and how far it may stray
+    evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
+    decompose   the noiseless simulated signal into its own effects (what a recalibration may change)
+    search      forward, backward and in pairs: what is missing
+    admit       what is left, and whether a name is deserved
+    locate      where it acts
+    model       parameters with intervals, held-out figures
+    confidence  how often such a finding is right
+    separate    which rival explains nearly as well, and what to measure to tell
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from errpipe.domain.recording import Recording
+
+
+def diagnose(recording: Recording, progress: Callable[[float, str], None] = lambda share, text: None) -> dict[str, Any]:
+    """diagnosis.json as plain data. Raises DataError where no response can be judged."""
+    from errpipe.diagnosis import judge, prepare, report
+
+    pairs = prepare.pairs(recording)
+    conditioned = prepare.condition(recording)
+    responses = []
+    for k, pair in enumerate(pairs):
+        case = judge.judge(conditioned, pair, lambda share, text, k=k: progress((k + share) / len(pairs), text))
+        responses.append(report.response(case))
+    return {"diagnosis": 1, "recording": recording.manifest.title, "responses": responses}

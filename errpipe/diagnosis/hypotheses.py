@@ -1,0 +1,273 @@
+"""Every effect in every binding as design columns: the textbook form, and how far reality may stray from it.
+
+A hypothesis has `core` columns (the term's own basis at given non-linear parameters) and `slack` columns:
+what real parts add to the textbook (a lead error that is not quite straight, friction that varies along the
+screw, a body that was not in balance at the start). A slack column's freedom is its standard deviation
+relative to the core's size; all columns are scaled to unit rms over the judged rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms import TERMS as ALL_TERMS
+from errpipe.terms._base import Term, position, sessions
+
+TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
+WAVY = 0.07  # freedom of each smooth deformation along an axis
+DEGREES = range(1, 8)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect, bound to columns, at given non-linear parameters."""
+
+    effect: str
+    terms: tuple[Term, ...]
+    nonlinear: tuple[tuple[float, ...], ...]
+    drivers: tuple[str, ...]
+    prior: float = 0.0  # log prior odds beside the other hypotheses
+    mask: tuple = ()  # ("runs", labels) or ("range", column, low, high): acts only there
+
+    @property
+    def key(self) -> tuple:
+        """What stays the same along a grid of non-linear parameters."""
+        return (self.effect, self.drivers, tuple(t.model_dump_json() for t in self.terms), self.mask)
+
+
+@dataclass
+class Library:
+    """All hypotheses for a response on its rows: columns side by side, unit rms, with their freedoms."""
+
+    hypotheses: list[Hypothesis] = field(default_factory=list)
+    slices: list[slice] = field(default_factory=list)
+    columns: np.ndarray | None = None
+    freedom: np.ndarray | None = None
+    scale: np.ndarray | None = None
+    cores: list[int] = field(default_factory=list)
+
+    def of(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and freedoms of one hypothesis."""
+        at = self.slices[index]
+        return self.columns[:, at], self.freedom[at]
+
+
+def build(recording: Recording, component: str, rows: np.ndarray, extra: bool = False) -> Library:
+    """The library for a response. extra: with physics that simulations hold but nobody diagnoses (moving mass)."""
+    library = Library()
+    blocks, freedoms, scales = [], [], []
+    start = 0
+    for hypothesis in enumerate_all(recording, component, extra):
+        core, slack, rel = columns_of(hypothesis, recording)
+        core, slack = core[rows], slack[rows]
+        if not np.isfinite(core).all() or not np.isfinite(slack).all():
+            continue
+        c_scale = np.sqrt(np.mean(core**2, axis=0))
+        spread = core.std(axis=0)
+        if not (c_scale > 0).all() or (spread < 1e-9 * (c_scale + 1e-30)).all():
+            continue
+        s_scale = np.sqrt(np.mean(slack**2, axis=0)) if slack.shape[1] else np.zeros(0)
+        keep = s_scale > 1e-12
+        size = np.maximum(np.where(spread > 1e-6 * c_scale, spread, c_scale), 1e-300)
+        block = np.column_stack([core / size, slack[:, keep] / s_scale[keep]])
+        blocks.append(block)
+        freedoms.append(np.r_[np.ones(core.shape[1]), rel[keep]])
+        scales.append(np.r_[size, s_scale[keep]])
+        library.hypotheses.append(hypothesis)
+        library.slices.append(slice(start, start + block.shape[1]))
+        library.cores.append(core.shape[1])
+        start += block.shape[1]
+    library.columns = np.column_stack(blocks) if blocks else np.zeros((rows.size, 0))
+    library.freedom = np.concatenate(freedoms) if blocks else np.zeros(0)
+    library.scale = np.concatenate(scales) if blocks else np.zeros(0)
+    return library
+
+
+def enumerate_all(recording: Recording, component: str, extra: bool = False) -> Iterator[Hypothesis]:
+    """Every hypothesis for a response."""
+    for kind in TERMS:
+        bound = list(kind.bind(recording, component))
+        groups = [(t,) for t in bound]
+        if component == "E_R" and len(bound) == 2 and bound[0].term != "pitch_cyclic":
+            groups.append(tuple(bound))
+        for group in groups:
+            drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
+            for values in grid(group[0], recording):
+                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, prior_of(group[0]))
+    if extra and component.startswith("F_"):
+        for column in recording.names("acceleration", axis=component[2:]):
+            yield Hypothesis("moving_mass", (Mass(column=column),), ((),), (column,))
+
+
+class Mass(Term):
+    """Force that accelerates the axis' mass: simulations hold it, so it is never a finding."""
+
+    term: str = "moving_mass"
+    column: str
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return (1e-3 * recording.array(self.column))[:, None]
+
+
+GRIDS: dict[str, tuple[float, ...]] = {
+    "thermal_lag.tau": (300, 600, 1000, 1600, 2500, 4000, 6300, 10000, 16000),
+    "ambient_drift.tau": (2000, 3500, 6000, 10000, 16000, 25000, 40000, 70000),
+    "spindle_growth.tau": (400, 700, 1100, 1700, 2600, 4000, 6000, 9000),
+    "spindle_growth.exponent": (0.7, 1.0, 1.4, 2.0),
+    "feed_heating.tau": (500, 900, 1500, 2500, 4000, 6500, 10000),
+    "coolant_effect.tau": (20, 80, 200, 500, 1200),
+    "tool_wear.exponent": (0.35, 0.55, 0.75, 1.0, 1.3),
+    "cutting_compliance.exponent": (1.0, 2.0, 3.0),
+    "gravity_sag.exponent": (2.0, 2.5, 3.0),
+    "friction_hysteresis.length": (0.01, 0.03, 0.08, 0.2, 0.5, 1.5, 5.0),
+    "reversal_spike.tau": (0.004, 0.008, 0.015, 0.03, 0.06, 0.12),
+    "reversal_spike.power": (0.0, 0.5, 1.0),
+    "coulomb_friction.sharpness": (0.0, 0.3, 1.0),
+    "stribeck_friction.v_s": (0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0),
+}
+
+
+def grid(term: Term, recording: Recording) -> list[tuple[float, ...]]:
+    """Values of the non-linear parameters to try."""
+    axes = []
+    for p in term.nonlinear():
+        if p.name in term.fixed:
+            axes.append((term.fixed[p.name],))
+        elif f"{term.term}.{p.name}" in GRIDS:
+            axes.append(GRIDS[f"{term.term}.{p.name}"])
+        else:
+            axes.append(_free_grid(term, p.name, recording))
+    out: list[tuple[float, ...]] = [()]
+    for values in axes:
+        out = [(*o, v) for o in out for v in values]
+    if term.term == "local_wear":
+        out = [(c, w) for c, w in out]
+    return out
+
+
+def _free_grid(term: Term, name: str, recording: Recording) -> tuple[float, ...]:
+    """Grids that depend on the recording: periods, places, clock offsets."""
+    if name == "period":
+        x = position(recording, term.axis)
+        span = float(np.nanmax(x) - np.nanmin(x))
+        shortest, longest = (2.0, 40.0) if term.term == "torque_ripple" else (2.0, 30.0)
+        # waves are told apart by one quarter of a turn over the whole span
+        count = int(min(600, 4 * span * (1 / shortest - 1 / longest)))
+        return tuple(1 / f for f in np.linspace(1 / longest, 1 / shortest, max(count, 2)))
+    if name == "centre":
+        x = position(recording, term.axis)
+        return tuple(np.linspace(np.nanmin(x), np.nanmax(x), 25)[1:-1])
+    if name == "width":
+        x = position(recording, term.axis)
+        span = float(np.nanmax(x) - np.nanmin(x))
+        return tuple(span * f for f in (0.02, 0.04, 0.07, 0.11))
+    if name == "offset":
+        top = term.longest
+        half = np.geomspace(term.shortest, top, 12)
+        return tuple(np.r_[-half[::-1], half])
+    raise KeyError(f"no grid for {term.term}.{name}")
+
+
+def prior_of(term: Term) -> float:
+    """Log prior odds of a binding beside its like: the stranger, the lower."""
+    if term.term == "thermal_interaction":
+        return -2.0
+    if term.term in ("clock_offset", "sensor_fault"):
+        return -1.0
+    return 0.0
+
+
+def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Core columns, slack columns and the slacks' freedoms, on all rows of the recording."""
+    core = np.column_stack([t.basis(recording, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)])
+    slack, rel = [], []
+    for term, nl in zip(h.terms, h.nonlinear, strict=True):
+        base = term.basis(recording, *nl)
+        for column, freedom in slacks(term, nl, base, recording):
+            slack.append(column)
+            rel.append(freedom)
+    if h.mask:
+        inside = mask_of(h.mask, recording)
+        core = core * inside[:, None]
+        slack = [s * inside for s in slack]
+    return core, np.column_stack(slack) if slack else np.zeros((len(recording), 0)), np.array(rel)
+
+
+def mask_of(mask: tuple, recording: Recording) -> np.ndarray:
+    """1 where a partial effect acts, else 0."""
+    if mask[0] == "runs":
+        labels = np.array(recording.run_labels())
+        return np.isin(labels[recording.run_codes()], mask[1]).astype(float)
+    values = recording.array(mask[1])
+    return ((values >= mask[2]) & (values <= mask[3])).astype(float)
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    """Scaled to -1..1 over its own range."""
+    low, high = np.nanmin(x), np.nanmax(x)
+    return (2 * x - low - high) / (high - low) if high > low else np.zeros_like(x)
+
+
+def wavy(column: np.ndarray, x: np.ndarray, first: int = 1) -> Iterator[tuple[np.ndarray, float]]:
+    """A column bent smoothly along x."""
+    turns = np.polynomial.chebyshev.chebvander(unit(x), DEGREES[-1])
+    for k in DEGREES:
+        if k >= first:
+            yield column * turns[:, k], WAVY
+
+
+def decays(recording: Recording, tau: float, first: float, later: float) -> Iterator[tuple[np.ndarray, float]]:
+    """What is left of an unknown state at the start of each session."""
+    session, t = sessions(recording), recording.time()
+    for k, s in enumerate(np.unique(session)):
+        inside = session == s
+        since = np.where(inside, t - t[inside][0], 0.0)
+        yield np.where(inside, np.exp(-np.maximum(since, 0.0) / tau), 0.0), first if k == 0 else later
+
+
+def slacks(term: Term, nl: tuple[float, ...], base: np.ndarray, recording: Recording) -> Iterator[tuple[np.ndarray, float]]:
+    """How reality strays from a term's textbook form: (column, freedom relative to the core)."""
+    name = term.term
+    radial = getattr(term, "radial", False)
+    if name in ("backlash", "screw_windup", "friction_hysteresis") and not radial:
+        yield from wavy(base[:, 0], position(recording, term.axis))
+    elif name == "scale_error" and not radial:
+        turns = np.polynomial.chebyshev.chebvander(unit(position(recording, term.axis)), 8)
+        for k in range(2, 9):
+            yield turns[:, k], 0.12
+    elif name in ("scale_expansion", "feed_heating") and not radial:
+        x = position(recording, term.axis)
+        yield x, 0.7
+        yield from wavy(base[:, 0], x)
+        # the growth is counted from the fixed end, wherever that is
+        level = base[:, 0] / np.where(np.abs(x) > 1e-9, x, 1e-9) * (np.nanmax(x) - np.nanmin(x))
+        yield np.where(np.abs(x) > 1e-6, level, 0.0), 0.7 if name == "feed_heating" else 0.3
+        if name == "feed_heating":
+            for column, freedom in decays(recording, nl[0], 0.1, 0.5):
+                yield column * x, freedom
+    elif name == "thermal_lag":
+        x = position(recording, term.along) if term.along else None
+        for column, freedom in decays(recording, nl[0], 0.4, 0.6):
+            yield (column * x if x is not None else column), freedom
+        if x is not None:
+            yield x, 0.7
+            yield from wavy(base[:, 0], x)
+    elif name == "ambient_drift":
+        yield from decays(recording, nl[0], 1.0, 1.0)
+    elif name == "spindle_growth":
+        yield from decays(recording, nl[0], 0.1, 0.7)
+        for factor in (0.3, 3.0):
+            yield term.basis(recording, nl[0] * factor, nl[1])[:, 0], 0.25
+    elif name == "thermal_interaction":
+        for sensor in dict.fromkeys((term.first, term.second)):
+            yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.7
+    elif name == "coolant_effect":
+        yield from decays(recording, nl[0], 0.2, 0.2)
+    elif name == "air_refraction":
+        pass
+    elif name == "tool_wear":
+        yield term.basis(recording, min(nl[0] * 1.6, 3.0))[:, 0], 0.3

@@ -1,0 +1,239 @@
+"""Rows that can be judged, and columns fit to be driven by: filled, smoothed, motion taken from positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.terms._base import sessions
+
+LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
+MOST_MISSING = 0.15  # a sensor with more gaps than this drives nothing
+WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A response beside its simulated twin, and the rows on which both can be compared.
+
+    rows: indices into the recording, in its order; mismatch = error - simulated there, in `unit`.
+    run: run code of each of these rows; outliers: indices (into the recording) set aside.
+    """
+
+    component: str
+    unit: str
+    error: str
+    simulated: str
+    rows: np.ndarray
+    mismatch: np.ndarray
+    outliers: np.ndarray
+
+
+def pairs(recording: Recording) -> list[Pair]:
+    """Every response with a simulated twin. Raises DataError where there is none, or none that can be used."""
+    found, refused = [], []
+    for error in recording.names("error"):
+        component = recording.manifest.columns[error].component
+        twin = recording.name("simulated", component=component)
+        if twin is None:
+            refused.append(f"{component}: no column of role simulated for it")
+            continue
+        units = [recording.manifest.columns[n].unit for n in (error, twin)]
+        if units[0] != units[1]:
+            refused.append(f"{component}: recorded in {units[0]}, simulated in {units[1]}; they must be the same")
+            continue
+        try:
+            found.append(_pair(recording, str(component), error, twin, units[0] or "um"))
+        except DataError as err:
+            refused.append(str(err))
+    if not found:
+        raise DataError("diagnose: no pair of responses\n" + "\n".join(f"  {line}" for line in refused))
+    return found
+
+
+def _pair(recording: Recording, component: str, error: str, twin: str, unit: str) -> Pair:
+    mismatch = recording.array(error) - recording.array(twin)
+    rows = np.flatnonzero(np.isfinite(mismatch))
+    if rows.size < LEAST_ROWS:
+        raise DataError(
+            f"{component}: only {rows.size} rows hold both a recorded and a simulated value (at least {LEAST_ROWS})"
+        )
+    rows = rows[~_repeated(recording, rows)]
+    if rows.size < LEAST_ROWS:
+        raise DataError(f"{component}: only {rows.size} different rows (at least {LEAST_ROWS})")
+    if np.nanstd(recording.array(error)[rows]) == 0:
+        raise DataError(f"{component}: the recorded value never changes")
+    wild = spikes(mismatch[rows], recording.run_codes()[rows])
+    return Pair(component, unit, error, twin, rows[~wild], mismatch[rows[~wild]], rows[wild])
+
+
+def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """Rows that say again, cell by cell, what the row before said."""
+    frame = recording.frame.iloc[rows]
+    same = (frame.to_numpy()[1:] == frame.to_numpy()[:-1]) | (frame.isna().to_numpy()[1:] & frame.isna().to_numpy()[:-1])
+    return np.r_[False, same.all(axis=1)]
+
+
+def spikes(values: np.ndarray, run: np.ndarray, times: float = 6.0) -> np.ndarray:
+    """Isolated outliers: far from the median of their six neighbours, which agree among themselves."""
+    n = values.size
+    out = np.zeros(n, dtype=bool)
+    if n < 15:
+        return out
+    padded = np.pad(values, 3, mode="reflect")
+    around = np.stack([padded[k : k + n] for k in (0, 1, 2, 4, 5, 6)])
+    gap = values - np.median(around, axis=0)
+    scale = 1.4826 * np.median(np.abs(gap)) + 1e-12
+    spread = 1.4826 * np.median(np.abs(around - np.median(around, axis=0)), axis=0)
+    return np.abs(gap) > times * np.maximum(scale, 1.5 * spread)
+
+
+def condition(recording: Recording) -> Recording:
+    """The recording with its driving columns made fit: gaps filled, sensors smoothed, motion from positions.
+
+    Sensors that miss more than MOST_MISSING of their rows, or never change, are left out. The error and
+    simulated columns stay as they are.
+    """
+    run = recording.run_codes()
+    session = sessions(recording)
+    t = recording.time()
+    columns: dict[str, np.ndarray] = {}
+    dropped = []
+    for role in ("temperature", "pressure", "humidity", "force"):
+        for name in recording.names(role):
+            values = recording.array(name)
+            if not usable(values):
+                dropped.append(name)
+                continue
+            filled = fill(t, values, session)
+            columns[name] = filled if role == "force" else smooth(filled, run)
+    for role in ("position", "command", "direction", "spindle_speed", "feed", "coolant", "load", "overhang",
+                 "depth_of_cut", "cut_length", "velocity", "acceleration"):  # fmt: skip
+        for name in recording.names(role):
+            values = recording.array(name)
+            if not np.isfinite(values).any():
+                dropped.append(name)
+                continue
+            stepwise = role not in ("position", "command", "velocity", "acceleration", "cut_length")
+            columns[name] = hold(values, session) if stepwise else fill(t, values, session)
+    columns |= motion(recording, columns)
+    frame = recording.frame.assign(**columns).drop(columns=dropped)
+    return Recording(recording.manifest, frame)
+
+
+def usable(values: np.ndarray) -> bool:
+    """Does a sensor hold enough different finite values to drive anything?"""
+    finite = np.isfinite(values)
+    return finite.mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
+
+
+def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:
+    """Missing values interpolated in time within a session, held at its ends."""
+    out = values.copy()
+    bad = ~np.isfinite(values)
+    if not bad.any():
+        return out
+    for s in np.unique(session[bad]):
+        rows = np.flatnonzero(session == s)
+        good = rows[~bad[rows]]
+        if good.size:
+            out[rows] = np.where(bad[rows], np.interp(t[rows], t[good], values[good]), values[rows])
+    left = ~np.isfinite(out)
+    out[left] = np.nanmedian(values)
+    return out
+
+
+def hold(values: np.ndarray, session: np.ndarray) -> np.ndarray:
+    """Missing values held from the row before, at the start of a session from the row after."""
+    import pandas as pd
+
+    held = pd.Series(values).groupby(session).transform(lambda s: s.ffill().bfill())
+    return held.fillna(np.nanmedian(values)).to_numpy(dtype=float)
+
+
+def smooth(values: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """A sensor's reading without its noise: a kernel as wide as leaving single rows out recommends."""
+    best = (np.inf, values)
+    stretches = [np.flatnonzero(run == r) for r in np.unique(run)]
+    for width in WINDOWS:
+        out, left_out = np.empty_like(values), np.empty_like(values)
+        for rows in stretches:
+            out[rows], left_out[rows] = _kernel_smooth(values[rows], width)
+        score = float(np.mean((values - left_out) ** 2))
+        if score < best[0] * 0.995:
+            best = (score, out)
+    return best[1]
+
+
+def _kernel_smooth(values: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Local linear (symmetric kernel) smooth, and the same with each row left out of its own estimate."""
+    reach = min(int(3 * width) + 1, max(values.size - 1, 0))
+    if values.size < 4 or reach < 1:
+        return values.copy(), np.full_like(values, np.mean(values))
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    # ends reflected through the end value, so that a slope stays a slope
+    head = 2 * values[0] - values[1 : reach + 1][::-1]
+    tail = 2 * values[-1] - values[-reach - 1 : -1][::-1]
+    padded = np.r_[head, values, tail]
+    total = np.convolve(padded, weights, mode="valid")
+    centre = weights[reach]
+    own = centre * values
+    return total / weights.sum(), (total - own) / (weights.sum() - centre)
+
+
+def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Velocities and accelerations from positions where rows are dense: a derivative is cleaner than its reading."""
+    out: dict[str, np.ndarray] = {}
+    t, run = recording.time(), recording.run_codes()
+    step = np.diff(t)
+    if recording.name("time") is None or len(t) < 50 or np.median(step[step > 0]) > 0.1:
+        return out
+    for name in recording.names("velocity"):
+        axis = recording.manifest.columns[name].axis
+        source = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+        if source is None:
+            continue
+        v = derivative(t, columns[source], run)
+        if _agrees(v, columns[name]):
+            out[name] = v
+        for acc in recording.names("acceleration", axis=axis):
+            a = second_derivative(t, columns[source], run)
+            if _agrees(a, columns[acc]):
+                out[acc] = a
+    return out
+
+
+def _agrees(derived: np.ndarray, recorded: np.ndarray) -> bool:
+    """Is the reading the derivative plus noise? (else the column means something else, and stays)"""
+    return bool(np.corrcoef(derived, recorded)[0, 1] > 0.98)
+
+
+def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Central first derivative within runs, shape of t; for uneven steps the parabola through three rows."""
+    return _three_point(t, x, run, 1)
+
+
+def second_derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Second derivative of the parabola through three rows, within runs."""
+    return _three_point(t, x, run, 2)
+
+
+def _three_point(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int) -> np.ndarray:
+    out = np.zeros_like(x)
+    for r in np.unique(run):
+        rows = np.flatnonzero(run == r)
+        at, first = np.unique(t[rows], return_index=True)
+        if at.size < 3:
+            continue
+        y = x[rows][first]
+        left, right = np.diff(at)[:-1], np.diff(at)[1:]
+        slope_left, slope_right = np.diff(y)[:-1] / left, np.diff(y)[1:] / right
+        if order == 1:
+            inner = (slope_left * right + slope_right * left) / (left + right)
+        else:
+            inner = 2 * (slope_right - slope_left) / (left + right)
+        out[rows] = np.interp(t[rows], at, np.r_[inner[0], inner, inner[-1]])
+    return out
