@@ -9,24 +9,20 @@ A format module has
 
 from __future__ import annotations
 
-import functools
-import operator
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic import Field
+from pydantic import ValidationError
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.formats import ecmc_dat, manifest_folder, renishaw_rtl
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
 FORMATS: tuple[ModuleType, ...] = (manifest_folder, ecmc_dat, renishaw_rtl)
-
-AnyOptions = Annotated[functools.reduce(operator.or_, (f.Options for f in FORMATS)), Field(discriminator="format")]
-
 
 def detect(path: Path) -> ModuleType:
     """The format of a path. Raises DataError naming what is known where none or several fit."""
@@ -41,16 +37,31 @@ def detect(path: Path) -> ModuleType:
     return found[0]
 
 
-def read(path: Path, options: Any = None) -> Recording:
-    """Read measurements of any known format: the one `options` is for, else the one the path looks like."""
-    if options is None:
-        return detect(path).read(path)
-    return by_name(options.format).read(path, options)
+def read(path: Path, format: str | None = None, options: Mapping[str, Any] | None = None) -> Recording:
+    """Read measurements: in the named format, else in the one that recognises the path.
+
+    options: what the format itself asks for. Raises UsageError (format, options), ConfigError or DataError.
+    """
+    found = detect(path) if format is None else by_name(format)
+    try:
+        chosen = found.Options.model_validate(dict(options or {}))
+    except ValidationError as err:
+        wrong = err.errors()[0]
+        key = ".".join(map(str, wrong["loc"])) or "options"
+        allowed = [n for n in found.Options.model_fields if n != "format"]
+        raise UsageError(
+            f"format {found.name}, {key}: {wrong['msg'].lower()} (options: {', '.join(allowed) or 'none'})."
+            + did_you_mean(key, allowed)
+        ) from None
+    return found.read(Path(path), chosen)
 
 
 def by_name(name: str) -> ModuleType:
-    """The format of a name. Raises KeyError."""
-    return {f.name: f for f in FORMATS}[name]
+    """The format of a name. Raises UsageError naming the nearest."""
+    known = {f.name: f for f in FORMATS}
+    if name not in known:
+        raise UsageError(f"no format is named {name!r} (allowed: {', '.join(known)}).{did_you_mean(name, known)}")
+    return known[name]
 
 
 def _hint(path: Path) -> str:

@@ -1,0 +1,85 @@
+"""What a cleaning rule is: it looks at a recording and names actions; `clean` carries them out and reports.
+
+A rule never changes a recording itself, so nothing can be removed without its rows and its reason being told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.yamlfile import Options
+
+SENSORS = ("temperature", "pressure", "humidity")
+ActionKind = Literal["remove rows", "blank cells", "hold cells", "set column aside", "split run", "note"]
+
+
+@dataclass(frozen=True)
+class Action:
+    """One thing to do, or to note.
+
+    rows: indices of the recording the rule was given. values: the cells' new values (hold cells) or the
+    rows' new run labels (split run), one a row.
+    """
+
+    kind: ActionKind
+    reason: str
+    column: str | None = None
+    rows: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    values: np.ndarray | None = None
+
+
+class Rule(Options):
+    """Base of the cleaning rules. A subclass sets `rule: Literal[name]` and finds its actions."""
+
+    rule: str
+
+    def find(self, recording: Recording) -> list[Action]:
+        """What the rule would do. Raises DataError where it would remove more than its stated share."""
+        raise TypeError(f"{type(self).__name__} does not say what it looks for")
+
+    def refuse_beyond(self, most: float, rows: np.ndarray, of: int, what: str, recording: Recording) -> None:
+        """Raises DataError where `rows` are more than the share `most` of `of` cells or rows."""
+        if rows.size > most * of:
+            first = place(recording, int(rows[0]))
+            raise DataError(
+                f"clean, {self.rule}: would remove {rows.size} of {of} {what} ({100 * rows.size / of:.1f} %), more than"
+                f" its share of {100 * most:g} %; the first at {first}. Look at the data, or raise `most`."
+            )
+
+
+def place(recording: Recording, row: int) -> str:
+    """A row in words: 'row 17 (run 3, t = 90 s)'. Rows count from 0, as in `cleaning.json`."""
+    facts = []
+    if (run := recording.name("run")) is not None:
+        facts.append(f"run {recording.frame[run].iloc[row]}")
+    if (time := recording.name("time")) is not None:
+        facts.append(f"t = {recording.array(time)[row]:g} s")
+    return f"row {row}" + (f" ({', '.join(facts)})" if facts else "")
+
+
+def sensors(recording: Recording) -> tuple[str, ...]:
+    """Names of the slow sensors' columns, in manifest order."""
+    return tuple(n for role in SENSORS for n in recording.names(role))
+
+
+def resolution(values: np.ndarray) -> float:
+    """The display step of a column: its smallest difference of values where all are multiples of it, else 0."""
+    distinct = np.unique(values[np.isfinite(values)])
+    if distinct.size < 2:
+        return 0.0
+    step = float(np.diff(distinct).min())
+    # Steps of 0.05 come back from text as 0.04999999999999716: compare in units of the step.
+    ratio = (distinct - distinct[0]) / step
+    lattice = np.abs(ratio - np.round(ratio)).max() < 1e-3 * max(1.0, 1e-9 * ratio.max())
+    return float(f"{step:.6g}") if lattice and distinct.size * 20 > ratio.max() / 20 else 0.0
+
+
+def stretches(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends (half open) of the stretches of True, each shape (stretches,)."""
+    edges = np.diff(np.r_[False, same, False].astype(np.int8))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

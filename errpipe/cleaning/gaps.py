@@ -1,0 +1,69 @@
+"""Holes: short ones in a sensor hold the value before, as a controller does; long ones in time split the run."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.cleaning._base import Action, Rule, sensors, stretches
+from errpipe.domain.recording import Recording
+
+
+class Gaps(Rule):
+    """Hold a sensor over short holes; start a new run after a long pause in time.
+
+    Held cells repeat the reading before the hole (nothing is looked up in the future). Longer holes stay empty.
+    A split run keeps its old label in a group column, so that a hold-out can still leave it out whole.
+    """
+
+    rule: Literal["gaps"] = "gaps"
+    hold: float = Field(
+        300.0, ge=0, json_schema_extra={"unit": "s"}, description="A sensor's hole up to this long is held."
+    )
+    longest: float = Field(
+        14400.0, gt=0, json_schema_extra={"unit": "s"}, description="A longer pause between two rows splits the run."
+    )
+    most: float = Field(0.1, gt=0, le=1, description="Refuse to hold more than this share of a sensor's cells.")
+
+    def find(self, recording: Recording) -> list[Action]:
+        """Cells to hold, and new run labels. Raises DataError beyond the stated share."""
+        if recording.name("time") is None:
+            return []
+        t, run = recording.time(), recording.run_codes()
+        actions = [a for name in sensors(recording) if (a := self._held(recording, name, t, run)) is not None]
+        return [*actions, *self._split(recording, t, run)]
+
+    def _held(self, recording: Recording, name: str, t: np.ndarray, run: np.ndarray) -> Action | None:
+        values = recording.array(name)
+        missing = np.isnan(values)
+        rows, held = [], []
+        for start, end in zip(*stretches(missing), strict=True):
+            inside = start > 0 and run[start - 1] == run[end - 1]
+            if inside and t[end - 1] - t[start - 1] <= self.hold:
+                rows += range(start, end)
+                held += [values[start - 1]] * (end - start)
+        if not rows:
+            return None
+        found = np.array(rows)
+        self.refuse_beyond(self.most, found, values.size, f"cells of {name}", recording)
+        reason = f"empty for no longer than {self.hold:g} s: the reading before holds"
+        return Action("hold cells", reason, column=name, rows=found, values=np.array(held))
+
+    def _split(self, recording: Recording, t: np.ndarray, run: np.ndarray) -> list[Action]:
+        same = np.r_[False, run[1:] == run[:-1]]
+        pause = np.r_[0.0, np.diff(t)]
+        cuts = np.flatnonzero(same & (pause > self.longest))
+        if not cuts.size:
+            return []
+        part = np.zeros(run.size, dtype=int)
+        for cut in cuts:
+            later = (run == run[cut]) & (np.arange(run.size) >= cut)
+            part[later] += 1
+        labels = recording.run_labels()
+        rows = np.flatnonzero(part > 0)
+        new = np.array([f"{labels[run[r]]} part {part[r] + 1}" for r in rows], dtype=object)
+        longest = pause[cuts].max()
+        reason = f"{cuts.size} pause(s) longer than {self.longest:g} s, the longest {longest:g} s: a new run begins"
+        return [Action("split run", reason, rows=rows, values=new)]

@@ -1,0 +1,159 @@
+"""Single readings far off their neighbours, judged run by run, with steps and reversals left alone.
+
+A reading is an outlier where it stands off the median of its neighbours by many times the scatter of such
+residuals, off the readings before it *and* off those after it (so the first reading after a step is none), and
+where its own neighbours are not drawn along (so a decaying spike, which is physics, is none). Beside a
+simulated twin the mismatch is judged, which has less shape of its own.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, stretches
+from errpipe.domain.recording import Recording
+
+SIDE = 4  # readings on either side: the median of 8 shrugs off 3 other outliers
+FEWEST = 3 * SIDE  # readings of a run; fewer give no scatter
+BLOCK = 50  # readings over which a local scatter is taken, so that a rough stretch is judged by its own roughness
+LONGEST = 2  # readings side by side that can be outliers; three are an event
+PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change, and ends a part
+DRAW_ON = 1.25  # from the middle of one side's readings to the middle of the other's, in sides
+DRAWN = 0.35  # a neighbour that goes along by this share of the departure makes it an event
+NORMAL = 1.4826  # from median absolute deviation to the standard deviation of a normal distribution
+REVERSAL = 3  # readings on either side of a reversal that are not judged
+RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals tell nothing
+
+
+class Outliers(Rule):
+    """Blank single readings of responses and sensors that stand far off their neighbours."""
+
+    rule: Literal["outliers"] = "outliers"
+    threshold: float = Field(
+        6.0, ge=3, description="Multiple of the robust scatter; 5 is reached by chance in large clean recordings."
+    )
+    most: float = Field(0.02, gt=0, le=1, description="Refuse to blank more than this share of a column's cells.")
+
+    def find(self, recording: Recording) -> list[Action]:
+        """Cells to blank. Raises DataError beyond the stated share."""
+        protected = _near_reversals(recording)
+        actions = []
+        for role in ("error", *SENSORS):
+            for name in recording.names(role):
+                action = self._column(recording, name, role, protected)
+                if action is not None:
+                    actions.append(action)
+        return actions
+
+    def _column(self, recording: Recording, name: str, role: str, protected: np.ndarray) -> Action | None:
+        values = recording.array(name)
+        judged, beside = _mismatch(recording, name, values) if role == "error" else (values, "")
+        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, resolution(values))
+        if role == "error":
+            rows = rows[~protected[rows]]
+        if not rows.size:
+            return None
+        self.refuse_beyond(self.most, rows, int(np.isfinite(values).sum()), f"cells of {name}", recording)
+        reason = f"more than {self.threshold:g} times the run's scatter off the readings before and after it{beside}"
+        return Action("blank cells", reason, column=name, rows=rows)
+
+
+def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: float, step: float = 0.0) -> np.ndarray:
+    """Rows of single readings far off their neighbours, ascending. NaN is passed over.
+
+    values, run, t: shape (rows,). step: display step of the values; the scatter is at least half of it.
+    """
+    found = []
+    for code in np.unique(run):
+        rows = np.flatnonzero((run == code) & np.isfinite(values))
+        if rows.size >= FEWEST:
+            found.append(rows[_in_run(values[rows], _parts(t[rows]), threshold, step)])
+    return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
+
+def _parts(t: np.ndarray) -> np.ndarray:
+    """Number of the part each row belongs to: a pause much longer than usual ends a part."""
+    pause = np.diff(t)
+    return np.r_[0, np.cumsum(pause > PAUSE * np.median(pause))]
+
+
+def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> np.ndarray:
+    before = np.column_stack([_shifted(y, part, -k) for k in range(1, SIDE + 1)])
+    after = np.column_stack([_shifted(y, part, k) for k in range(1, SIDE + 1)])
+    far_before, far_after = _median(_shifted_all(before, part, -SIDE)), _median(_shifted_all(after, part, SIDE))
+    left, right = _median(before), _median(after)
+    # At either end of a part the missing side is the other side, drawn on as a line.
+    left = np.where(np.isnan(left), right + DRAW_ON * (right - far_after), left)
+    right = np.where(np.isnan(right), left + DRAW_ON * (left - far_before), right)
+    around = _median(np.hstack([before, after]))
+    residual = np.nan_to_num(y - around)
+    limit = threshold * _scatter(residual, step)
+    # Beyond both sides, on the same side: a reading between them lies on a ramp or at a step.
+    off = (y > np.maximum(left, right) + limit) | (y < np.minimum(left, right) - limit)
+    off &= np.abs(residual) > limit
+    for start, end in zip(*stretches(off), strict=True):
+        if end - start > LONGEST or _drawn_along(residual, start, end):
+            off[start:end] = False
+    return np.flatnonzero(off)
+
+
+def _shifted(y: np.ndarray, part: np.ndarray, by: int) -> np.ndarray:
+    """The reading `by` rows on, NaN where it belongs to another part."""
+    index = np.arange(y.size) + by
+    inside = (index >= 0) & (index < y.size)
+    index = np.clip(index, 0, y.size - 1)
+    return np.where(inside & (part[index] == part), y[index], np.nan)
+
+
+def _shifted_all(windows: np.ndarray, part: np.ndarray, by: int) -> np.ndarray:
+    return np.column_stack([_shifted(column, part, by) for column in windows.T])
+
+
+def _median(windows: np.ndarray) -> np.ndarray:
+    """Median of each row of windows, NaN passed over; NaN where there is nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmedian(windows, axis=1)
+
+
+def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
+    """Robust standard deviation of the residuals: the run's, or a rough stretch's own where that is larger."""
+    whole = NORMAL * np.median(np.abs(residual))
+    starts = range(0, max(residual.size - BLOCK // 2, 1), BLOCK)
+    blocks = [NORMAL * np.median(np.abs(residual[i : i + BLOCK])) for i in starts]
+    local = np.repeat(blocks, BLOCK)
+    local = np.r_[local, np.full(max(residual.size - local.size, 0), local[-1])][: residual.size]
+    return np.maximum(np.maximum(whole, local), max(step / 2, 1e-12))
+
+
+def _drawn_along(residual: np.ndarray, start: int, end: int) -> bool:
+    """True where a reading beside the stretch departs the same way: a spike that builds up or decays."""
+    size = residual[start:end][np.argmax(np.abs(residual[start:end]))]
+    beside = [residual[i] for i in (start - 1, end) if 0 <= i < residual.size]
+    return any(b * np.sign(size) > DRAWN * abs(size) for b in beside)
+
+
+def _mismatch(recording: Recording, name: str, values: np.ndarray) -> tuple[np.ndarray, str]:
+    twin = recording.name("simulated", component=recording.manifest.columns[name].component)
+    if twin is None:
+        return values, ""
+    return values - recording.array(twin), ", in the difference from the simulated twin"
+
+
+def _near_reversals(recording: Recording) -> np.ndarray:
+    """Rows close to a reversal of any axis, where short spikes are physics; none where reversals are common."""
+    near = np.zeros(len(recording), dtype=bool)
+    run = recording.run_codes()
+    for name in (*recording.names("direction"), *recording.names("velocity")):
+        side = np.sign(recording.array(name))
+        turns = np.flatnonzero((side[1:] * side[:-1] < 0) & (run[1:] == run[:-1])) + 1
+        close = np.zeros(near.size, dtype=bool)
+        for shift in range(-REVERSAL, REVERSAL + 1):
+            close[np.clip(turns + shift, 0, near.size - 1)] = True
+        if close.mean() <= RARE_REVERSALS:
+            near |= close
+    return near

@@ -1,0 +1,39 @@
+"""The display step of each column: noted, because a residual cannot fall below it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.cleaning._base import SENSORS, Action, Rule, resolution
+from errpipe.domain.recording import Recording
+
+FEWEST = 20  # values; fewer say nothing about a lattice
+
+
+class Quantisation(Rule):
+    """Note every sensor and deviation that is displayed in steps coarser than its own noise."""
+
+    rule: Literal["quantisation"] = "quantisation"
+    coarse: float = Field(
+        1.0, gt=0, description="Note a step above this multiple of the typical change from row to row that is not zero."
+    )
+
+    def find(self, recording: Recording) -> list[Action]:
+        """Notes only."""
+        actions = []
+        for role in (*SENSORS, "error"):
+            for name in recording.names(role):
+                values = recording.array(name)
+                step = resolution(values)
+                if step == 0.0 or np.count_nonzero(np.isfinite(values)) < FEWEST:
+                    continue
+                change = np.abs(np.diff(values[np.isfinite(values)]))
+                if np.median(change) <= self.coarse * step:
+                    unit = recording.manifest.columns[name].unit or ""
+                    floor = step / np.sqrt(12)
+                    reason = f"displayed in steps of {step:g} {unit}: rounding alone is {floor:.2g} {unit} rms"
+                    actions.append(Action("note", reason, column=name))
+        return actions

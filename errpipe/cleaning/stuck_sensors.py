@@ -1,0 +1,136 @@
+"""Sensors that say nothing: dead ones are set aside whole, stuck stretches are blanked.
+
+Slow sensors with a coarse display stand still for a while by nature. A stretch is stuck only where it is much
+longer than the sensor's others, and where the other sensors say that it should have moved.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.cleaning._base import Action, Rule, resolution, sensors, stretches
+from errpipe.domain.recording import Recording
+
+SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  # what loggers and converters write
+# for a broken sensor: 0, "no value" marks, a 1-wire chip's 85 and -127, a platinum resistor's open and short ends
+FAR = 5.0  # K, hPa or %: a sentinel stands at least this far off the readings around it
+LONGER = 4.0  # a stuck stretch is this many times as long as the longest that is not
+SHORTEST = 20  # rows: a shorter stretch is not judged
+ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can tell, only an extreme stretch counts
+MOST_STRETCHES = 5  # of one sensor; more standing still than that is its nature
+MOVED = 4.0  # display steps, or scatters of the estimate, by which the others say that it should have moved
+RELATED = 0.5  # share of a sensor's variance that the others must explain to be heard
+DEAD_SHARE = 0.3  # of a sensor's cells stuck: the rest is not worth the risk
+
+
+class StuckSensors(Rule):
+    """Set aside sensors that are empty, constant or mostly stuck; blank stuck and sentinel stretches of others."""
+
+    rule: Literal["stuck_sensors"] = "stuck_sensors"
+    empty: float = Field(0.5, gt=0, le=1, description="A sensor with a larger share of empty cells is set aside.")
+    most: float = Field(0.7, gt=0, le=1, description="Refuse to set aside more than this share of the sensors.")
+
+    def find(self, recording: Recording) -> list[Action]:
+        """Columns to set aside and cells to blank. Raises DataError beyond the stated share."""
+        names = sensors(recording)
+        columns = {n: recording.array(n) for n in names}
+        dead = {n: reason for n in names if (reason := self._dead(columns[n]))}
+        alive = {n: v for n, v in columns.items() if n not in dead}
+        actions = []
+        for name, values in alive.items():
+            rows, reason = _sentinels(values)
+            if not rows.size:
+                others = [v for n, v in alive.items() if n != name]
+                rows, reason = _stuck(values, others)
+            if rows.size > DEAD_SHARE * np.isfinite(values).sum():
+                dead[name] = f"{reason}, in {rows.size} of {values.size} rows"
+            elif rows.size:
+                actions.append(Action("blank cells", reason, column=name, rows=rows))
+        set_aside = [Action("set column aside", dead[n], column=n) for n in names if n in dead]
+        if names:
+            everything = np.arange(len(set_aside))
+            self.refuse_beyond(self.most, everything, len(names), "sensors", recording)
+        return [*set_aside, *actions]
+
+    def _dead(self, values: np.ndarray) -> str:
+        """Why a whole column is dead, or ''."""
+        finite = values[np.isfinite(values)]
+        if finite.size == 0:
+            return "holds no value"
+        if finite.size < (1 - self.empty) * values.size:
+            return f"empty in {values.size - finite.size} of {values.size} rows"
+        if finite.size >= SHORTEST and np.ptp(finite) == 0.0:
+            return f"shows {finite[0]:g} in every row"
+        return ""
+
+
+def _sentinels(values: np.ndarray) -> tuple[np.ndarray, str]:
+    """Rows that hold a broken sensor's mark, far off all other readings."""
+    for mark in SENTINELS:
+        rows = np.flatnonzero(values == mark)
+        rest = values[np.isfinite(values) & (values != mark)]
+        if rows.size and rest.size and (mark < rest.min() - FAR or mark > rest.max() + FAR):
+            return rows, f"shows {mark:g}, a broken sensor's mark"
+    return np.zeros(0, dtype=np.int64), ""
+
+
+def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, str]:
+    """Rows of stretches in which the sensor stands still although it should move."""
+    rows = np.flatnonzero(np.isfinite(values))
+    y = values[rows]
+    if y.size < 2 * SHORTEST:
+        return rows[:0], ""
+    starts, ends = _constant(y)
+    lengths = ends - starts
+    order = np.argsort(-lengths, kind="stable")
+    ranked = lengths[order].astype(float)
+    for count in range(1, min(MOST_STRETCHES, ranked.size - 1) + 1):
+        ratio = ranked[count - 1] / ranked[count]
+        if ranked[count - 1] < SHORTEST:
+            break
+        if ratio < LONGER:
+            continue
+        chosen = np.sort(order[:count])
+        inside = np.zeros(y.size, dtype=bool)
+        for k in chosen:
+            inside[starts[k] : ends[k]] = True
+        heard, moved = _should_have_moved(y, [o[rows] for o in others], inside, starts[chosen], ends[chosen])
+        if heard and not moved.all():
+            continue
+        if not heard and (ratio < ALONE_LONGER or ranked[count - 1] < ALONE_SHORTEST):
+            continue
+        longest = int(lengths[chosen].max())
+        why = "while the other sensors moved" if heard else f"{ratio:.0f} times as long as ever otherwise"
+        return rows[inside], f"stands still for up to {longest} rows, {why}"
+    return rows[:0], ""
+
+
+def _constant(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends (half open) of the stretches of equal values, longer than one row."""
+    starts, ends = stretches(y[1:] == y[:-1])
+    return starts, ends + 1
+
+
+def _should_have_moved(
+    y: np.ndarray, others: list[np.ndarray], inside: np.ndarray, starts: np.ndarray, ends: np.ndarray
+) -> tuple[bool, np.ndarray]:
+    """Whether the other sensors can tell at all, and for each stretch whether they say that it should have moved."""
+    usable = [o for o in others if np.isfinite(o).mean() > 0.9]
+    if not usable:
+        return False, np.zeros(starts.size, dtype=bool)
+    held = [np.where(np.isfinite(o), o, np.nanmedian(o)) for o in usable]
+    design = np.column_stack([np.ones(y.size), *held])
+    fit, *_ = np.linalg.lstsq(design[~inside], y[~inside], rcond=1e-8)
+    estimate = design @ fit
+    residual = (y - estimate)[~inside]
+    variance = np.var(y[~inside])
+    if variance == 0 or np.var(residual) > (1 - RELATED) * variance:
+        return False, np.zeros(starts.size, dtype=bool)
+    scale = max(resolution(y), float(np.std(residual)))
+    moves = np.array(
+        [np.subtract(*np.percentile(estimate[s:e], [97.5, 2.5])) for s, e in zip(starts, ends, strict=True)]
+    )
+    return True, moves > MOVED * scale
