@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
 
 from errpipe.errors import did_you_mean
 
@@ -65,12 +67,32 @@ class Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    @field_validator("*", mode="before")
     @classmethod
-    def _with_unit(cls, value: Any, info: ValidationInfo) -> Any:
-        extra = cls.model_fields[info.field_name or ""].json_schema_extra
-        unit = extra.get("unit") if isinstance(extra, dict) else None
-        return _converted(value, unit) if isinstance(unit, str) else value
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        # Field by field: a validator of all fields ("*") may not stand on the key of a tagged union, and one of
+        # the whole model turns JSON's strictness (where a list may become a tuple) into Python's.
+        schema = handler(source)
+        fields: Any = handler.resolve_ref_schema(schema)
+        while fields["type"] != "model-fields":
+            fields = fields["schema"]
+        for name, one in fields["fields"].items():
+            extra = cls.model_fields[name].json_schema_extra
+            unit = extra.get("unit") if isinstance(extra, dict) else None
+            if isinstance(unit, str):
+                holder = one["schema"] if one["schema"]["type"] == "default" else one
+                if not isinstance(holder["schema"].get("function", {}).get("function"), _WithUnit):
+                    holder["schema"] = no_info_before_validator_function(_WithUnit(unit), holder["schema"])
+        return schema
+
+
+@dataclass(frozen=True)
+class _WithUnit:
+    """Converts what is written into a field of that unit."""
+
+    unit: str
+
+    def __call__(self, value: Any) -> Any:
+        return _converted(value, self.unit)
 
 
 def _converted(value: Any, unit: str) -> Any:
