@@ -217,7 +217,7 @@ def _sorted(chain: Chain) -> Chain:
     """Components in reading order: error motions axis by axis, location, drift, spindle."""
 
     def key(item: tuple[int, str]) -> tuple:
-        i, name = item
+        _, name = item
         if name[0] == "E":
             return (0, chain.axes.index(name[2:]), _ALL.index(name[1]))
         if name[2:] == "S":

@@ -1,0 +1,117 @@
+"""Linear models whose spreads are learnt from the readings: ridge regression with its penalties by marginal likelihood.
+
+Readings y = A theta + noise. Parameter i is a priori N(0, s_i^2) with s_i = size[family_i] * rough_i^-power, or of a
+fixed spread (family -1: set-up). Sizes, power and noise are those that make the readings likeliest, with mild
+priors of their own (log-normal about typical values), so that a family the readings hardly show stays ordinary.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.optimize import minimize
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """family (p,): number of the family, -1 where `fixed` (p,) holds; rough (p,): relative wave number, 1 where none.
+
+    typical, certainty: value and spread of the logarithm of (size by family..., power, noise).
+    """
+
+    family: np.ndarray
+    rough: np.ndarray
+    fixed: np.ndarray
+    typical: np.ndarray
+    certainty: np.ndarray
+
+    def of(self, hyper: np.ndarray) -> np.ndarray:
+        """Spread of each parameter."""
+        sizes, power = hyper[:-2], hyper[-2]
+        return np.where(self.family < 0, self.fixed, sizes[np.maximum(self.family, 0)] * self.rough**-power)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """All that the readings enter by: A'A, A'y, y'y, number of readings."""
+
+    gram: np.ndarray
+    cross: np.ndarray
+    square: float
+    count: int
+
+    @classmethod
+    def of(cls, design: np.ndarray, y: np.ndarray) -> Moments:
+        """Moments of a weighted design and its readings."""
+        return cls(design.T @ design, design.T @ y, float(y @ y), len(y))
+
+
+def _whitened(spreads: Spreads, moments: Moments, hyper: np.ndarray):
+    """Spread, factor of the whitened normal matrix (unit prior), whitened solution."""
+    spread = spreads.of(hyper)
+    noise2 = hyper[-1] ** 2
+    m = moments.gram * (spread[:, None] * spread / noise2)
+    m[np.diag_indices_from(m)] += 1.0
+    factor = cholesky(m, lower=True, check_finite=False)
+    return spread, factor, cho_solve((factor, True), moments.cross * spread / noise2, check_finite=False)
+
+
+def solve(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the parameters."""
+    spread, factor, u = _whitened(spreads, moments, hyper)
+    half = solve_triangular(factor, np.diag(spread), lower=True, check_finite=False)
+    return spread * u, half.T @ half
+
+
+def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    """Sizes by family, power and noise. known: NaN where the readings decide. start: where to search from.
+
+    With u the whitened solution and M its normal matrix, the slope of the cost by log(spread_i) is
+    1 - u_i^2 - (M^-1)_ii, and by log(noise) the count minus the expected residual sum over noise^2.
+    """
+    free = np.isnan(known)
+    if not free.any():
+        return known
+    centre = np.log(spreads.typical)
+    families = len(centre) - 2
+    rough = np.log(spreads.rough)
+
+    def unpack(v: np.ndarray) -> np.ndarray:
+        full = np.where(free, 0.0, np.log(np.where(free, 1.0, known)))
+        full[free] = v
+        return np.exp(full)
+
+    def cost(v: np.ndarray) -> tuple[float, np.ndarray]:
+        hyper = unpack(v)
+        noise2 = hyper[-1] ** 2
+        away = (v - centre[free]) / spreads.certainty[free]
+        try:
+            spread, factor, u = _whitened(spreads, moments, hyper)
+        except LinAlgError:
+            return 1e30, away
+        left = np.diag(cho_solve((factor, True), np.eye(len(u)), check_finite=False))
+        fit = (moments.square - u @ (moments.cross * spread)) / noise2
+        value = 0.5 * fit + np.log(np.diag(factor)).sum() + moments.count * np.log(hyper[-1]) + 0.5 * away @ away
+        by_spread = np.where(spreads.family < 0, 0.0, 1.0 - u**2 - left)
+        slope = np.zeros(len(centre))
+        slope[:families] = np.bincount(np.maximum(spreads.family, 0), weights=by_spread, minlength=families)
+        slope[-2] = -hyper[-2] * (by_spread @ rough)
+        slope[-1] = moments.count - (fit - u @ u) - (len(u) - left.sum())
+        return value, slope[free] + away / spreads.certainty[free]
+
+    first = centre.copy() if start is None else np.log(start)
+    if start is None:
+        first[-1] = np.log(_residual(spreads, moments, unpack(centre[free])))
+    limits = [(c - 6, c + 6) for c in centre[:-2]] + [(np.log(1.2), np.log(6.0)), (first[-1] - 4, first[-1] + 4)]
+    bounds = [limit for limit, f in zip(limits, free, strict=True) if f]
+    found = minimize(cost, first[free], jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
+    return unpack(found.x)
+
+
+def _residual(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> float:
+    """Rms of what typical sizes leave: where the search for the noise starts."""
+    mean, _ = solve(spreads, moments, hyper)
+    left = moments.square - 2 * mean @ moments.cross + mean @ moments.gram @ mean
+    return float(np.sqrt(max(left, 1e-12 * moments.square + 1e-18) / moments.count))

@@ -1,0 +1,227 @@
+"""What every test of a machine comes down to: rows of poses, a weight on the deviation there, and a reading.
+
+    reading = weights . deviation(q, tip) + nuisance @ setup + noise            [um; urad for angular readings]
+
+A distance row reads the change of length between a socket and the tool, |tool - socket|, whose weight is the
+unit vector from one to the other; it is solved with the true length, not with its slope. Set-up errors (where
+the socket or artefact stands, bar length, pose of a plate) are nuisance columns with generous spreads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from errpipe.kinematics import synthesis
+from errpipe.kinematics.chain import Chain
+
+SHIFT = 1000.0  # um: a socket or artefact is placed within a few millimetres at worst
+TURN = 3000.0  # urad
+LENGTH = 200.0  # um
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows of one or several tests.
+
+    q (n, axes) mm, deg; tip (n, 3) mm; weights (n, 6) on the deviation; value (n,); nuisance (n, m) in um per
+    unit of each set-up parameter; socket (n, 3) mm in the workpiece frame, NaN where the row is no distance;
+    noise: relative size of each row's noise (n,); label: the run each row is of; seconds: measuring time.
+    """
+
+    q: np.ndarray
+    tip: np.ndarray
+    weights: np.ndarray
+    value: np.ndarray
+    nuisance: np.ndarray
+    nuisance_names: tuple[str, ...]
+    nuisance_spread: np.ndarray
+    socket: np.ndarray
+    noise: np.ndarray
+    label: np.ndarray
+    seconds: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def take(self, rows: np.ndarray) -> Observations:
+        """Some of the rows; set-up columns stay."""
+        names = ("q", "tip", "weights", "value", "nuisance", "socket", "noise", "label")
+        return replace(self, **{n: getattr(self, n)[rows] for n in names})
+
+    def with_value(self, value: np.ndarray) -> Observations:
+        """The same rows with other readings."""
+        return replace(self, value=np.asarray(value, dtype=float))
+
+
+def _build(q, tip, weights, value, columns, label, socket=None, noise=1.0, seconds=0.0) -> Observations:
+    """columns: list of (name, spread, column)."""
+    n = len(q)
+    value = np.full(n, np.nan) if value is None else np.asarray(value, dtype=float)
+    return Observations(
+        np.asarray(q, dtype=float), np.broadcast_to(tip, (n, 3)).copy(), weights, value,
+        np.column_stack([c for *_, c in columns]) if columns else np.zeros((n, 0)),
+        tuple(name for name, *_ in columns), np.array([s for _, s, _ in columns], dtype=float),
+        np.full((n, 3), np.nan) if socket is None else np.broadcast_to(socket, (n, 3)).copy(),
+        np.full(n, float(noise)), np.full(n, label, dtype=object), seconds,
+    )  # fmt: skip
+
+
+def distance(
+    chain: Chain, q: np.ndarray, tip: np.ndarray, socket: Sequence[float], value: np.ndarray | None = None,
+    label: str = "1", seconds: float = 0.0, length: bool = True, noise: float = 1.0,
+) -> Observations:  # fmt: skip
+    """Length of a bar (or beam) from a socket on the workpiece to the tool: ball bar, telescoping bar, tracker range.
+
+    value: measured minus nominal length, um. Set-up: where the socket stands (3), the bar's length offset (1),
+    and where the tool's ball sits in the spindle, for machines whose rotary axes turn it against the socket.
+    """
+    pose = synthesis.ideal_pose(chain, q, tip)
+    socket = np.asarray(socket, dtype=float)
+    ray = pose[:, 0] - socket
+    unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    columns = [(f"{label}: socket {d}", SHIFT, -unit[:, i]) for i, d in enumerate("XYZ")]
+    if length:
+        columns.append((f"{label}: bar length", LENGTH, np.ones(len(q))))
+    columns += _ball_columns(chain, pose, unit[:, None, :], label)
+    return _build(
+        q, tip, np.hstack([unit, np.zeros_like(unit)]), value, columns, label, socket, noise=noise, seconds=seconds
+    )
+
+
+def along(
+    chain: Chain, q: np.ndarray, tip: np.ndarray, beam: Sequence[float], value: np.ndarray | None = None,
+    label: str = "1", seconds: float = 0.0, noise: float = 1.0,
+) -> Observations:  # fmt: skip
+    """Displacement along a fixed beam (laser along an axis or a diagonal). value: measured minus nominal, um.
+
+    Set-up: zero of the reading, and two angles of the beam against its nominal direction.
+    """
+    unit = np.asarray(beam, dtype=float) / np.linalg.norm(beam)
+    pose = synthesis.ideal_pose(chain, q, tip)
+    path = pose[:, 0] - pose[:, 0].mean(axis=0)
+    columns = [(f"{label}: zero", SHIFT, np.ones(len(q)))]
+    for i in range(2):
+        side = np.linalg.svd(unit[None])[2][1 + i]
+        across = path @ side
+        if np.ptp(across) > 1e-6:
+            columns.append((f"{label}: beam angle {i + 1}", TURN, across * 1e-3))
+    weights = np.tile(np.r_[unit, np.zeros(3)], (len(q), 1))
+    return _build(q, tip, weights, value, columns, label, noise=noise, seconds=seconds)
+
+
+def angle(
+    chain: Chain, q: np.ndarray, tip: np.ndarray, about: Sequence[float], value: np.ndarray | None = None,
+    label: str = "1", seconds: float = 0.0, noise: float = 1.0,
+) -> Observations:  # fmt: skip
+    """Turn of the tool's side against the workpiece about a direction (level, autocollimator), urad; its zero is set-up."""
+    unit = np.asarray(about, dtype=float) / np.linalg.norm(about)
+    weights = np.tile(np.r_[np.zeros(3), unit], (len(q), 1))
+    return _build(
+        q, tip, weights, value, [(f"{label}: zero", TURN, np.ones(len(q)))], label, noise=noise, seconds=seconds
+    )
+
+
+def points(
+    chain: Chain, q: np.ndarray, tip: np.ndarray, value: np.ndarray | None = None, directions: str = "XYZ",
+    label: str = "1", pose: str = "XYZABC", ball: bool = True, seconds: float = 0.0, noise: float = 1.0,
+    scale: bool = False,
+) -> Observations:  # fmt: skip
+    """Deviation of the tool point along some directions: tracker clouds, probed plates, R-test, hole patterns.
+
+    value (n, len(directions)), um, in the workpiece frame. Rows come direction by direction. Set-up: the pose
+    of the artefact or tracker (`pose` names its shifts and turns), its scale, and the ball's place in the spindle.
+    """
+    ideal = synthesis.ideal_pose(chain, q, tip)
+    centred = ideal[:, 0] - ideal[:, 0].mean(axis=0)
+    parts = []
+    for i, d in enumerate(directions):
+        unit = np.zeros(3)
+        unit["XYZ".index(d)] = 1.0
+        columns = [(f"{label}: shift {s}", SHIFT, np.full(len(q), float(s == d))) for s in "XYZ" if s in pose]
+        for s, about in (("A", "X"), ("B", "Y"), ("C", "Z")):
+            if s in pose:
+                turn = np.zeros(3)
+                turn["XYZ".index(about)] = 1.0
+                columns.append((f"{label}: turn {s}", TURN, np.cross(turn, centred) @ unit * 1e-3))
+        if scale:
+            columns.append((f"{label}: scale", 200.0, centred @ unit * 1e-3))
+        if ball:
+            columns += _ball_columns(chain, ideal, np.tile(unit, (len(q), 1))[:, None, :], label)
+        weights = np.tile(np.r_[unit, np.zeros(3)], (len(q), 1))
+        column = None if value is None else np.asarray(value, dtype=float)[:, i]
+        parts.append(_build(q, tip, weights, column, columns, label, noise=noise, seconds=seconds / len(directions)))
+    return concatenate(parts, shared=True)
+
+
+def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) -> list:
+    """Place of the ball in the spindle: a shift fixed to the tool, where rotary axes turn it in the work's frame."""
+    if not any(a.kind == "rotary" for a in chain.machine.axes.values()):
+        return []
+    found = []
+    for i, d in enumerate("XYZ"):
+        column = np.einsum("nj,nj->n", pose[:, 1 + i], unit[:, 0])
+        found.append((f"{label}: ball {d}", SHIFT, column))
+    return found
+
+
+def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observations:
+    """Rows of several tests together. shared: set-up parameters of one name are one parameter, else always apart."""
+    names: list[str] = []
+    spread: list[float] = []
+    place = []
+    for number, part in enumerate(parts):
+        own = []
+        for name, size in zip(part.nuisance_names, part.nuisance_spread, strict=True):
+            if not shared and name in names:
+                name = f"{name} ({number + 1})"
+            if name not in names:
+                names.append(name)
+                spread.append(float(size))
+            own.append(names.index(name))
+        place.append(own)
+    nuisance = np.zeros((sum(map(len, parts)), len(names)))
+    row = 0
+    for part, own in zip(parts, place, strict=True):
+        nuisance[row : row + len(part), own] = part.nuisance
+        row += len(part)
+    joined = {
+        n: np.concatenate([getattr(p, n) for p in parts])
+        for n in ("q", "tip", "weights", "value", "socket", "noise", "label")
+    }
+    return Observations(
+        **joined, nuisance=nuisance, nuisance_names=tuple(names), nuisance_spread=np.array(spread),
+        seconds=sum(p.seconds for p in parts),
+    )  # fmt: skip
+
+
+def reading(chain: Chain, obs: Observations, deviation: np.ndarray, setup: np.ndarray) -> np.ndarray:
+    """What the rows read for a deviation (n, 6) of the tool and set-up parameters (m,), um or urad.
+
+    Distances are true lengths; everything else is linear.
+    """
+    linear = np.einsum("nk,nk->n", obs.weights, deviation) + obs.nuisance @ setup
+    rows = ~np.isnan(obs.socket[:, 0])
+    if rows.any():
+        nominal = synthesis.ideal_pose(chain, obs.q[rows], obs.tip[rows])[:, 0] - obs.socket[rows]
+        unit = obs.weights[rows, :3]
+        along_bar = linear[rows]
+        across = deviation[rows, :3] - np.einsum("nk,nk->n", unit, deviation[rows, :3])[:, None] * unit
+        across = across + _socket_across(obs, setup, rows)
+        span = np.linalg.norm(nominal, axis=1)
+        length = np.hypot(span + along_bar * 1e-3, np.linalg.norm(across, axis=1) * 1e-3)
+        linear[rows] = (length - span) * 1e3
+    return linear
+
+
+def _socket_across(obs: Observations, setup: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Part of the socket's shift across the bar, um, shape (rows, 3)."""
+    shift = np.zeros((int(rows.sum()), 3))
+    for i, d in enumerate("XYZ"):
+        for j, name in enumerate(obs.nuisance_names):
+            if f": socket {d}" in name:
+                shift[:, i] -= (obs.nuisance[rows, j] != 0.0) * setup[j]
+    unit = obs.weights[rows, :3]
+    return shift - np.einsum("nk,nk->n", unit, shift)[:, None] * unit

@@ -1,0 +1,150 @@
+"""Readers: the recording of a test, by its manifest, as observations of a machine.
+
+The manifest's constants name the protocol and the set-up (mm; `name@run` for one run, `name` for all):
+
+    protocol                     one of `PROTOCOLS`
+    tool_length, tool_offset_X   from the spindle nose to the ball or probe (the machine file's tool where left out)
+    centre_X                     centre of a circle, which its positions count from
+    socket_X                     fixed end of a bar, or a tracker station, in the workpiece frame
+    beam_X                       direction of a laser beam (any length)
+    seconds                      measuring time
+
+Columns: `run`, a position for each axis (left out: 0, or the centre), and the error: E_R along a bar or beam,
+E_X E_Y E_Z at the tool point, E_A E_B E_C for a level or autocollimator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, did_you_mean
+from errpipe.kinematics import observations as o
+from errpipe.kinematics import synthesis
+from errpipe.kinematics.chain import Chain
+
+DIRECTIONS = ("E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C")
+
+
+class _Run:
+    """One run of a recording: its rows and its set-up."""
+
+    def __init__(self, chain: Chain, recording: Recording, label: str, rows: np.ndarray):
+        self.chain, self.label = chain, label
+        self._recording, self._rows = recording, rows
+        self.centre = np.array([self.constant(f"centre_{a}", 0.0) for a in chain.axes])
+        self.q = np.column_stack([self._axis(i, a) for i, a in enumerate(chain.axes)])
+        tool = chain.machine.tool
+        length = self.constant("tool_length", tool.length)
+        offset = tuple(self.constant(f"tool_offset_{d}", tool.offset[i]) for i, d in enumerate("XYZ"))
+        self.tip = chain.tip(length, offset)
+        self.seconds = self.constant("seconds", 0.0)
+
+    def constant(self, name: str, default: float | None) -> float:
+        constants = self._recording.manifest.constants
+        found = constants.get(f"{name}@{self.label}", constants.get(name))
+        if found is None or found.value is None:
+            if default is None:
+                raise DataError(f"run {self.label}: the manifest's constants need {name} (or {name}@{self.label})")
+            return default
+        return float(found.value)
+
+    def _axis(self, number: int, axis: str) -> np.ndarray:
+        name = self._recording.name("command", axis=axis) or self._recording.name("position", axis=axis)
+        shown = 0.0 if name is None else self._recording.array(name)[self._rows]
+        return self.centre[number] + np.broadcast_to(shown, (len(self._rows),))
+
+    def vector(self, name: str) -> np.ndarray:
+        return np.array([self.constant(f"{name}_{d}", None) for d in "XYZ"])
+
+    def has(self, name: str) -> bool:
+        constants = self._recording.manifest.constants
+        return f"{name}@{self.label}" in constants or name in constants
+
+    def value(self, component: str) -> np.ndarray | None:
+        name = self._recording.name("error", component=component)
+        return None if name is None else self._recording.array(name)[self._rows]
+
+    def radial(self) -> np.ndarray:
+        found = self.value("E_R")
+        if found is None:
+            raise DataError("the recording has no error column of component E_R (deviation along the bar or beam)")
+        return found
+
+
+def _bar(run: _Run) -> o.Observations:
+    if run.has("socket_X"):
+        socket = run.vector("socket")
+    else:
+        socket = synthesis.ideal_pose(run.chain, run.centre, run.tip)[0, 0]
+    return o.distance(run.chain, run.q, run.tip, socket, run.radial(), run.label, run.seconds)
+
+
+def _beam(run: _Run) -> o.Observations:
+    if run.has("beam_X"):
+        beam = run.vector("beam")
+    else:
+        pose = synthesis.ideal_pose(run.chain, run.q, run.tip)[:, 0]
+        beam = pose[-1] - pose[0]
+    return o.along(run.chain, run.q, run.tip, beam, run.radial(), run.label, run.seconds)
+
+
+def _points(pose: str, scale: bool = False) -> Callable[[_Run], o.Observations]:
+    def build(run: _Run) -> o.Observations:
+        values = {d[2]: run.value(d) for d in DIRECTIONS[:3]}
+        directions = "".join(d for d, v in values.items() if v is not None)
+        if not directions:
+            raise DataError("the recording has no error column of component E_X, E_Y or E_Z")
+        value = np.column_stack([values[d] for d in directions])
+        return o.points(run.chain, run.q, run.tip, value, directions, run.label, pose, seconds=run.seconds, scale=scale)
+
+    return build
+
+
+def _level(run: _Run) -> o.Observations:
+    parts = []
+    for i, name in enumerate(DIRECTIONS[3:]):
+        value = run.value(name)
+        if value is not None:
+            about = np.eye(3)[i]
+            parts.append(o.angle(run.chain, run.q, run.tip, about, value, f"{run.label} {name}", run.seconds))
+    if not parts:
+        raise DataError("the recording has no error column of component E_A, E_B or E_C")
+    return o.concatenate(parts)
+
+
+PROTOCOLS: dict[str, Callable[[_Run], o.Observations]] = {
+    "ballbar_circle": _bar,  # ISO 230-4
+    "telescoping_bar": _bar,
+    "multilateration": _bar,
+    "rotary_ballbar": _bar,  # ISO 230-7, bar from a socket on the table
+    "diagonal": _beam,  # ISO 230-6
+    "step_diagonal": _beam,
+    "laser": _beam,  # ISO 230-2
+    "level": _level,
+    "r_test": _points("XYZ"),  # ISO 230-7
+    "point_cloud": _points("XYZABC"),
+    "ball_plate": _points("XYZABC"),
+    "ball_array": _points("XYZABC"),
+    "hole_pattern": _points("XYC"),
+}
+
+
+def observations(chain: Chain, recording: Recording, protocol: str | None = None) -> o.Observations:
+    """Every run of a recording as observations; rows without a reading are left out.
+
+    protocol: overrides the manifest's. Raises DataError for an unknown protocol or a missing constant.
+    """
+    named = recording.manifest.constants.get("protocol")
+    protocol = protocol or (str(named.value) if named is not None else "")
+    if protocol not in PROTOCOLS:
+        hint = did_you_mean(protocol, PROTOCOLS)
+        raise DataError(f"constants.protocol: {protocol!r} is not one (allowed: {', '.join(PROTOCOLS)}).{hint}")
+    codes = recording.run_codes()
+    parts = []
+    for number, label in enumerate(recording.run_labels()):
+        part = PROTOCOLS[protocol](_Run(chain, recording, label, np.flatnonzero(codes == number)))
+        parts.append(part.take(np.flatnonzero(np.isfinite(part.value))))
+    return o.concatenate(parts)

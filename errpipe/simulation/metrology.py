@@ -1,0 +1,237 @@
+"""Measuring protocols played on a machine that never existed: true by full transforms, with set-up errors and noise.
+
+A machine's errors are smooth random functions (sums of cosines of random frequency and phase), in the
+conventions of `kinematics.chain` but outside every basis that identification fits. Each protocol is a list of
+`Run`s; `record` plays it and returns the recording a measuring system would write.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from errpipe.domain.components import parse
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.kinematics import synthesis
+from errpipe.kinematics.chain import Chain
+
+Values = Mapping[str, Callable[[np.ndarray], np.ndarray] | float]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One uninterrupted run: poses q (n, axes), tool, and what stands still on the workpiece."""
+
+    label: str
+    q: np.ndarray
+    length: float
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    socket: np.ndarray | None = None
+    beam: np.ndarray | None = None
+    centre: np.ndarray | None = None
+
+
+def smooth_machine(
+    chain: Chain, seed: int, *, displacement: float = 4.0, angle: float = 12.0, correlation: float = 0.35
+) -> dict[str, Callable[[np.ndarray], np.ndarray] | float]:
+    """Random errors of every component. displacement (um), angle (urad): rms; correlation: share of the travel."""
+    rng = np.random.default_rng(seed)
+    values: dict[str, Callable[[np.ndarray], np.ndarray] | float] = {}
+    for c, name in enumerate(chain.components):
+        a = int(chain.drives[c])
+        if a < 0:
+            values[name] = float(rng.normal(0.0, 40.0 if chain.angular[c] else 25.0))
+            continue
+        size = (angle if chain.angular[c] else displacement) * np.exp(rng.normal(0.0, 0.3))
+        values[name] = _smooth(rng, chain, a, name, size, correlation)
+    return values
+
+
+def _smooth(rng, chain: Chain, a: int, name: str, size: float, correlation: float):
+    low, high = chain.travel[a]
+    span = high - low
+    axis = chain.machine.axes[chain.axes[a]]
+    closed = axis.kind == "rotary" and span > 359.0
+    terms = 24
+    if closed:
+        wave = rng.integers(1, 4, terms) * 2 * np.pi * span / 360.0
+    else:
+        wave = rng.normal(0.0, 1.0 / correlation, terms)
+    phase = rng.uniform(0, 2 * np.pi, terms)
+    gain = size * np.sqrt(2.0 / terms) * rng.normal(size=terms)
+    slope = 0.0 if closed else size * rng.normal() * 5.0
+
+    def raw(p: np.ndarray) -> np.ndarray:
+        t = (np.clip(np.asarray(p, dtype=float), low, high) - low) / span
+        return np.cos(t[..., None] * wave + phase) @ gain + slope * (t - 0.5)
+
+    grid = np.linspace(low, high, 2001)
+    kind = parse(name).kind
+    if kind == "positioning":
+        zero = float(raw(np.array([axis.zero]))[0])
+        return lambda p: raw(p) - zero
+    if kind == "straightness":
+        line = np.polyfit(grid, raw(grid), 1)
+        return lambda p: raw(p) - np.polyval(line, np.clip(p, low, high))
+    mean = float(raw(grid).mean())
+    return lambda p: raw(p) - mean
+
+
+def components_at(chain: Chain, values: Values, q: np.ndarray) -> np.ndarray:
+    """True components at q, shape (n, components), from the functions themselves."""
+    out = np.zeros((len(q), len(chain.components)))
+    for c, name in enumerate(chain.components):
+        value = values.get(name, 0.0)
+        out[:, c] = value(q[:, chain.drives[c]]) if callable(value) else value
+    return out
+
+
+def record(
+    chain: Chain, values: Values, protocol: str, runs: Sequence[Run], seed: int, *, noise: float = 0.5,
+    setup: float = 100.0, directions: str = "XYZ",
+) -> Recording:  # fmt: skip
+    """Play the runs. noise (um) on each reading; setup: typical size of set-up errors, um (and urad of a pose)."""
+    rng = np.random.default_rng(seed)
+    frames, constants = [], {"protocol": Constant(value=protocol)}
+    for run in runs:
+        frames.append(_play(chain, values, run, rng, noise, setup, protocol, directions))
+        constants |= _constants(chain, run)
+    frame = pd.concat(frames, ignore_index=True)
+    columns = {"run": Column(role="run")}
+    for a in chain.axes:
+        unit = "mm" if chain.machine.axes[a].kind == "linear" else "deg"
+        columns[a.lower()] = Column(role="position", axis=a, unit=unit)
+    for name in frame.columns:
+        if name.startswith("E_"):
+            columns[name] = Column(role="error", component=name, unit=parse(name).unit)
+    manifest = Manifest(
+        recording=1, title=f"{protocol.replace('_', ' ')} on a simulated machine", machine=chain.machine.name,
+        tables=("recording.csv",), constants=constants, columns=columns,
+    )  # fmt: skip
+    return Recording(manifest, frame)
+
+
+def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> pd.DataFrame:
+    tip = chain.tip(run.length, run.offset)
+    comps = components_at(chain, values, run.q)
+    ideal = synthesis.ideal_pose(chain, run.q, tip)
+    actual = synthesis.actual_pose(chain, run.q, comps, tip)
+    rotary = any(a.kind == "rotary" for a in chain.machine.axes.values())
+    point = actual[:, 0] + (np.einsum("k,nkj->nj", rng.normal(0, setup * 1e-3, 3), actual[:, 1:]) if rotary else 0.0)
+    shown = run.q - (0.0 if run.centre is None else run.centre)
+    out = {"run": np.full(len(run.q), run.label, dtype=object)}
+    out |= {a.lower(): shown[:, i] for i, a in enumerate(chain.axes)}
+    if run.socket is not None:
+        nominal = np.linalg.norm(ideal[:, 0] - run.socket, axis=1)
+        true = np.linalg.norm(point - run.socket - rng.normal(0, setup * 1e-3, 3), axis=1)
+        out["E_R"] = (true - nominal) * 1e3 + rng.normal(0, setup * 0.1) + rng.normal(0, noise, len(run.q))
+    elif run.beam is not None:
+        unit = run.beam / np.linalg.norm(run.beam)
+        real = unit + np.cross(rng.normal(0, setup * 1e-6, 3), unit)
+        out["E_R"] = (point @ real / np.linalg.norm(real) - ideal[:, 0] @ unit) * 1e3 + rng.normal(0, noise, len(run.q))
+    elif protocol == "level":
+        turn = synthesis.exact(chain, run.q, comps, tip)[:, 3:]
+        for i, d in enumerate("ABC"):
+            out[f"E_{d}"] = turn[:, i] + rng.normal(0, setup) + rng.normal(0, noise, len(run.q))
+    else:
+        middle = ideal[:, 0].mean(axis=0)
+        turn = rng.normal(0, setup * 1e-6, 3) if protocol != "r_test" else np.zeros(3)
+        if protocol == "hole_pattern":
+            turn[:2] = 0.0
+        moved = point + np.cross(turn, point - middle) + rng.normal(0, setup * 1e-3, 3)
+        for d in directions:
+            i = "XYZ".index(d)
+            out[f"E_{d}"] = (moved - ideal[:, 0])[:, i] * 1e3 + rng.normal(0, noise, len(run.q))
+    return pd.DataFrame(out)
+
+
+def _constants(chain: Chain, run: Run) -> dict[str, Constant]:
+    found = {"tool_length": (run.length, "mm")}
+    found |= {f"tool_offset_{d}": (v, "mm") for d, v in zip("XYZ", run.offset, strict=True)}
+    if run.socket is not None:
+        found |= {f"socket_{d}": (v, "mm") for d, v in zip("XYZ", run.socket, strict=True)}
+    if run.beam is not None:
+        found |= {f"beam_{d}": (v, None) for d, v in zip("XYZ", run.beam, strict=True)}
+    if run.centre is not None:
+        unit = {a: "mm" if chain.machine.axes[a].kind == "linear" else "deg" for a in chain.axes}
+        found |= {f"centre_{a}": (v, unit[a]) for a, v in zip(chain.axes, run.centre, strict=True)}
+    return {f"{n}@{run.label}": Constant(value=float(v), unit=u) for n, (v, u) in found.items()}
+
+
+def circles(
+    chain: Chain, centre: np.ndarray, radius: float, length: float, count: int = 72, label: str = ""
+) -> list[Run]:
+    """Ball-bar circles in the planes of each pair of linear axes about a centre, both senses (ISO 230-4)."""
+    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    angle = np.arange(count) * 2 * np.pi / count
+    socket = synthesis.ideal_pose(chain, centre, chain.tip(length))[0, 0]
+    runs = []
+    for first, second in [(i, j) for i in linear for j in linear if i < j]:
+        for sense in (1, -1):
+            q = np.tile(np.asarray(centre, dtype=float), (count, 1))
+            q[:, first] += radius * np.cos(sense * angle)
+            q[:, second] += radius * np.sin(sense * angle)
+            name = f"{label}{chain.axes[first]}{chain.axes[second]} {'ccw' if sense > 0 else 'cw'}"
+            runs.append(Run(name, q, length, socket=socket, centre=np.asarray(centre, dtype=float)))
+    return runs
+
+
+def volume_points(chain: Chain, per_axis: Sequence[int], margin: float = 0.02) -> np.ndarray:
+    """A lattice of poses over the travel of every axis, shape (n, axes)."""
+    low, high = chain.travel.T
+    edge = (high - low) * margin
+    grids = [
+        np.linspace(lo + e, hi - e, n) if n > 1 else np.array([(lo + hi) / 2])
+        for lo, hi, e, n in zip(low, high, edge, per_axis, strict=True)
+    ]
+    return np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
+
+
+def sockets(chain: Chain, spread: float = 0.35) -> list[np.ndarray]:
+    """Four places on the workpiece, below and beside the volume, for bars or tracker stations, mm."""
+    corners = synthesis.ideal_pose(chain, volume_points(chain, [2] * len(chain.axes), 0.0))[:, 0]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle, size = (low + high) / 2, high - low
+    shifts = np.array([[-1, -1, -1.3], [1, -1, -1.2], [0, 1, -1.1], [1.2, 1.1, 0.6]]) * 0.5
+    return [middle + size * s * (1 + spread) for s in shifts]
+
+
+def diagonals(chain: Chain, length: float, steps: int = 20, step_diagonal: bool = False) -> list[Run]:
+    """The four body diagonals (ISO 230-6), straight or one axis after the other at each step."""
+    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    low, high = chain.travel.T
+    runs = []
+    for number, signs in enumerate(((1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1))):
+        start, stop = (low + high) / 2, (low + high) / 2
+        for i, s in zip(linear, signs, strict=False):
+            start[i], stop[i] = (low[i], high[i]) if s > 0 else (high[i], low[i])
+        t = np.linspace(0, 1, steps + 1)[:, None]
+        q = start + (stop - start) * t
+        if step_diagonal:
+            rows = [q[0]]
+            for k in range(steps):
+                for i in linear:
+                    rows.append(rows[-1].copy())
+                    rows[-1][i] = q[k + 1, i]
+            q = np.array(rows)
+        ends = synthesis.ideal_pose(chain, q[[0, -1]], chain.tip(length))[:, 0]
+        runs.append(Run(f"diagonal {number + 1}", q, length, beam=ends[1] - ends[0]))
+    return runs
+
+
+def follow(chain: Chain, turning: np.ndarray, ball: np.ndarray, length: float) -> np.ndarray:
+    """Poses that keep the tool on a ball fixed to the table while rotary axes move (R-test), shape (n, axes).
+
+    turning (n, axes): rotary positions (linear columns are starting values); ball: mm, workpiece frame.
+    """
+    q = np.asarray(turning, dtype=float).copy()
+    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    tip = chain.tip(length)
+    for _ in range(4):
+        gap = synthesis.ideal_pose(chain, q, tip)[:, 0] - ball
+        jac = synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
+        q[:, linear] -= np.linalg.solve(jac, gap[..., None])[..., 0]
+    return q
