@@ -9,8 +9,9 @@ a key twice in one mapping, tags (`!!x`), several documents, aliases that blow u
 `${NAME}` and `${NAME:-default}` are replaced inside texts after parsing, so that a variable can never bring
 in a key; the result stays text. `$${` stands for a literal `${`.
 
-Models that derive from `Options` take quantities with their unit: in a field whose schema says
-`"unit": "um"`, the text `20 um` or `0.02 mm` is converted; a bare number is in that unit already.
+Quantities may have their unit: in a field whose `json_schema_extra` says `"unit": "um"`, the text `20 um` or
+`0.02 mm` is converted; a bare number is in that unit already. Validation is strict, in JSON's sense: lists become
+tuples and texts paths, but '5' is no number. (A `before` validator sees Python's sense instead; use `after`.)
 """
 
 from errpipe.yamlfile.document import Document, load, parse, read

@@ -14,6 +14,7 @@ from errpipe.errors import ConfigError, Problem, UsageError
 from errpipe.yamlfile.events import Builder
 from errpipe.yamlfile.explain import explain
 from errpipe.yamlfile.places import Place, Spot, describe, dotted
+from errpipe.yamlfile.quantities import convert_quantities
 
 T = TypeVar("T")
 
@@ -55,11 +56,15 @@ class Document:
         """Like `validate`, but what is found is only added to `problems`; None where anything was."""
         # JSON in strict mode is exactly what is wanted: lists become tuples and texts become paths,
         # but '5' is no number, 1 is no text and 'no' is not false.
-        text = json.dumps(self.value)
+        value, wrong = convert_quantities(model, self.value)
+        self.problems.extend(self.problem(place, message) for place, message in wrong)
+        places = {place for place, _ in wrong}
         try:
-            return TypeAdapter(model).validate_json(text, strict=True, context=dict(context or {}))
+            found = TypeAdapter(model).validate_json(json.dumps(value), strict=True, context=dict(context or {}))
+            return None if wrong else found
         except ValidationError as err:
-            self.problems.extend(explain(self.problem, self.value, model, err.errors(include_url=False)))
+            explained = explain(self.problem, value, model, err.errors(include_url=False))
+            self.problems.extend(problem for place, problem in explained if place not in places)
             return None
 
     def assign(self, place: Place, value: Any, origin: str) -> None:

@@ -6,14 +6,14 @@ pointed at itself, a missing one at the mapping that lacks it, everything else a
 
 from __future__ import annotations
 
-import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from errpipe.errors import Problem, did_you_mean
+from errpipe.yamlfile.annotations import entry_of, is_model, is_tagged, members, tags_of
 from errpipe.yamlfile.places import Place, describe
 
 # pydantic's error types of a wrong kind of value -> what is needed instead
@@ -35,31 +35,33 @@ _TRUTH = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false
 
 def explain(
     problem: Callable[..., Problem], data: Any, model: Any, errors: Iterable[Mapping[str, Any]]
-) -> list[Problem]:
-    """One problem for each place that pydantic complains about. `problem` makes one from place and message."""
+) -> list[tuple[Place, Problem]]:
+    """Place and problem for each place that pydantic complains about. `problem` makes one from place and message."""
     needed: dict[Place, list[str]] = {}
+    choices: dict[Place, list[str]] = {}
     found: list[tuple[Place, Problem]] = []
     for error in errors:
         trail = _Trail(model, data, error["loc"])
         kind = error["type"]
         if kind in _NEEDED:
-            wanted = needed.setdefault(trail.place, [])
-            if _NEEDED[kind] not in wanted:
-                wanted.append(_NEEDED[kind])
-            continue
-        place, message, at = _words(kind, error, trail)
-        found.append((place, problem(place, message, at=at)))
-    for place, wanted in needed.items():
+            needed.setdefault(trail.place, []).append(_NEEDED[kind])
+        elif kind in ("literal_error", "enum"):
+            words = trail.choices or [str(error["ctx"]["expected"]).replace("'", "")]
+            choices.setdefault(trail.place, []).extend(map(str, words))
+        else:
+            place, message, at = _words(kind, error, trail, _at(data, trail.place))
+            found.append((place, problem(place, message, at=at)))
+    for place in dict.fromkeys([*needed, *choices]):
         # a union of a number and a mapping: where a mapping was written, only the mapping's own faults matter
-        if any(other[: len(place)] == place for other, _ in found):
-            continue
-        found.append((place, problem(place, _wrong_kind(_at(data, place), wanted))))
-    return list(dict.fromkeys(one for _, one in found))
+        if not any(other[: len(place)] == place for other, _ in found):
+            words = list(dict.fromkeys(needed.get(place, []))), list(dict.fromkeys(choices.get(place, [])))
+            found.append((place, problem(place, _wrong_kind(_at(data, place), *words))))
+    return list(dict.fromkeys(found))
 
 
-def _words(kind: str, error: Mapping[str, Any], trail: _Trail) -> tuple[Place, str, str]:
+def _words(kind: str, error: Mapping[str, Any], trail: _Trail, value: Any) -> tuple[Place, str, str]:
     """Place, message and what to point at, for one error that is not a wrong kind of value."""
-    place, value, extra = trail.place, error["input"], error.get("ctx", {})
+    place, extra = trail.place, error.get("ctx", {})
     if kind == "extra_forbidden":
         allowed = trail.allowed_keys
         return place, f"unknown key{_allowed(allowed)}{_near(place[-1], allowed)}", "key"
@@ -71,17 +73,14 @@ def _words(kind: str, error: Mapping[str, Any], trail: _Trail) -> tuple[Place, s
     if kind == "union_tag_invalid":
         key, tag = extra["discriminator"].strip("'"), extra["tag"]
         return (*place, key), f"found {tag!r}{_allowed(trail.tags(key))}{_near(tag, trail.tags(key))}", "value"
-    if kind in ("literal_error", "enum"):
-        allowed = trail.choices or [str(extra.get("expected", "")).replace("'", "")]
-        return place, f"found {_short(value)}{_allowed(allowed)}{_near(value, allowed)}", "value"
     if kind in _BOUNDS:
         name, word = _BOUNDS[kind]
         return place, f"{value} is not {word} {extra[name]:g}{trail.unit}", "value"
-    return _rest(kind, error, place)
+    return _rest(kind, error, place, value)
 
 
-def _rest(kind: str, error: Mapping[str, Any], place: Place) -> tuple[Place, str, str]:
-    value, extra = error["input"], error.get("ctx", {})
+def _rest(kind: str, error: Mapping[str, Any], place: Place, value: Any) -> tuple[Place, str, str]:
+    extra = error.get("ctx", {})
     if kind == "finite_number":
         return place, f"{value} is not a finite number", "value"
     if kind in ("too_short", "string_too_short"):
@@ -96,7 +95,11 @@ def _rest(kind: str, error: Mapping[str, Any], place: Place) -> tuple[Place, str
     return place, f"{error['msg'][0].lower()}{error['msg'][1:]}", "value"
 
 
-def _wrong_kind(value: Any, wanted: Sequence[str]) -> str:
+def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> str:
+    """What to say where a value is of the wrong kind, or none of the choices, or both."""
+    if not wanted:
+        return f"found {_short(value)}{_allowed(choices)}{_near(value, choices)}"
+    wanted = [*wanted, f"one of {', '.join(choices)}"] if choices else wanted
     message = f"found {describe(value)} ({' or '.join(wanted)} is needed)"
     if not isinstance(value, str):
         quotes = "a text" in wanted and isinstance(value, int | float)
@@ -150,11 +153,11 @@ class _Trail:
         self.place: Place = ()
         self.model: type[BaseModel] | None = None
         self.field: FieldInfo | None = None
-        self.members = _members(annotation)
+        self.members = members(annotation)
         for step in location:
             if len(self.members) > 1:
                 # inside a union the next step is a tag: the discriminator's value or the name of a type
-                self.members = [m for m in self.members if _is_tagged(m, step)][:1] or [Any]
+                self.members = [m for m in self.members if is_tagged(m, step)][:1] or [Any]
                 continue
             inner = self._inside(step)
             if inner is None and not (isinstance(data, dict) and step in data):
@@ -167,21 +170,17 @@ class _Trail:
         """Annotations one step further in, or None where the annotation has no such inside."""
         member = self.members[0]
         self.field = self.field if isinstance(step, int) else None  # a list's unit is that of its entries
-        if _is_model(member):
+        if is_model(member):
             self.model = member
             for name, info in member.model_fields.items():
                 if step in (info.alias, info.validation_alias) or (step == name and info.alias is None):
                     self.field = info
-                    return _members(info.annotation)
+                    return members(info.annotation)
             return [Any]
         origin, arguments = get_origin(member), get_args(member)
         if origin in (dict, Mapping):
-            return _members(arguments[1])
-        if not isinstance(step, int):
-            return None
-        if origin is tuple and arguments[-1] is not Ellipsis:
-            return _members(arguments[min(step, len(arguments) - 1)])
-        return _members(arguments[0]) if arguments else [Any]
+            return members(arguments[1])
+        return members(entry_of([member], step)) if isinstance(step, int) else None
 
     @property
     def allowed_keys(self) -> list[str]:
@@ -192,7 +191,7 @@ class _Trail:
 
     def tags(self, discriminator: str) -> list[str]:
         """Tags of the discriminated union at the end, sorted."""
-        return sorted({str(tag) for member in self.members for tag in _tags(member, discriminator)})
+        return sorted({str(tag) for member in self.members for tag in tags_of(member, discriminator)})
 
     @property
     def choices(self) -> list[Any]:
@@ -213,32 +212,3 @@ class _Trail:
         if not text and self.choices:
             text = ", ".join(map(str, self.choices))
         return f" ({text[0].lower() + text[1:].rstrip('.')})" if text else ""
-
-
-def _members(annotation: Any) -> list[Any]:
-    """The parts of a union without None; Annotated stripped."""
-    while get_origin(annotation) is Annotated:
-        annotation = get_args(annotation)[0]
-    if get_origin(annotation) in (Union, types.UnionType):
-        return [m for part in get_args(annotation) for m in _members(part) if part is not type(None)]
-    return [annotation]
-
-
-def _is_model(member: Any) -> bool:
-    return isinstance(member, type) and issubclass(member, BaseModel)
-
-
-def _tags(member: Any, discriminator: str | None = None) -> list[Any]:
-    """Values of the Literal fields of a model (or of the one field that tells the members apart)."""
-    if not _is_model(member):
-        return []
-    return [
-        tag
-        for name, info in member.model_fields.items()
-        if get_origin(info.annotation) is Literal and discriminator in (None, name, info.alias)
-        for tag in get_args(info.annotation)
-    ]
-
-
-def _is_tagged(member: Any, tag: Any) -> bool:
-    return tag in _tags(member) or getattr(member, "__name__", None) == tag

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
 from fractions import Fraction
-from typing import Any
+from typing import Any, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
-from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
+from pydantic import BaseModel, ConfigDict
 
 from errpipe.errors import did_you_mean
+from errpipe.yamlfile.annotations import entry_of, members, model_for
+from errpipe.yamlfile.places import Place
 
 _PI = Fraction(math.pi)
 # dimension -> {unit: (zero, factor)}: value in the dimension's base = (number - zero) * factor, exactly.
@@ -63,45 +64,9 @@ def convert(text: str, unit: str) -> float:
 
 
 class Options(BaseModel):
-    """Base of every model a person writes in YAML: frozen, unknown keys refused, quantities with units."""
+    """Base of every model a person writes in YAML: frozen, unknown keys refused, no infinities."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        # Field by field: a validator of all fields ("*") may not stand on the key of a tagged union, and one of
-        # the whole model turns JSON's strictness (where a list may become a tuple) into Python's.
-        schema = handler(source)
-        fields: Any = handler.resolve_ref_schema(schema)
-        while fields["type"] != "model-fields":
-            fields = fields["schema"]
-        for name, one in fields["fields"].items():
-            extra = cls.model_fields[name].json_schema_extra
-            unit = extra.get("unit") if isinstance(extra, dict) else None
-            if isinstance(unit, str):
-                holder = one["schema"] if one["schema"]["type"] == "default" else one
-                if not isinstance(holder["schema"].get("function", {}).get("function"), _WithUnit):
-                    holder["schema"] = no_info_before_validator_function(_WithUnit(unit), holder["schema"])
-        return schema
-
-
-@dataclass(frozen=True)
-class _WithUnit:
-    """Converts what is written into a field of that unit."""
-
-    unit: str
-
-    def __call__(self, value: Any) -> Any:
-        return _converted(value, self.unit)
-
-
-def _converted(value: Any, unit: str) -> Any:
-    """Texts that are quantities converted, also inside lists; a word (`auto`) is left for the model to judge."""
-    if isinstance(value, list | tuple):
-        return [_converted(part, unit) for part in value]
-    if isinstance(value, str) and _QUANTITY.match(value):
-        return convert(value, unit)
-    return value
 
 
 class Misplaced(ValueError):
@@ -110,3 +75,52 @@ class Misplaced(ValueError):
     def __init__(self, place: tuple[str | int, ...], message: str):
         self.place = place
         super().__init__(message)
+
+
+def convert_quantities(model: Any, data: Any, place: Place = ()) -> tuple[Any, list[tuple[Place, str]]]:
+    """The data with every quantity converted that stands in a field with a unit, and what cannot be (place, why).
+
+    Done before validation, so that validation sees numbers only and can be strict.
+    """
+    wrong: list[tuple[Place, str]] = []
+    inside = members(model)
+    if isinstance(data, dict):
+        chosen = model_for(inside, data)
+        values = next((get_args(m)[1] for m in inside if get_origin(m) in (dict, Mapping)), Any)
+        fields = {info.alias or name: info for name, info in chosen.model_fields.items()} if chosen else {}
+        new: Any = {}
+        for key, value in data.items():
+            info = fields.get(key)
+            extra = info.json_schema_extra if info is not None else None
+            unit = extra.get("unit") if isinstance(extra, dict) else None
+            if isinstance(unit, str):
+                new[key], problems = _with_unit(value, unit, (*place, key))
+            else:
+                kind = info.annotation if info is not None else values if chosen is None else Any
+                new[key], problems = convert_quantities(kind, value, (*place, key))
+            wrong += problems
+        return new, wrong
+    if isinstance(data, list):
+        new = []
+        for number, value in enumerate(data):
+            found, problems = convert_quantities(entry_of(inside, number), value, (*place, number))
+            new.append(found)
+            wrong += problems
+        return new, wrong
+    return data, wrong
+
+
+def _with_unit(value: Any, unit: str, place: Place) -> tuple[Any, list[tuple[Place, str]]]:
+    """One value of a field with a unit, or a list or mapping of such; words (`auto`) are left for the model."""
+    if isinstance(value, list | dict):
+        new, wrong = (value.copy(), [])
+        for key, part in enumerate(value) if isinstance(value, list) else value.items():
+            new[key], problems = _with_unit(part, unit, (*place, key))
+            wrong += problems
+        return new, wrong
+    if isinstance(value, str) and _QUANTITY.match(value):
+        try:
+            return convert(value, unit), []
+        except ValueError as err:
+            return value, [(place, str(err))]
+    return value, []

@@ -1,0 +1,61 @@
+"""What a pydantic annotation can hold: the few questions that explaining and converting ask of it."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+
+
+def members(annotation: Any) -> list[Any]:
+    """The parts of a union without None; Annotated stripped."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [m for part in get_args(annotation) for m in members(part) if part is not type(None)]
+    return [annotation]
+
+
+def is_model(member: Any) -> bool:
+    return isinstance(member, type) and issubclass(member, BaseModel)
+
+
+def tags_of(member: Any, discriminator: str | None = None) -> list[Any]:
+    """Values of the Literal fields of a model (or of the one field that tells the members apart)."""
+    if not is_model(member):
+        return []
+    return [
+        tag
+        for name, info in member.model_fields.items()
+        if get_origin(info.annotation) is Literal and discriminator in (None, name, info.alias)
+        for tag in get_args(info.annotation)
+    ]
+
+
+def is_tagged(member: Any, tag: Any) -> bool:
+    return tag in tags_of(member) or getattr(member, "__name__", None) == tag
+
+
+def entry_of(inside: Sequence[Any], number: int) -> Any:
+    """Annotation of one entry of a list; Any where none of the annotations is a list."""
+    for member in inside:
+        origin, arguments = get_origin(member), get_args(member)
+        if origin is tuple and arguments and arguments[-1] is not Ellipsis:
+            return arguments[min(number, len(arguments) - 1)]
+        if arguments and origin not in (dict, Mapping, Literal):
+            return arguments[0]
+    return Any
+
+
+def model_for(inside: Sequence[Any], data: Mapping[str, Any]) -> type[BaseModel] | None:
+    """The model meant by a mapping: the only one, or the one whose Literal field holds what is written."""
+    models = [member for member in inside if is_model(member)]
+    if len(models) < 2:
+        return models[0] if models else None
+    for model in models:
+        for name, info in model.model_fields.items():
+            if get_origin(info.annotation) is Literal and data.get(info.alias or name) in get_args(info.annotation):
+                return model
+    return None
