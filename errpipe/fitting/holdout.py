@@ -39,7 +39,9 @@ class HoldOut(Frozen):
 
 
 def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
-    """All folds of a scheme, in order of first appearance; every fold has rows on both sides.
+    """All folds of a scheme, in order of first appearance; every fold has measured rows on both sides.
+
+    Runs that only log temperatures judge nothing, so no fold leaves them out.
 
     scheme: a `HoldOut`, or its short form: "leave-one-run-out", "leave-one-group-out:season", "blocks:6",
     "forward:day". Raises DataError where the recording has no such group or too few of them.
@@ -47,7 +49,8 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     chosen = parse(scheme) if isinstance(scheme, str) else scheme
     if chosen.scheme == "auto":
         chosen = _automatic(recording, chosen)
-    folds = list(_folds(recording, chosen))
+    seen = measured(recording)
+    folds = [fold for fold in _folds(recording, chosen) if seen[fold.test].any() and seen[fold.train].any()]
     if not folds:
         raise DataError(f"hold-out {name(chosen)}: the recording has only one group, so nothing can sit out")
     for fold in folds:
@@ -89,6 +92,14 @@ def check(fold: Fold) -> None:
         raise DataError(f"hold-out {fold.label}: no row {side}")
 
 
+def measured(recording: Recording) -> np.ndarray:
+    """Rows with any response, shape (rows,); all of them where the recording has no response column."""
+    names = recording.names("error")
+    if not names:
+        return np.ones(len(recording), dtype=bool)
+    return np.any([np.isfinite(recording.array(name)) for name in names], axis=0)
+
+
 def labels(recording: Recording, of: str | None) -> np.ndarray:
     """Group label of each row as text, shape (rows,); runs where `of` is None.
 
@@ -109,7 +120,7 @@ def block_numbers(recording: Recording, count: int) -> np.ndarray:
 
 
 def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
-    if len(recording.run_labels()) >= 3:
+    if np.unique(recording.run_codes()[measured(recording)]).size >= 3:
         return scheme.model_copy(update={"scheme": "leave-one-run-out"})
     return scheme.model_copy(update={"scheme": "blocks"})
 

@@ -21,7 +21,7 @@ from errpipe.fitting.components import (
     solved_plainly,
     without_nuisance,
 )
-from errpipe.fitting.design import assemble, response_name
+from errpipe.fitting.design import assemble
 from errpipe.fitting.holdout import Fold, check
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
@@ -49,18 +49,18 @@ class HeldOut:
         return float(np.sqrt(np.sum(values**2) / max(values.size - self.used, 1.0)))
 
 
-def judge(recording: Recording, spec: ModelSpec, fold: Fold, gain: float = 1.0) -> dict[str, HeldOut]:
-    """Fit on one side of a fold, judge on the other, per component. gain: share of the model that is applied."""
+def judge(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOut]:
+    """Fit on one side of a fold, judge on the other, per component. Raises DataError where rows do both."""
     check(fold)
     out = {}
     model = solved_plainly(recording, spec, fold.train)
     values = evaluate(model, recording)
     for group in groups_of(spec):
-        out.update(_left(recording, spec, group, fold, values, model, gain))
+        out.update(_left(recording, spec, group, fold, values, model))
     return out
 
 
-def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, values, model: ErrorModel, gain):
+def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, values, model: ErrorModel):
     usable = fold.test.copy()
     for component in group:
         usable &= np.isfinite(values[component.component])
@@ -69,7 +69,7 @@ def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, valu
     problem = assemble(recording, [(c.component, ()) for c in group], spec.nuisance, usable)
     predicted = np.concatenate([values[c][r] for c, r in zip(problem.components, problem.rows, strict=True)])
     before = without_nuisance(problem, problem.response)
-    after = without_nuisance(problem, problem.response - gain * predicted)
+    after = without_nuisance(problem, problem.response - predicted)
     used = float(np.linalg.matrix_rank(problem.design(np.empty(0)))) if problem.width else 0.0
     far, out, start = distance(model.validity, recording), {}, 0
     for component, rows in zip(problem.components, problem.rows, strict=True):
@@ -147,8 +147,3 @@ def _score(recording, spec, component, terms, mask) -> float:
     alone = spec.model_copy(update={"components": (one,), "selection": "none"})
     judged = judge_all(recording, alone, mask)[component.component]
     return float(np.sqrt(np.mean([f.rms(f.after) ** 2 for f in judged])))
-
-
-def responses(recording: Recording, spec: ModelSpec) -> dict[str, np.ndarray]:
-    """The recorded response of every component, shape (rows,)."""
-    return {c.component: recording.array(response_name(recording, c.component)) for c in spec.components}

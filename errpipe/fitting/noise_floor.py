@@ -20,13 +20,13 @@ def noise_floor(recording: Recording, rows: np.ndarray, values: np.ndarray) -> f
     """
     repeated = _repeats(recording, rows, values)
     if repeated.size >= FEWEST:
-        return _spread(repeated, np.sqrt(2.0))
+        return _spread(repeated, 2.0**0.5)
     run = recording.run_codes()[rows]
     if values.size < 3:
         return None
     bends = values[:-2] - 2.0 * values[1:-1] + values[2:]
     inside = (run[2:] == run[:-2]) & np.isfinite(bends)
-    return _spread(bends[inside], np.sqrt(6.0)) if np.count_nonzero(inside) >= FEWEST else None
+    return _spread(bends[inside], 6.0**0.5) if np.count_nonzero(inside) >= FEWEST else None
 
 
 def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -51,4 +51,4 @@ def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray) -> np.n
 def _spread(differences: np.ndarray, root: float) -> float:
     robust = MAD * float(np.median(np.abs(differences)))
     # A quantised display gives differences of exactly zero: then the root mean square speaks.
-    return (robust if robust > 0 else float(np.sqrt(np.mean(differences**2)))) / root
+    return float((robust if robust > 0 else np.sqrt(np.mean(differences**2))) / root)

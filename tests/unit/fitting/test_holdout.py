@@ -74,3 +74,10 @@ def test_unknown_scheme_and_group_are_named():
 def test_one_run_cannot_sit_out():
     with pytest.raises(DataError, match="only one group"):
         holdout.groups(recording(runs=1), "leave-one-run-out")
+
+
+def test_runs_that_only_log_judge_nothing():
+    logged = recording()
+    silent = logged.frame["run"] == "r1"
+    logged = Recording(logged.manifest, logged.frame.assign(E_Z=np.where(silent, np.nan, 0.0)))
+    assert [fold.label for fold in holdout.groups(logged)] == ["r0", "r2", "r3"]

@@ -1,0 +1,39 @@
+"""A recording as a folder: manifest and CSV table, the same bytes for the same rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from errpipe import jsonfile
+from errpipe.domain.recording import Recording
+
+
+def write(folder: Path, recording: Recording) -> bool:
+    """Write `recording.yaml` and its first table, whole files only. True if any byte changed.
+
+    Values are already in canonical units, and so says the manifest.
+    """
+    folder = Path(folder)
+    table = recording.frame.to_csv(index=False, lineterminator="\n")
+    changed = jsonfile.write_text(folder / recording.manifest.tables[0], table)
+    return jsonfile.write_text(folder / "recording.yaml", manifest_text(recording)) or changed
+
+
+def manifest_text(recording: Recording) -> str:
+    """The manifest as YAML: one line per column, keys in their own order."""
+    told = recording.manifest.model_dump(mode="json", exclude_defaults=True)
+    lines = ["recording: 1"]
+    for key in ("title", "machine", "tables"):
+        if told.get(key):
+            lines.append(f"{key}: {_flow(told[key])}")
+    for key in ("constants", "columns"):
+        if told.get(key):
+            lines.append(f"{key}:")
+            lines += [f"  {name}: {_flow(value)}" for name, value in told[key].items()]
+    return "\n".join(lines) + "\n"
+
+
+def _flow(value: object) -> str:
+    """JSON, which is YAML 1.2 in flow style."""
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,135 @@
+"""Figures from rows that had no say: every one beside doing nothing and the noise floor.
+
+"Do nothing" and partial gains compete with the full model on the same rows; the least of them within 1 % of the best
+wins. The 90 % interval that covers a group comes from the other groups alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting import holdout
+from errpipe.fitting.judging import HeldOut, half_width90, judge, widening90
+from errpipe.fitting.noise_floor import noise_floor
+from errpipe.fitting.spec import ModelSpec
+
+GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)
+TIE = 0.01
+VERSION = 1
+
+
+def held_out(
+    recording: Recording, spec: ModelSpec, scheme: holdout.HoldOut | str | None = None, *, folds: Sequence | None = None
+) -> dict[str, Any]:
+    """Refit without each group and judge on it: the document of `validation.json` for one scheme.
+
+    folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
+    where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can sit out.
+    """
+    chosen = spec.holdout if scheme is None else scheme
+    if folds is None:
+        folds = holdout.groups(recording, chosen)
+        label = holdout.name(holdout.resolved(recording, chosen))
+    else:
+        folds, label = [holdout.Fold(*fold) for fold in folds], "given"
+    judged: dict[str, list[HeldOut]] = {c.component: [] for c in spec.components}
+    for fold in folds:
+        for component, found in judge(recording, spec, fold).items():
+            judged[component].append(found)
+    return {
+        "validation": VERSION,
+        "scheme": label,
+        "method": spec.method,
+        "components": [component_figures(recording, name, found) for name, found in judged.items()],
+    }
+
+
+def component_figures(recording: Recording, component: str, folds: Sequence[HeldOut]) -> dict[str, Any]:
+    """Figures of one component over its held-out groups."""
+    if not folds:
+        raise DataError(f"validate: no held-out rows of {component}")
+    name = recording.name("error", component=component)
+    half = half_width90(folds)
+    gains = {f"{g:g}": _pooled(folds, g) for g in GAINS}
+    rows = np.concatenate([f.rows for f in folds])
+    after = np.concatenate([f.after for f in folds])
+    floor = noise_floor(recording, rows[np.argsort(rows)], after[np.argsort(rows)])
+    chosen = _least_that_ties(gains)
+    return {
+        "component": component,
+        "unit": (recording.manifest.columns[name].unit if name else None) or "um",
+        "rows": int(rows.size),
+        "rms_before": gains["0"],
+        "rms_after": gains["1"],
+        "noise_floor": floor,
+        "worst_group_rms_after": max(f.rms(f.after) for f in folds),
+        "bias": float(np.sqrt(np.mean([np.mean(f.after) ** 2 for f in folds]))),
+        "scatter": float(np.sqrt(np.mean([np.var(f.after) for f in folds]))),
+        "half_width90": half,
+        "coverage90": _coverage(folds),
+        "rms_by_gain": gains,
+        "gain": chosen,
+        "verdict": "do nothing" if chosen == 0.0 else ("model" if chosen == 1.0 else "partial gain"),
+        "groups": [_group(f, k, folds) for k, f in enumerate(folds)],
+    }
+
+
+def _group(fold: HeldOut, number: int, folds: Sequence[HeldOut]) -> dict[str, Any]:
+    return {
+        "label": fold.label,
+        "rows": int(fold.rows.size),
+        "rms_before": fold.rms(fold.before),
+        "rms_after": fold.rms(fold.after),
+        "worst_before": float(np.abs(fold.before).max()),
+        "worst_after": float(np.abs(fold.after).max()),
+        "bias_after": float(np.mean(fold.after)),
+        "scatter_after": float(np.std(fold.after)),
+        "coverage90": _covered(folds, number),
+        "outside_share": float(np.mean(fold.outside > 0)),
+    }
+
+
+def _pooled(folds: Sequence[HeldOut], gain: float) -> float:
+    squares = sum(float(np.sum(_at_gain(f, gain) ** 2)) for f in folds)
+    return float(np.sqrt(squares / max(sum(f.rows.size - f.used for f in folds), 1.0)))
+
+
+def _at_gain(fold: HeldOut, gain: float) -> np.ndarray:
+    """What is left when only a share of the correction is applied (both ends are known, and it is linear)."""
+    return (1.0 - gain) * fold.before + gain * fold.after
+
+
+def _least_that_ties(gains: dict[str, float]) -> float:
+    best = min(gains.values())
+    return min(float(g) for g, rms in gains.items() if rms <= best * (1.0 + TIE))
+
+
+def _covered(folds: Sequence[HeldOut], number: int) -> float | None:
+    others = [f for k, f in enumerate(folds) if k != number]
+    if not others:
+        return None
+    half = half_width90(others)
+    width = half + widening90(others, half) * folds[number].outside
+    return float(np.mean(np.abs(folds[number].after) <= width))
+
+
+def _coverage(folds: Sequence[HeldOut]) -> float | None:
+    found = [_covered(folds, k) for k in range(len(folds))]
+    known = [c for c in found if c is not None]
+    return float(np.mean(known)) if known else None
+
+
+def refuse_overlap(fitted: Recording, judged: Recording) -> None:
+    """Raise DataError where rows of one recording are in the other: a model must not be judged on what fitted it."""
+    names = [n for n in (*fitted.names("run"), *fitted.names("time"), *fitted.names("error")) if n in judged.frame]
+    if not names:
+        return
+    seen = set(map(tuple, fitted.frame[names].to_numpy(dtype=object).tolist()))
+    both = sum(row in seen for row in map(tuple, judged.frame[names].to_numpy(dtype=object).tolist()))
+    if both:
+        raise DataError(f"validate: the hold-out overlaps the fit: {both} of {len(judged)} rows took part in it")
