@@ -5,117 +5,173 @@ already knows) with Gaussian priors, H a hypothesis' columns, w ~ Normal(0, (a s
 freedom (1 for the textbook form, less for how far reality strays from it), a its unknown size, averaged over
 a grid. e is white noise with a small slowly varying share; an ARMA(1,1) filter makes it white. The noise
 variance is profiled. A hypothesis pays for every column and for every size that does not fit.
+
+All products of columns are formed once (`Table`); a search then never touches the rows again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 
 MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blind trials: 5 to 12)
+SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
-@dataclass(frozen=True)
-class Noise:
-    """sigma: rms of the noise; share: part of its variance that varies slowly (0..0.5)."""
-
-    sigma: float
-    share: float = 0.06
-
-    def whiten(self, columns: np.ndarray, run: np.ndarray) -> np.ndarray:
-        """Columns (rows,) or (rows, k) filtered so that the noise becomes white with unit variance."""
-        if self.share <= 1e-6:
-            return columns / self.sigma
-        phi = np.exp(-1.0 / MEMORY)
-        white = 1.0 - self.share
-        g0 = self.share * (1 - phi**2) + white * (1 + phi**2)
-        g1 = phi * white
-        theta = (g0 - np.sqrt(max(g0**2 - 4 * g1**2, 0.0))) / (2 * g1)
-        gain = np.sqrt(g1 / theta)
-        out = np.empty_like(columns, dtype=float)
-        for rows in stretches(run):
-            filtered = lfilter([1.0, -phi], [1.0, -theta], columns[rows], axis=0)
-            filtered[0] = columns[rows][0] * gain  # the first row has no past
-            out[rows] = filtered
-        return out / (self.sigma * gain)
+def whiten(columns: np.ndarray, run: np.ndarray, share: float = SHARE) -> np.ndarray:
+    """Columns (rows,) or (rows, k) filtered so that noise of unit variance with a slow share becomes white."""
+    phi = np.exp(-1.0 / MEMORY)
+    g0 = share * (1 - phi**2) + (1.0 - share) * (1 + phi**2)
+    g1 = phi * (1.0 - share)
+    theta = (g0 - np.sqrt(max(g0**2 - 4 * g1**2, 0.0))) / (2 * g1)
+    gain = np.sqrt(g1 / theta)
+    out = np.empty_like(columns, dtype=float)
+    for rows in stretches(run):
+        out[rows] = lfilter([1.0, -phi], [1.0, -theta], columns[rows], axis=0)
+        out[rows.start] = columns[rows.start] * gain  # the first row has no past
+    return out / gain
 
 
 def stretches(run: np.ndarray) -> list[slice]:
     """Slices of rows that follow each other in one run."""
     edges = np.flatnonzero(np.diff(run)) + 1
-    return [slice(a, b) for a, b in zip(np.r_[0, edges], np.r_[edges, run.size], strict=True)]
+    return [slice(int(a), int(b)) for a, b in zip(np.r_[0, edges], np.r_[edges, run.size], strict=True)]
 
 
-@dataclass
-class Nuisance:
-    """Columns everyone may use, with prior standard deviations (inf: free), shape (rows, m) and (m,)."""
+class Table:
+    """Whitened columns with all their products; columns can be added, and are addressed by index."""
 
-    columns: np.ndarray
+    def __init__(self, run: np.ndarray, columns: np.ndarray):
+        self.run, self.n = run, run.size
+        self.W = whiten(columns, run)
+        self.G = self.W.T @ self.W
+
+    def add(self, columns: np.ndarray) -> np.ndarray:
+        """Append columns (rows, k); returns their indices."""
+        fresh = whiten(columns, self.run)
+        cross = self.W.T @ fresh
+        self.G = np.block([[self.G, cross], [cross.T, fresh.T @ fresh]])
+        first = self.W.shape[1]
+        self.W = np.column_stack([self.W, fresh])
+        return np.arange(first, self.W.shape[1])
+
+
+@dataclass(frozen=True)
+class Data:
+    """A signal to be explained: its products with the table's columns and with itself."""
+
+    table: Table
+    y: np.ndarray
+    yy: float
+    known: list[np.ndarray]
+
+    @classmethod
+    def of(cls, table: Table, values: np.ndarray) -> Data:
+        """Whiten a signal of shape (rows,)."""
+        y = whiten(values, table.run)
+        return cls(table, y, float(y @ y), [np.zeros(0)])
+
+    def products(self) -> np.ndarray:
+        """Products with all columns that the table holds by now."""
+        done = self.known[0].size
+        if done < self.table.W.shape[1]:
+            self.known[0] = np.r_[self.known[0], self.table.W[:, done:].T @ self.y]
+        return self.known[0]
+
+
+@dataclass(frozen=True)
+class Active:
+    """Columns in use: indices into the table and the prior standard deviation of each (inf: free)."""
+
+    index: np.ndarray
     sd: np.ndarray
-    names: list[str] = field(default_factory=list)
 
-    def plus(self, columns: np.ndarray, sd: np.ndarray, names: list[str]) -> Nuisance:
-        """These and further columns."""
-        return Nuisance(np.column_stack([self.columns, columns]), np.r_[self.sd, sd], [*self.names, *names])
+    def plus(self, index: np.ndarray, sd: np.ndarray) -> Active:
+        """These and further ones."""
+        return Active(np.r_[self.index, index], np.r_[self.sd, sd])
+
+
+NOTHING = Active(np.zeros(0, dtype=int), np.zeros(0))
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A hypothesis' log Bayes factor against the nuisances alone, and the size that fits best."""
+    """A hypothesis' log Bayes factor against the active columns alone, and the size that fits best."""
 
     gain: float
     size: float
-    explained: float  # share of the null's residual sum that it takes away
 
 
 class Scene:
-    """One response ready to be explained: whitened data and nuisances, against which many hypotheses are scored."""
+    """A signal with some columns active: their coefficients, what they leave, and what a hypothesis would add."""
 
-    def __init__(self, y: np.ndarray, nuisance: Nuisance, noise: Noise, run: np.ndarray):
-        self.noise, self.run, self.n = noise, run, y.size
-        self.nuisance = nuisance
-        self.y = noise.whiten(y, run)
-        self.N = noise.whiten(nuisance.columns, run)
-        scale = np.sqrt((self.N**2).sum(axis=0)) + 1e-300
-        prior = np.where(np.isinf(nuisance.sd), 0.0, 1.0 / np.maximum(nuisance.sd, 1e-300) ** 2)
-        self.NN = self.N.T @ self.N + np.diag(prior + 1e-12 * scale**2)
-        self.chol = np.linalg.cholesky(self.NN)
-        self.half = np.linalg.solve(self.chol, self.N.T @ self.y)
-        self.Q = float(self.y @ self.y - self.half @ self.half)
+    def __init__(self, data: Data, active: Active, sigma: float):
+        table = data.table
+        self.table, self.data, self.active, self.sigma = table, data, active, sigma
+        self.n = table.n
+        i = active.index
+        self.Zy_all = data.products()
+        G = table.G[np.ix_(i, i)]
+        prior = np.where(np.isinf(active.sd), 0.0, sigma**2 / np.maximum(active.sd, 1e-300) ** 2)
+        self.M = G + np.diag(prior + 1e-11 * np.diag(G) + 1e-300)
+        self.chol = np.linalg.cholesky(self.M)
+        self.half = np.linalg.solve(self.chol, self.Zy_all[i])
+        self.Q = max(data.yy - float(self.half @ self.half), 1e-12 * data.yy + 1e-300)
 
     def coefficients(self) -> np.ndarray:
-        """Posterior mean of the nuisances' coefficients."""
+        """Posterior mean of the active columns' coefficients."""
         return np.linalg.solve(self.chol.T, self.half)
 
-    def residual_rms(self) -> float:
-        """Whitened residual rms times sigma, degrees of freedom counted softly."""
-        dof = float(np.trace(np.linalg.solve(self.NN, self.N.T @ self.N)))
-        return float(np.sqrt(self.Q / max(self.n - dof, 1.0))) * self.noise.sigma
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance of the coefficients."""
+        inverse = np.linalg.inv(self.chol)
+        return self.sigma**2 * inverse.T @ inverse
 
-    def score_all(self, H: np.ndarray, slices: list[slice], freedom: np.ndarray) -> list[Scored]:
-        """Score hypotheses whose whitened columns stand side by side in H; freedom: relative sd of each column."""
-        NH = np.linalg.solve(self.chol, self.N.T @ H)
-        s_all = H.T @ self.y - NH.T @ self.half
-        out = []
-        for at in slices:
-            Hs = H[:, at]
-            S = Hs.T @ Hs - NH[:, at].T @ NH[:, at]
-            out.append(self._score(S, s_all[at], freedom[at]))
-        return out
+    def freedom_used(self) -> float:
+        """Effective number of coefficients."""
+        i = self.active.index
+        return float(np.trace(np.linalg.solve(self.M, self.table.G[np.ix_(i, i)])))
 
-    def _score(self, S: np.ndarray, s: np.ndarray, freedom: np.ndarray) -> Scored:
-        # in units where a column at unit size moves the response by one noise rms
-        D = freedom
-        lam, U = np.linalg.eigh(S * D[:, None] * D[None, :])
+    def rms(self) -> float:
+        """Whitened residual rms, corrected for the coefficients used."""
+        return float(np.sqrt(self.Q / max(self.n - self.freedom_used(), 1.0)))
+
+    def score(self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray]) -> list[Scored]:
+        """Score hypotheses: columns of each (slice or indices into the table) and their relative freedoms."""
+        index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
+        used = np.concatenate(index) if index else np.zeros(0, dtype=int)
+        half = np.linalg.solve(self.chol, self.table.G[np.ix_(self.active.index, used)])
+        s_all = self.Zy_all[used] - half.T @ self.half
+        starts = np.cumsum([0, *[i.size for i in index]])
+        out: list[Scored | None] = [None] * len(index)
+        sizes: dict[int, list[int]] = {}
+        for k, i in enumerate(index):
+            sizes.setdefault(i.size, []).append(k)
+        for width, members in sizes.items():
+            cols = np.stack([index[k] for k in members])
+            S = self.table.G[cols[:, :, None], cols[:, None, :]]
+            place = np.stack([np.arange(starts[k], starts[k] + width) for k in members])
+            h = half[:, place].transpose(1, 0, 2)
+            S = S - h.transpose(0, 2, 1) @ h
+            D = np.stack([freedom[k] for k in members])
+            gains, best = self._log_bf(S * D[:, :, None] * D[:, None, :], D * s_all[place])
+            for k, g, size in zip(members, gains, best, strict=True):
+                out[k] = Scored(float(g), float(size))
+        return out  # type: ignore[return-value]
+
+    def _log_bf(self, S: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, and the best size of each."""
+        lam, U = np.linalg.eigh(S)
         lam = np.maximum(lam, 0.0)
-        z = (U.T @ (D * s)) ** 2
-        a2 = SIZES[:, None] ** 2
-        took = (z * a2 / (1.0 + a2 * lam)).sum(axis=1)
-        left = np.maximum(self.Q - took, 1e-9 * max(self.Q, 1e-9))
-        log_bf = -0.5 * np.log1p(a2 * lam).sum(axis=1) - 0.5 * self.n * np.log(left / self.Q)
-        top = int(np.argmax(log_bf))
-        mean = float(log_bf[top] + np.log(np.mean(np.exp(log_bf - log_bf[top]))))
-        return Scored(mean, float(SIZES[top]), float(took[top] / self.Q))
+        z = np.einsum("mij,mi->mj", U, s) ** 2
+        a2 = SIZES[None, :, None] ** 2
+        took = (z[:, None, :] * a2 / (1.0 + a2 * lam[:, None, :])).sum(axis=2)
+        left = np.maximum(self.Q - took, 1e-9 * self.Q)
+        log_bf = -0.5 * np.log1p(a2 * lam[:, None, :]).sum(axis=2) - 0.5 * self.n * np.log(left / self.Q)
+        top = log_bf.argmax(axis=1)
+        peak = log_bf.max(axis=1)
+        mean = peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
+        return mean, SIZES[top]

@@ -8,11 +8,14 @@ relative to the core's size; all columns are scaled to unit rms over the judged 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from errpipe.diagnosis.evidence import Table
 from errpipe.domain.recording import Recording
 from errpipe.terms import TERMS as ALL_TERMS
 from errpipe.terms._base import Term, position, sessions
@@ -33,58 +36,82 @@ class Hypothesis:
     prior: float = 0.0  # log prior odds beside the other hypotheses
     mask: tuple = ()  # ("runs", labels) or ("range", column, low, high): acts only there
 
-    @property
+    @cached_property
     def key(self) -> tuple:
         """What stays the same along a grid of non-linear parameters."""
         return (self.effect, self.drivers, tuple(t.model_dump_json() for t in self.terms), self.mask)
 
 
-@dataclass
 class Library:
-    """All hypotheses for a response on its rows: columns side by side, unit rms, with their freedoms."""
+    """All hypotheses for a response on its rows: columns side by side, unit rms, with their freedoms.
 
-    hypotheses: list[Hypothesis] = field(default_factory=list)
-    slices: list[slice] = field(default_factory=list)
-    columns: np.ndarray | None = None
-    freedom: np.ndarray | None = None
-    scale: np.ndarray | None = None
-    cores: list[int] = field(default_factory=list)
+    columns: shape (rows, k); slices[i] addresses those of hypothesis i; cores[i] of them are the textbook form;
+    freedom: relative standard deviation of each; scale: response units per unit of the basis column.
+    table: whitened products; its column `datum` is the constant.
+    """
 
-    def of(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and freedoms of one hypothesis."""
-        at = self.slices[index]
-        return self.columns[:, at], self.freedom[at]
+    def __init__(self, hypotheses: list[Hypothesis], blocks: list[np.ndarray], freedoms: list[np.ndarray],
+                 scales: list[np.ndarray], cores: list[int], run: np.ndarray):  # fmt: skip
+        self.hypotheses, self.cores = hypotheses, cores
+        widths = [b.shape[1] for b in blocks]
+        edges = np.cumsum([0, *widths])
+        self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+        self.columns = np.column_stack([*blocks, np.ones(run.size)])
+        self.freedom = np.concatenate([*freedoms, [1.0]])
+        self.scale = np.concatenate([*scales, [1.0]])
+        self.datum = int(edges[-1])
+        self.table = Table(run, self.columns)
+        self._families: dict[tuple, list[int]] = {}
+        for i, h in enumerate(hypotheses):
+            self._families.setdefault(h.key, []).append(i)
+
+    def add(self, columns: np.ndarray) -> np.ndarray:
+        """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
+        self.columns = np.column_stack([self.columns, columns])
+        return self.table.add(columns)
+
+    def indices(self, i: int) -> np.ndarray:
+        """Column numbers of a hypothesis."""
+        return np.arange(self.slices[i].start, self.slices[i].stop)
+
+    def freedom_of(self, i: int) -> np.ndarray:
+        """Freedoms of a hypothesis' columns."""
+        return self.freedom[self.slices[i]]
+
+    def family(self, i: int) -> list[int]:
+        """The hypotheses that differ from it in non-linear parameters only."""
+        return self._families[self.hypotheses[i].key]
 
 
 def build(recording: Recording, component: str, rows: np.ndarray, extra: bool = False) -> Library:
     """The library for a response. extra: with physics that simulations hold but nobody diagnoses (moving mass)."""
-    library = Library()
-    blocks, freedoms, scales = [], [], []
-    start = 0
+    kept, blocks, freedoms, scales, cores = [], [], [], [], []
     for hypothesis in enumerate_all(recording, component, extra):
         core, slack, rel = columns_of(hypothesis, recording)
-        core, slack = core[rows], slack[rows]
-        if not np.isfinite(core).all() or not np.isfinite(slack).all():
+        made = scaled(core[rows], slack[rows], rel)
+        if made is None:
             continue
-        c_scale = np.sqrt(np.mean(core**2, axis=0))
-        spread = core.std(axis=0)
-        if not (c_scale > 0).all() or (spread < 1e-9 * (c_scale + 1e-30)).all():
-            continue
-        s_scale = np.sqrt(np.mean(slack**2, axis=0)) if slack.shape[1] else np.zeros(0)
-        keep = s_scale > 1e-12
-        size = np.maximum(np.where(spread > 1e-6 * c_scale, spread, c_scale), 1e-300)
-        block = np.column_stack([core / size, slack[:, keep] / s_scale[keep]])
+        block, freedom, scale = made
+        kept.append(hypothesis)
         blocks.append(block)
-        freedoms.append(np.r_[np.ones(core.shape[1]), rel[keep]])
-        scales.append(np.r_[size, s_scale[keep]])
-        library.hypotheses.append(hypothesis)
-        library.slices.append(slice(start, start + block.shape[1]))
-        library.cores.append(core.shape[1])
-        start += block.shape[1]
-    library.columns = np.column_stack(blocks) if blocks else np.zeros((rows.size, 0))
-    library.freedom = np.concatenate(freedoms) if blocks else np.zeros(0)
-    library.scale = np.concatenate(scales) if blocks else np.zeros(0)
-    return library
+        freedoms.append(freedom)
+        scales.append(scale)
+        cores.append(core.shape[1])
+    return Library(kept, blocks, freedoms, scales, cores, recording.run_codes()[rows])
+
+
+def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Columns of unit size, their freedoms and scales; None where a core column says nothing."""
+    if not np.isfinite(core).all() or not np.isfinite(slack).all():
+        return None
+    rms, spread = np.sqrt(np.mean(core**2, axis=0)), core.std(axis=0)
+    if not (rms > 0).all() or (spread < 1e-6 * rms).all():
+        return None
+    size = np.where(spread > 1e-6 * rms, spread, rms)
+    slack_rms = np.sqrt(np.mean(slack**2, axis=0)) if slack.shape[1] else np.zeros(0)
+    keep = slack_rms > 1e-12
+    block = np.column_stack([core / size, slack[:, keep] / slack_rms[keep]])
+    return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
 
 
 def enumerate_all(recording: Recording, component: str, extra: bool = False) -> Iterator[Hypothesis]:
@@ -229,7 +256,9 @@ def decays(recording: Recording, tau: float, first: float, later: float) -> Iter
         yield np.where(inside, np.exp(-np.maximum(since, 0.0) / tau), 0.0), first if k == 0 else later
 
 
-def slacks(term: Term, nl: tuple[float, ...], base: np.ndarray, recording: Recording) -> Iterator[tuple[np.ndarray, float]]:
+def slacks(
+    term: Term, nl: tuple[float, ...], base: np.ndarray, recording: Recording
+) -> Iterator[tuple[np.ndarray, float]]:
     """How reality strays from a term's textbook form: (column, freedom relative to the core)."""
     name = term.term
     radial = getattr(term, "radial", False)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from errpipe.diagnosis import decompose as parts
-from errpipe.diagnosis import hypotheses, search
-from errpipe.diagnosis.evidence import Noise, Nuisance, Scene
+from errpipe.diagnosis import hypotheses
+from errpipe.diagnosis.evidence import Active, Data, Scene
 from errpipe.diagnosis.prepare import Pair
+from errpipe.diagnosis.search import Explanation, Search
 from errpipe.domain.recording import Recording
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
 MISSING = 10.0  # log Bayes factor for the first finding
 MORE = 10.0  # and for each further one
 OFF = 3.0  # log Bayes factor for a recalibration
+PRESENT = -4.0  # log prior odds against an effect that the simulation already holds
 
 Progress = Callable[[float, str], None]
 
@@ -33,55 +34,66 @@ class Case:
     simulated: np.ndarray
     y: np.ndarray
     run: np.ndarray
-    nuisance: Nuisance
-    explanation: search.Explanation | None = None
-    noise_floor: float = float("nan")
-    notes: dict[str, Any] = field(default_factory=dict)
+    nuisance: Active
+    names: list[str]
+    search: Search
+    explanation: Explanation
+    sigma: float
+
+    def chosen(self) -> list[tuple[int, float]]:
+        """Accepted hypotheses with their sizes."""
+        return [(f.index, f.size) for f in self.explanation.found]
 
 
 def judge(conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
     """Explain one response."""
     rows = pair.rows
-    run = conditioned.run_codes()[rows]
     progress(0.1, f"{pair.component}: listing what may be missing")
     library = hypotheses.build(conditioned, pair.component, rows, extra=True)
     simulated = conditioned.array(pair.simulated)[rows]
     progress(0.3, f"{pair.component}: taking the simulation apart")
-    decomposition = parts.decompose(simulated, library, run)
-    y = pair.mismatch
-    nuisance = recalibration(simulated, decomposition, library, y.size)
-    case = Case(conditioned, pair, library, decomposition, simulated, y, run, nuisance)
+    decomposition = parts.decompose(simulated, library)
+    nuisance, names = recalibration(simulated, decomposition, library)
     progress(0.5, f"{pair.component}: looking for what is missing")
+    data = Data.of(library.table, pair.mismatch)
     prior = log_prior(library, decomposition)
-    noise = Noise(first_noise(y, run))
-    for _ in range(3):
-        case.explanation = search.explain(y, nuisance, library, run, noise, prior, MISSING, MORE)
-        left = residual(case, noise)
-        sigma = float(np.sqrt(np.mean(left**2)))
-        if abs(sigma / noise.sigma - 1) < 0.02:
+    run = conditioned.run_codes()[rows]
+    sigma = first_noise(pair.mismatch, run)
+    for _ in range(4):
+        search = Search(library, data, nuisance, sigma, prior, MISSING, MORE)
+        explanation = search.explain()
+        left = search.scene([(f.index, f.size) for f in explanation.found]).rms()
+        if abs(left / sigma - 1) < 0.03:
             break
-        noise = Noise(max(sigma, 1e-9))
-    case.noise_floor = noise.sigma
-    case.notes["noise"] = noise
-    return case
+        sigma = max(left, 1e-9)
+    return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, search,
+                explanation, sigma)  # fmt: skip
 
 
-def recalibration(simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library, n: int) -> Nuisance:
-    """Datum, gain of the whole simulated signal, gain of each of its parts."""
-    nuisance = Nuisance(np.ones((n, 1)), np.array([np.inf]), ["datum"])
-    nuisance = nuisance.plus((simulated - simulated.mean())[:, None], np.array([GAIN_SD]), ["simulation"])
+def recalibration(
+    simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
+) -> tuple[Active, list[str]]:
+    """Datum, gain of the whole simulated signal, gain of each of its parts; and their names."""
+    columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
     for part in d.parts:
-        nuisance = nuisance.plus(part.contribution[:, None], np.array([GAIN_SD]), [part.hypothesis.effect])
-    return nuisance
+        for what, values in (("", part.core), (", not textbook", part.slack)):
+            if np.std(values) > 1e-3 * np.std(simulated):
+                columns.append(values)
+                sd.append(GAIN_SD)
+                names.append(part.hypothesis.effect + what)
+    size = [max(float(np.std(c)), 1e-12) for c in columns]
+    index = library.add(np.column_stack([c / s for c, s in zip(columns, size, strict=True)]))
+    active = Active(np.array([library.datum]), np.array([np.inf]))
+    return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names]
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
-    """Log prior odds: what the simulation already holds is seldom what it lacks; fewer bindings, more each."""
+    """Log prior odds: what the simulation already holds is seldom what it lacks."""
     present = {p.hypothesis.effect for p in d.parts}
     prior = np.array([h.prior for h in library.hypotheses])
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:
-            prior[i] += search.PRESENT
+            prior[i] += PRESENT
         if h.effect == "moving_mass":
             prior[i] = -1e6
     return prior
@@ -96,40 +108,20 @@ def first_noise(y: np.ndarray, run: np.ndarray) -> float:
     return float(max(1.4826 * np.median(np.abs(bend)) / np.sqrt(6.0), 1e-6 * np.std(y), 1e-12))
 
 
-def residual(case: Case, noise: Noise) -> np.ndarray:
+def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
     """What the explanation leaves, on the judged rows."""
-    nuisance = full(case, noise)
-    scene = Scene(case.y, nuisance, noise, case.run)
-    return case.y - nuisance.columns @ scene.coefficients()
+    scene = case.search.scene(case.chosen() if chosen is None else chosen)
+    return case.y - case.library.columns[:, scene.active.index] @ scene.coefficients()
 
 
-def full(case: Case, noise: Noise) -> Nuisance:
-    """Nuisances and every accepted hypothesis."""
-    nuisance = case.nuisance
-    for f in case.explanation.found if case.explanation else ():
-        nuisance = search._with(nuisance, case.library, noise, f.index, f.size)
-    return nuisance
-
-
-def needs_recalibration(case: Case, noise: Noise) -> bool:
+def needs_recalibration(case: Case) -> bool:
     """Are datum or gains off beyond doubt?"""
-    empty = Nuisance(np.zeros((case.y.size, 0)), np.zeros(0))
-    for f in case.explanation.found if case.explanation else ():
-        empty = search._with(empty, case.library, noise, f.index, f.size)
-    scene = Scene(case.y, empty, noise, case.run)
-    candidates = [np.ones((case.y.size, 1))]
-    spread = case.simulated.std()
-    centred = (case.simulated - case.simulated.mean())[:, None]
-    if spread > 0:
-        candidates += [centred / spread, np.column_stack([candidates[0], centred / spread])]
-    for p in case.decomposition.parts:
-        c = p.contribution[:, None] / max(p.contribution.std(), 1e-12)
-        candidates += [np.column_stack([candidates[0], c])]
-    if len(case.decomposition.parts) > 1:
-        every = np.column_stack([p.contribution / max(p.contribution.std(), 1e-12) for p in case.decomposition.parts])
-        candidates.append(np.column_stack([candidates[0], every]))
-    best = -np.inf
-    for c in candidates:
-        H = noise.whiten(c, case.run)
-        best = max(best, scene.score_all(H, [slice(0, c.shape[1])], np.ones(c.shape[1]))[0].gain)
-    return best > OFF
+    full = case.search.active(case.chosen())
+    m = case.nuisance.index.size
+    without = Active(full.index[m:], full.sd[m:])
+    scene = Scene(case.search.data, without, case.sigma)
+    datum, gains = case.nuisance.index[:1], case.nuisance.index[1:]
+    sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
+    sets += [np.r_[datum, g] for g in gains[1:]]
+    scored = scene.score(sets, [np.ones(s.size) for s in sets])
+    return max(s.gain for s in scored) > OFF

@@ -73,7 +73,8 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
 def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
     """Rows that say again, cell by cell, what the row before said."""
     frame = recording.frame.iloc[rows]
-    same = (frame.to_numpy()[1:] == frame.to_numpy()[:-1]) | (frame.isna().to_numpy()[1:] & frame.isna().to_numpy()[:-1])
+    cells, gaps = frame.to_numpy(), frame.isna().to_numpy()
+    same = (cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])
     return np.r_[False, same.all(axis=1)]
 
 

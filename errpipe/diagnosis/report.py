@@ -6,17 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Noise, Scene
-from errpipe.diagnosis.judge import Case, full, needs_recalibration, residual
+from errpipe.diagnosis.judge import Case, needs_recalibration, residual
 
 
 def response(case: Case) -> dict[str, Any]:
     """One response of diagnosis.json."""
-    noise: Noise = case.notes["noise"]
     found = case.explanation.found
-    off = needs_recalibration(case, noise)
+    off = needs_recalibration(case)
     verdict = "missing_physics" if found else ("recalibrate" if off else "no_mismatch")
-    left = residual(case, noise)
+    left = residual(case)
     rms = lambda v: float(np.sqrt(np.mean(np.square(v))))  # noqa: E731
     findings = [finding(case, k) for k in range(len(found))]
     return {
@@ -25,7 +23,7 @@ def response(case: Case) -> dict[str, Any]:
         "verdict": verdict,
         "rms_before_um": rms(case.y),
         "rms_after_um": rms(left),
-        "noise_floor_um": noise.sigma,
+        "noise_floor_um": case.sigma,
         "holdout": {"scheme": "blocks", "rms_before_um": rms(case.y), "rms_after_um": rms(left)},
         "findings": findings,
     }
@@ -48,13 +46,14 @@ def finding(case: Case, k: int) -> dict[str, Any]:
 
 def parameters(case: Case, k: int) -> list[dict[str, Any]]:
     """Linear parameters of the core with 95 % intervals."""
-    noise: Noise = case.notes["noise"]
     f = case.explanation.found[k]
-    nuisance = full(case, noise)
-    scene = Scene(case.y, nuisance, noise, case.run)
+    scene = case.search.scene(case.chosen())
     b = scene.coefficients()
-    cov = np.linalg.inv(scene.NN)
-    at = np.flatnonzero(np.array(nuisance.names) == f"h{f.index}")
+    cov = scene.covariance()
+    first = case.nuisance.index.size + sum(
+        case.library.indices(o.index).size for o in case.explanation.found[:k]
+    )
+    at = np.arange(first, first + case.library.indices(f.index).size)
     scale = case.library.scale[case.library.slices[f.index]]
     out = []
     place = 0
