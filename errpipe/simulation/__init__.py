@@ -1,0 +1,1 @@
+"""Machines that never existed: recordings from terms and from heat conduction."""
