@@ -1,0 +1,60 @@
+# errpipe: `make` lists what there is to make. Needs Python 3.11 or newer, make, and a C compiler.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SETUP := $(VENV)/.set-up
+PYTEST := $(BIN)/python -m pytest
+# One thread for linear algebra: results must not depend on how many cores a machine has.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help setup demo test test-slow test-all lint types check schemas bench trials clean
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' Makefile
+
+setup: $(SETUP) ## make .venv with errpipe and its development extras
+
+$(SETUP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'Python 3.11 or newer is needed: make PYTHON=python3.12 setup' >&2; exit 1; }
+	@test -x $(BIN)/python || { echo 'making $(VENV)'; $(PYTHON) -m venv $(VENV); }
+	@echo 'installing errpipe and its development extras into $(VENV)'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $(SETUP)
+
+demo: $(SETUP) ## run the main job on a simulated machine
+	@$(BIN)/errpipe demo
+
+test: $(SETUP) ## the fast tests
+	@$(PYTEST) -m 'not slow' $(ARGS)
+
+test-slow: $(SETUP) ## only the slow tests
+	@$(PYTEST) -m slow $(ARGS)
+
+test-all: $(SETUP) ## all tests
+	@$(PYTEST) $(ARGS)
+
+lint: $(SETUP) ## style
+	@$(BIN)/ruff check errpipe tests
+
+types: $(SETUP) ## static types
+	@$(BIN)/mypy errpipe
+
+check: lint test ## what to run before a change is offered
+	@$(BIN)/errpipe check pipelines/*.yaml
+
+schemas: $(SETUP) ## write schemas/*.schema.json again from the code
+	@$(BIN)/errpipe schema --write schemas
+
+bench: $(SETUP) ## speed, as ratios to other libraries in the same run
+	@$(BIN)/python -m tests.bench
+
+trials: $(SETUP) ## diagnosis on machines whose faults are known
+	@$(BIN)/python -m tests.trials
+
+clean: ## remove what was made, and .venv
+	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
