@@ -213,7 +213,7 @@ def to_parquet(path: Path, out: Path) -> int:
 
     Memory does not grow with the tables. Returns the rows. Raises what `read` raises; nothing is then written.
     """
-    return _write(canonical(load_manifest(path)), iter_chunks(path), Path(out))
+    return _write(canonical(load_manifest(path)), iter_chunks(path, CHUNK_ROWS), Path(out))
 
 
 def _write(manifest: Manifest, chunks: Iterator[Recording], folder: Path) -> int:
@@ -251,7 +251,8 @@ def _scalar(value: Any) -> str:
         return "[" + ", ".join(map(_scalar, value)) + "]"
     if isinstance(value, str):
         plain = _PLAIN.fullmatch(value) and value.lower() not in _NOT_TEXT
-        return value if plain else json.dumps(value, ensure_ascii=not value.isprintable())
+        quoted = json.dumps(value, ensure_ascii=False)
+        return value if plain else "".join(c if c.isprintable() else f"\\U{ord(c):08X}" for c in quoted)
     return json.dumps(value)
 
 
