@@ -1,0 +1,165 @@
+"""What moves a machine when it warms up, as drivers with a known sign.
+
+Three kinds of cause, each in K, so that a gain is an expansion in um/K and its size can be judged:
+
+    body      the rise of a measured part over the start of the run: it pushes (+)
+    running   the same rise, counted only while the spindle runs and arriving late: heat that no sensor sees,
+              of bearings and nuts, comes and goes with the stop at midday (+)
+    follower  a part without a sensor that begins the run as warm as the machine and then follows the room
+              through a slow lag: it carries the other side of the tool-point loop, so it pulls (-)
+
+Where the room is warm before the machine is (the heating starts early, the machine stood all night), the
+follower moves at once although nothing was switched on; that is what separates the seasons.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, did_you_mean
+from errpipe.terms._base import drive
+
+_ROOM = re.compile(r"ambient|room|\bair\b|shop|hall|environment", re.IGNORECASE)
+_SPINDLE = re.compile(r"spindle|headstock|motor|bearing", re.IGNORECASE)
+_BED = re.compile(r"\bbed\b|base|frame", re.IGNORECASE)
+
+HEAT_WINDOW = 360.0  # s: shortest window over which a rate of 0.01 K readings stands above their steps
+COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at a standstill must not look like running
+HEATED = (1.8, 1.2)  # K/h: on above, off below; 23 days of a turning centre ran at 2.5..9 and stood at -5..0.9
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One driver with the sign its gain must have, in K."""
+
+    name: str
+    kind: Literal["body", "running", "follower"]
+    driver: d.Driver
+    start: str = ""  # follower: the sensor that tells how warm it begins
+
+    @property
+    def sign(self) -> float:
+        """+1 where a positive value lengthens the measured loop, -1 where it shortens it."""
+        return -1.0 if self.kind == "follower" else 1.0
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Which temperature speaks for what. room and spindle may be absent."""
+
+    room: str | None
+    bodies: tuple[str, ...]
+    spindle: str | None
+    bed: str | None
+    starts: tuple[str, ...]
+
+    def all(self) -> tuple[str, ...]:
+        """Every sensor, the room first."""
+        return ((self.room,) if self.room else ()) + self.bodies
+
+
+def sensors(
+    recording: Recording,
+    *,
+    room: str | None = None,
+    spindle: str | None = None,
+    bed: str | None = None,
+    use: Sequence[str] = (),
+) -> Sensors:
+    """Sort the temperature columns by what the manifest says of their location; names given win.
+
+    Raises DataError where a named sensor is not a temperature of the recording, or there is no sensor on the machine.
+    """
+    present = recording.names("temperature")
+    for name in (*use, *(n for n in (room, spindle, bed) if n)):
+        if name not in present:
+            raise DataError(
+                f"thermal model: {name!r} is not a temperature of the recording "
+                f"(present: {', '.join(present) or 'none'}).{did_you_mean(name, present)}"
+            )
+    names = tuple(n for n in present if not use or n in use)
+    room = room or _first(recording, names, _ROOM)
+    bodies = tuple(n for n in names if n != room)
+    if not bodies:
+        raise DataError("thermal model: the recording has no temperature of the machine itself")
+    spindle = spindle or _first(recording, bodies, _SPINDLE)
+    bed = bed or _first(recording, bodies, _BED)
+    quiet = tuple(n for n in bodies if not _SPINDLE.search(_place(recording, n)))
+    return Sensors(room, bodies, spindle, bed, quiet or bodies)
+
+
+def _place(recording: Recording, name: str) -> str:
+    return f"{recording.manifest.columns[name].location or ''} {name.replace('_', ' ')}"
+
+
+def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern) -> str | None:
+    return next((n for n in names if pattern.search(_place(recording, n))), None)
+
+
+def running(recording: Recording, found: Sensors) -> d.Driver | None:
+    """1 while the spindle runs, 0 while it stands, or None where nothing tells.
+
+    From the spindle speed where it is recorded; else from the heat that its bearing must be taking up to warm
+    as it does: rate over `HEAT_WINDOW` plus what it loses to the bed, in K/h, through a switch with hysteresis.
+    """
+    speed = recording.name("spindle_speed")
+    if speed is not None:
+        squared = d.Product(of=(d.Input(name=speed), d.Input(name=speed)))  # either sense of rotation
+        return d.Switch(of=squared, on=100.0, off=1.0)
+    if found.spindle is None or found.bed is None or found.bed == found.spindle:
+        return None
+    bearing = d.Input(name=found.spindle)
+    slow = d.Lag(of=bearing, tau_up=HEAT_WINDOW, tau_down=HEAT_WINDOW)
+    per_hour, loss = 3600.0 / HEAT_WINDOW, 3600.0 / COOLING_TIME
+    heat = d.Affine(weights=(per_hour + loss, -per_hour, -loss), of=(bearing, slow, d.Input(name=found.bed)))
+    return d.Switch(of=heat, on=HEATED[0], off=HEATED[1])
+
+
+def causes(recording: Recording, found: Sensors, late: Sequence[float], slow: Sequence[float]) -> tuple[Cause, ...]:
+    """The dictionary: bodies, bodies while running (lags `late`, s), followers of the room (lags `slow`, s)."""
+    out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in found.bodies]
+    state = running(recording, found)
+    if state is not None:
+        out += [
+            Cause(f"rise of {n} while running, {tau / 60:.0f} min late", "running", _late(state, n, tau))
+            for n in found.bodies
+            for tau in late
+        ]
+    if found.room is not None:
+        out += [
+            Cause(f"part that starts as {n} and follows {found.room}, {tau / 3600:.3g} h", "follower",
+                  follower(found.room, n, tau), n)
+            for n in found.starts
+            for tau in slow
+        ]  # fmt: skip
+    return tuple(out)
+
+
+def follower(room: str, start: str, tau: float) -> d.Lag:
+    """Rise since the start of the run of a part that began at `start`'s temperature and follows the room, K."""
+    pull = d.Affine(weights=(1.0, -1.0), of=(d.Input(name=room), d.First(of=d.Input(name=start))))
+    return d.Lag(of=pull, tau_up=tau, tau_down=tau, start="zero")
+
+
+def lagged_difference(one: str, other: str, tau: float) -> d.Lag:
+    """Difference of two sensors through a lag that starts at zero, K."""
+    gap = d.Affine(weights=(1.0, -1.0), of=(d.Input(name=one), d.Input(name=other)))
+    return d.Lag(of=gap, tau_up=tau, tau_down=tau, start="zero")
+
+
+def _late(state: d.Driver, name: str, tau: float) -> d.Lag:
+    return d.Lag(of=d.Product(of=(state, d.rise(name))), tau_up=tau, tau_down=tau, start="zero")
+
+
+def columns(recording: Recording, drivers: Sequence[d.Driver]) -> np.ndarray:
+    """Values of drivers, shape (rows, drivers); causal, NaN where an input is missing."""
+    if not drivers:
+        return np.empty((len(recording), 0))
+    return np.column_stack([drive(node, recording) for node in drivers])

@@ -1,0 +1,68 @@
+"""Gains of physical causes: least squares in which every gain keeps the sign of its cause, averaged over networks.
+
+A gain that physics allows is positive (or negative) and a few um/K; a gain of the wrong sign is how a model
+buys two micrometres in its own season and loses fifty in the next. The sign alone removes most of that freedom
+(non-negative least squares chooses few causes by itself), a small penalty in um/K the rest. Several networks
+that differ in what nobody measured are averaged instead of chosen: choice among look-alikes is noise.
+
+Groups of rows (runs) are reduced once to a triangle each; any hold-out then costs a stack of triangles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.optimize import nnls
+
+from errpipe.fitting.solve import one_thread
+
+
+def triangles(design: np.ndarray, response: np.ndarray, groups: np.ndarray) -> dict[int, np.ndarray]:
+    """R of the QR of [design, response] per group, rows scaled so that every group counts by its rows.
+
+    design: (n, p) in K; response: (n,) in um; groups: (n,) integers. -> group -> (<= p+1, p+1).
+    """
+    both = np.column_stack([design, response])
+    with one_thread():
+        return {int(g): np.linalg.qr(both[groups == g], mode="r") for g in np.unique(groups)}
+
+
+def stack(parts: Mapping[int, np.ndarray], keep: Sequence[int]) -> np.ndarray:
+    """One triangle for the groups in `keep`, shape (<= p+1, p+1)."""
+    with one_thread():
+        return np.linalg.qr(np.vstack([parts[g] for g in keep]), mode="r")
+
+
+def signed_gains(
+    triangle: np.ndarray, rows: int, members: Sequence[np.ndarray], signs: np.ndarray, penalty: float
+) -> np.ndarray:
+    """Mean gains over networks, shape (p,), um/K; each solves its own causes with signs held.
+
+    triangle: from `stack`; members: indices of each network's causes; signs: (p,) of +1 and -1;
+    penalty: K2, added to each cause's mean square: a cause that moved less than its root is shrunk by more than half.
+    """
+    total = np.zeros(signs.size)
+    root = np.sqrt(penalty * rows)
+    for member in members:
+        size = member.size
+        system = np.vstack([triangle[:, member] * signs[member], root * np.eye(size)])
+        right = np.r_[triangle[:, -1], np.zeros(size)]
+        with one_thread():
+            found, _ = nnls(system, right)
+        total[member] += found * signs[member]
+    return total / max(len(members), 1)
+
+
+def networks(kinds: Sequence[str], starts: Sequence[str]) -> list[np.ndarray]:
+    """Index sets of the networks: all bodies, one way (or none) for heat while running, one start of the hidden part.
+
+    Which part takes up the heat of running and how warm the hidden part begins are not measured; each network
+    answers once, and the answers are averaged.
+    """
+    kinds_, starts_ = np.asarray(kinds), np.asarray(starts)
+    bodies = np.flatnonzero(kinds_ == "body")
+    heat = [np.empty(0, dtype=int), *(np.array([k]) for k in np.flatnonzero(kinds_ == "running"))]
+    follows = kinds_ == "follower"
+    hidden = [np.flatnonzero(follows & (starts_ == s)) for s in dict.fromkeys(starts_[follows])]
+    return [np.r_[bodies, run, pull] for run in heat for pull in (hidden or [np.empty(0, dtype=int)])]

@@ -1,0 +1,471 @@
+"""A thermal model meant to survive the season: physics that carries, a correction that knows where it was learnt.
+
+    deviation since the start of the run = clip( share x core + gate x correction )
+
+core         causes of known sign (`thermal_causes`), gains by averaged signed networks (`thermal_network`)
+correction   ridge on lagged differences to the room, fitted to what the core leaves. It is worth micrometres
+             where it was learnt and ruins a season that it never saw, so `gate` scales it by what it earned on
+             runs left out that started about as warm, and takes it back to nothing where a run starts outside
+             the temperatures seen
+share        1 inside; outside it fades to the slope that the core had on environments left out (at most 1)
+clip         causes stay within twice the span seen, the sum within half a span beyond the deviations seen
+
+Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
+the run: a temperature cannot know where the probe was zeroed, so each run's first rows are a nuisance of the
+fit and the prediction starts at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.domain import driver as d
+from errpipe.domain.error_model import ComponentModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.recording import Frozen, Recording
+from errpipe.errors import DataError
+from errpipe.fitting import holdout, thermal_causes, thermal_network
+from errpipe.fitting.design import response_name
+from errpipe.fitting.solve import one_thread
+from errpipe.terms import ProfileDriver
+from errpipe.terms._base import drive, plain
+
+BLOCKS = 5  # inner groups where there are fewer than three runs
+SPAN_BEYOND = 0.5  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
+CAUSE_BEYOND = 1.0  # of the span seen of each cause
+WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
+WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing
+WORTH_STEPS = 16
+
+
+class SeasonOptions(Frozen):
+    """How a thermal model for all seasons is fitted."""
+
+    kind: Literal["thermal_season"] = "thermal_season"
+    sensors: tuple[str, ...] = Field((), description="Temperatures to use; all of them where empty.")
+    room: str | None = Field(None, description="Sensor of the room; found by its location where not given.")
+    spindle: str | None = Field(None, description="Sensor nearest to the spindle's heat; found where not given.")
+    bed: str | None = Field(None, description="Sensor of the bed; found by its location where not given.")
+    late: tuple[float, ...] = Field(
+        (900.0,), description="Lags of heat while the spindle runs.", json_schema_extra={"unit": "s"}
+    )
+    slow: tuple[float, ...] = Field(
+        (3600.0, 7200.0, 14400.0, 28800.0),
+        description="Lags of parts without a sensor that follow the room.",
+        json_schema_extra={"unit": "s"},
+    )
+    penalty: float = Field(
+        1e-3, gt=0, description="Shrinks causes that moved less than its root.", json_schema_extra={"unit": "K2"}
+    )
+    correction: bool = Field(True, description="Whether a data-driven part may be added where it was learnt.")
+    correction_lags: tuple[float, ...] = Field(
+        (900.0, 3600.0, 14400.0), description="Lags of its temperatures.", json_schema_extra={"unit": "s"}
+    )
+    correction_penalty: float = Field(1e-3, gt=0, description="Ridge strength on columns of unit root mean square.")
+    fade: float = Field(
+        0.4, gt=0, description="Start this much outside what was seen (mean over sensors): the correction is gone.",
+        json_schema_extra={"unit": "K"},
+    )  # fmt: skip
+    environment: str = Field("season", description="Group whose members stand for different surroundings.")
+    coverage: float = Field(0.9, gt=0.5, lt=1, description="Coverage of the prediction interval.")
+    datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Half width in um: `inside` where runs start as seen, growing by `widening` um per K outside, at most `most`."""
+
+    inside: float
+    widening: float
+    most: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Per row, um: deviation since the start of the run, interval; outside is True where nothing like it was seen."""
+
+    predicted: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    outside: np.ndarray
+
+
+@dataclass(frozen=True)
+class SeasonModel:
+    """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run."""
+
+    component: str
+    options: SeasonOptions
+    parts: tuple[tuple[str, float, d.Driver], ...]
+    terms: tuple[tuple[float, d.Driver], ...]
+    distance: d.Driver
+    intervals: Intervals
+    validity: Validity
+    fade: float
+    limit: tuple[float, float]
+    datum: tuple[float, float]
+    report: dict[str, Any] = field(default_factory=dict)
+
+    def values(self, recording: Recording) -> np.ndarray:
+        """Deviation since the start of the run, um, shape (rows,); causal."""
+        return sum((gain * drive(node, recording) for gain, node in self.terms), np.zeros(len(recording)))
+
+    def predict(self, recording: Recording) -> Prediction:
+        """Deviation since the start of each run with its interval, um; row k uses rows up to k of its run."""
+        value = self.values(recording)
+        away = drive(self.distance, recording)
+        half = np.minimum(self.intervals.inside + self.intervals.widening * away, self.intervals.most)
+        box = np.zeros(len(recording), dtype=bool)
+        for name, (low, high) in self.validity.ranges.items():
+            reading = recording.array(name)
+            margin = self.validity.margins[name]
+            box |= (reading < low - margin) | (reading > high + margin)
+        return Prediction(value, value - half, value + half, box | (away > self.fade))
+
+    def component_model(self) -> ComponentModel:
+        """As an error model's component: one term per driver, with the figures of the report."""
+        terms = tuple(
+            FittedTerm(
+                term=plain(ProfileDriver(driver=(node,))),
+                parameters=(FittedParameter(name="gain", value=gain, unit="um"),),
+            )
+            for gain, node in self.terms
+        )
+        return ComponentModel(
+            component=self.component,
+            terms=terms,
+            rows=self.report["rows"],
+            rms_before=self.report["rms_before"],
+            rms_after=self.report["rms_after"],
+            half_width90=self.intervals.inside,
+            widening90=self.intervals.widening,
+            limit=max(abs(self.limit[0]), abs(self.limit[1])),
+        )
+
+
+def fit(
+    recording: Recording,
+    component: str,
+    options: SeasonOptions | None = None,
+    rows: np.ndarray | None = None,
+) -> SeasonModel:
+    """Fit on the rows of a mask (all where not given). Nothing outside the mask is looked at, the datum apart.
+
+    Raises DataError where the response is missing or no sensor sits on the machine.
+    """
+    options = options or SeasonOptions()
+    problem = _Problem(recording, component, options, rows)
+    return problem.model()
+
+
+@dataclass(frozen=True)
+class _Gains:
+    """What one set of groups teaches: gains, correction, its slope, and the box of starts it saw."""
+
+    core: np.ndarray
+    correction: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+class _Problem:
+    """Design columns of all rows, and the triangles of the groups that may be used."""
+
+    def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: np.ndarray | None):
+        self.recording, self.component, self.options = recording, component, options
+        self.found = thermal_causes.sensors(
+            recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
+        )
+        self.causes = thermal_causes.causes(recording, self.found, options.late, options.slow)
+        self.further = _correction_drivers(recording, self.found, options) if options.correction else ()
+        self.core = thermal_causes.columns(recording, [c.driver for c in self.causes])
+        self.extra = thermal_causes.columns(recording, self.further)
+        names = self.found.all()
+        self.starts = thermal_causes.columns(recording, [_start(n) for n in names])
+        deviation = recording.array(response_name(recording, component))
+        run = recording.run_codes()
+        self.response, self.zero = since_start(deviation, run, options.datum_rows)
+        core = _centred(self.core, run, options.datum_rows)
+        extra = _centred(self.extra, run, options.datum_rows)
+        good = np.isfinite(self.response) & np.isfinite(core).all(axis=1) & np.isfinite(extra).all(axis=1)
+        if rows is not None:
+            good &= rows
+        if not good.any():
+            raise DataError(f"thermal model of {component}: no row has a deviation and all temperatures")
+        self.rows = good
+        self.group = _inner_groups(run, good)
+        self.groups = [int(g) for g in np.unique(self.group[good])]
+        self.count = {g: int(np.count_nonzero(good & (self.group == g))) for g in self.groups}
+        design = np.column_stack([core, extra])[good]
+        self.triangles = thermal_network.triangles(design, self.response[good], self.group[good])
+        self.signs = np.array([c.sign for c in self.causes])
+        self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
+        self.core_centred, self.extra_centred = core, extra
+
+    def solve(self, groups: Sequence[int]) -> _Gains:
+        """Gains from some of the groups."""
+        triangle = thermal_network.stack(self.triangles, groups)
+        rows = sum(self.count[g] for g in groups)
+        width = len(self.causes)
+        core_part = np.column_stack([triangle[:, :width], triangle[:, -1]])
+        core = thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
+        left = triangle[:, -1] - triangle[:, :width] @ core
+        correction = _ridge(triangle[:, width:-1], left, rows, self.options.correction_penalty)
+        mask = self.rows & np.isin(self.group, list(groups))
+        return _Gains(core, correction, np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0))
+
+    def distance(self, gains: _Gains) -> np.ndarray:
+        """How far outside the seen starts each row's run began, mean over sensors, K."""
+        outside = np.maximum(gains.low - self.starts, 0.0) + np.maximum(self.starts - gains.high, 0.0)
+        return np.nan_to_num(outside).mean(axis=1)
+
+    def left_out(self, folds: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
+        """Core and gated correction of every used row by gains that never saw its fold; also the distance."""
+        out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction", "distance")}
+        for fold in folds:
+            rest = [g for g in self.groups if g not in fold]
+            if not rest:
+                continue
+            gains = self.solve(rest)
+            rows = self.rows & np.isin(self.group, list(fold))
+            away = self.distance(gains)[rows]
+            out["core"][rows] = self.core_centred[rows] @ gains.core
+            gate = np.clip(1.0 - away / self.options.fade, 0.0, 1.0)
+            out["correction"][rows] = gate * (self.extra_centred[rows] @ gains.correction)
+            out["distance"][rows] = away
+        return out
+
+    def environments(self) -> list[list[int]]:
+        """Groups by their surroundings: the labelled ones, else runs that started cold and runs that started warm."""
+        try:
+            labels = holdout.labels(self.recording, self.options.environment)
+        except DataError:
+            labels = np.full(self.rows.size, "")
+        per_group = {g: labels[np.flatnonzero(self.rows & (self.group == g))[0]] for g in self.groups}
+        kinds = list(dict.fromkeys(per_group.values()))
+        if len(kinds) > 1:
+            return [[g for g in self.groups if per_group[g] == k] for k in kinds]
+        warmth = {g: float(np.nanmean(self.starts[self.rows & (self.group == g)])) for g in self.groups}
+        order = sorted(self.groups, key=lambda g: (warmth[g], g))
+        half = len(order) // 2
+        return [order[:half], order[half:]] if half else []
+
+    def warmth(self) -> np.ndarray:
+        """Mean start temperature of each row's run, degC."""
+        return self.starts.mean(axis=1)
+
+    def worth(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Warmth of a start (grid, degC) -> the share of the correction that earned its keep on runs left out."""
+        warm = np.array([self.warmth()[self.group == g][0] for g in self.groups])
+        grid = np.linspace(warm.min(), max(warm.max(), warm.min() + 1e-3), WORTH_STEPS + 1)
+        if not self.further:
+            return grid, np.zeros(grid.size)
+        left, gain = self.response - runs["core"], runs["correction"]
+        above, below = np.zeros(warm.size), np.zeros(warm.size)
+        for k, g in enumerate(self.groups):
+            mine = self.rows & (self.group == g) & np.isfinite(gain)
+            above[k] = np.sum(left[mine] * gain[mine])
+            below[k] = np.sum(gain[mine] ** 2) + WORTH_PRIOR * np.count_nonzero(mine)
+        near = np.exp(-0.5 * ((grid[:, None] - warm) / WORTH_WIDTH) ** 2)
+        return grid, np.clip((near @ above) / np.maximum(near @ below, 1e-12), 0.0, 1.0)
+
+    def model(self) -> SeasonModel:
+        """The final model: gains from all groups, its scales from groups left out."""
+        y = self.response
+        runs = self.left_out([[g] for g in self.groups])
+        seen = self.rows & np.isfinite(runs["core"])
+        worth = self.worth(runs)
+        runs["correction"] *= np.interp(self.warmth(), *worth)
+        afar = self.left_out(self.environments())
+        far = self.rows & np.isfinite(afar["core"])
+        share = self._share(afar["core"], far) if far.any() else 1.0
+        gains = self.solve(self.groups)
+        near = np.abs(y - runs["core"] - runs["correction"])
+        intervals = self._intervals(near, seen, np.abs(y - afar["core"]), far, afar["distance"])
+        limit = _limits(y[self.rows])
+        parts = self._parts(gains, worth, share)
+        total = d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
+        terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
+        box = self._validity()
+        model = SeasonModel(
+            self.component, self.options, parts, terms, self._distance_driver(gains), intervals, box,
+            self.options.fade, limit, self._datum(),
+        )  # fmt: skip
+        after = y - model.values(self.recording)
+        report = {
+            "rows": int(np.count_nonzero(self.rows)),
+            "groups": len(self.groups),
+            "networks": len(self.members),
+            "causes": {c.name: float(g) for c, g in zip(self.causes, gains.core, strict=True) if abs(g) > 1e-9},
+            "correction_worth": {f"{t:.2f}": float(w) for t, w in zip(*worth, strict=True)},
+            "core_share_outside": share,
+            "rms_before": _rms(y[self.rows]),
+            "rms_after": _rms(after[self.rows]),
+            "rms_runs_left_out": _rms((y - runs["core"] - runs["correction"])[seen]) if seen.any() else None,
+            "rms_core_runs_left_out": _rms((y - runs["core"])[seen]) if seen.any() else None,
+            "rms_core_environments_left_out": _rms((y - afar["core"])[far]) if far.any() else None,
+        }
+        return SeasonModel(**(model.__dict__ | {"report": report}))
+
+    def _share(self, core: np.ndarray, rows: np.ndarray) -> float:
+        """Slope of the deviation on the core over environments left out, one standard error in its favour, 0..1.
+
+        The standard error is a jackknife over groups: rows of one run are one witness.
+        """
+        whole = _slope(self.response, core, rows, 0.0, np.inf)
+        each = [_slope(self.response, core, rows & (self.group != g), 0.0, np.inf) for g in self.groups]
+        spread = float(np.sqrt((len(each) - 1) / len(each) * np.sum((np.array(each) - np.mean(each)) ** 2)))
+        return float(np.clip(whole + spread, 0.0, 1.0))
+
+    def _intervals(self, near, seen, far_error, far, distance) -> Intervals:
+        """Inside: the widest that any environment of four groups or more asks for; outside: environments left out."""
+        inside = conformal_half_width(near[seen], self.group[seen], self.options.coverage)
+        for members in self.environments():
+            mine = seen & np.isin(self.group, members)
+            if len(members) >= 4:
+                inside = max(inside, conformal_half_width(near[mine], self.group[mine], self.options.coverage))
+        if not far.any():
+            return Intervals(inside, inside, 3.0 * inside)
+        outside = max(conformal_half_width(far_error[far], self.group[far], self.options.coverage), inside)
+        per_kelvin = (outside - inside) / max(float(np.median(distance[far])), self.options.fade)
+        return Intervals(inside, per_kelvin, 3.0 * max(outside, inside))
+
+    def _parts(self, gains: _Gains, worth, share: float) -> tuple[tuple[str, float, d.Driver], ...]:
+        away = self._distance_driver(gains)
+        outside = d.Clip(of=d.Affine(weights=(1.0 / self.options.fade,), of=(away,)), low=0.0, high=1.0)
+        values = self.core[self.rows]
+        low, high = values.min(axis=0), values.max(axis=0)
+        span = CAUSE_BEYOND * (high - low)
+        core = [
+            (c.name, float(g), d.Clip(of=c.driver, low=float(a), high=float(b)))
+            for c, g, a, b in zip(self.causes, gains.core, low - span, high + span, strict=True)
+            if abs(g) > 1e-9
+        ]
+        if share < 1.0:
+            keep = d.Affine(offset=1.0, weights=(share - 1.0,), of=(outside,))
+            core = [(name, g, d.Product(of=(keep, node))) for name, g, node in core]
+        grid, shares = worth
+        if not self.further or not shares.any():
+            return tuple(core)
+        learnt = d.Affine(weights=tuple(float(w) for w in gains.correction), of=self.further)
+        inside = d.Affine(offset=1.0, weights=(-1.0,), of=(outside,))
+        names = self.found.all()
+        warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
+        earned = d.Lookup(
+            of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
+        )
+        return (*core, ("correction where it was learnt", 1.0, d.Product(of=(inside, earned, learnt))))
+
+    def _distance_driver(self, gains: _Gains) -> d.Driver:
+        most = 1e3
+        nodes: list[d.Driver] = []
+        for name, low, high in zip(self.found.all(), gains.low, gains.high, strict=True):
+            start = _start(name)
+            nodes.append(d.Clip(of=d.Affine(offset=float(low), weights=(-1.0,), of=(start,)), low=0.0, high=most))
+            nodes.append(d.Clip(of=d.Affine(offset=-float(high), weights=(1.0,), of=(start,)), low=0.0, high=most))
+        return d.Affine(weights=(1.0 / len(self.found.all()),) * len(nodes), of=tuple(nodes))
+
+    def _validity(self) -> Validity:
+        names = self.found.all()
+        seen = {n: self.recording.array(n)[self.rows] for n in names}
+        ranges = {n: (float(v.min()), float(v.max())) for n, v in seen.items()}
+        return Validity(ranges=ranges, margins={n: max(0.1 * (b - a), 0.5) for n, (a, b) in ranges.items()})
+
+    def _datum(self) -> tuple[float, float]:
+        run = self.recording.run_codes()
+        levels = [self.zero[np.flatnonzero(self.rows & (run == r))[0]] for r in np.unique(run[self.rows])]
+        return float(np.mean(levels)), float(np.std(levels))
+
+
+def _start(name: str) -> d.First:
+    return d.First(of=d.Input(name=name))
+
+
+def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values less the mean of each run's first `rows` finite rows, and that mean; shapes (n,), (n,)."""
+    zero = np.full(values.size, np.nan)
+    for code in np.unique(run):
+        mine = np.flatnonzero(run == code)
+        finite = mine[np.isfinite(values[mine])][:rows]
+        zero[mine] = values[finite].mean() if finite.size else np.nan
+    return values - zero, zero
+
+
+def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float) -> float:
+    """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
+
+    Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
+    exchangeable groups (split conformal prediction over groups), but by no more than half of what is left:
+    with a handful of groups the full level would be the worst row ever seen.
+    """
+    labels = np.unique(group)
+    level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size)
+    order = np.argsort(error)
+    weight = np.zeros(error.size)
+    for label in labels:
+        mine = group == label
+        weight[mine] = 1.0 / np.count_nonzero(mine)
+    reached = np.cumsum(weight[order]) / labels.size
+    return float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
+
+
+def _correction_drivers(
+    recording: Recording, found: thermal_causes.Sensors, options: SeasonOptions
+) -> tuple[d.Driver, ...]:
+    nodes: list[d.Driver] = [d.rise(n) for n in found.all()]
+    reference = found.room or found.bodies[0]
+    others = [n for n in found.all() if n != reference]
+    nodes += [thermal_causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
+    state = thermal_causes.running(recording, found)
+    if state is not None:
+        nodes += [d.Lag(of=state, tau_up=tau, tau_down=tau, start="zero") for tau in options.correction_lags[:2]]
+    return tuple(nodes)
+
+
+def _centred(columns: np.ndarray, run: np.ndarray, rows: int) -> np.ndarray:
+    out = columns.copy()
+    for code in np.unique(run):
+        mine = np.flatnonzero(run == code)
+        out[mine] -= columns[mine[:rows]].mean(axis=0)
+    return out
+
+
+def _inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Runs, or blocks of time inside them where there are fewer than three."""
+    if np.unique(run[rows]).size >= 3:
+        return run.copy()
+    group = run * BLOCKS
+    for code in np.unique(run[rows]):
+        mine = np.flatnonzero(rows & (run == code))
+        group[mine] += np.arange(mine.size) * BLOCKS // mine.size
+    return group
+
+
+def _ridge(triangle: np.ndarray, response: np.ndarray, rows: int, strength: float) -> np.ndarray:
+    if triangle.shape[1] == 0:
+        return np.empty(0)
+    size = np.sqrt(np.sum(triangle**2, axis=0) / rows)
+    size[size == 0] = 1.0
+    system = np.vstack([triangle / size, np.sqrt(strength * rows) * np.eye(size.size)])
+    with one_thread():
+        found = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
+    return found / size
+
+
+def _slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high: float = 1.0) -> float:
+    """Least-squares slope of y on x, held in low..high; 0 where x never moved."""
+    below = float(np.sum(x[rows] ** 2))
+    return float(np.clip(np.sum(x[rows] * y[rows]) / below, low, high)) if below > 0 else 0.0
+
+
+def _limits(y: np.ndarray) -> tuple[float, float]:
+    span = SPAN_BEYOND * float(y.max() - y.min())
+    return float(y.min()) - span, float(y.max()) + span
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -1,0 +1,185 @@
+"""The thermal model for all seasons: recovers a known machine, stays causal, fades, and survives a real season."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.errors import DataError
+from errpipe.fitting import thermal_causes, thermal_network, thermal_season
+from errpipe.terms._base import drive
+
+REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared" / "real-data"))
+STEP = 140.0
+
+
+def machine(runs: int = 8, warm: float = 0.0, seed: int = 0, rows: int = 120, room_early: float = 0.0) -> Recording:
+    """Days of a lathe: a spindle that runs, stops for lunch, runs again; a bed; a slide nobody measures."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for k in range(runs):
+        t = np.arange(rows) * STEP
+        on = ((t < 0.4 * t[-1]) | (t > 0.55 * t[-1])).astype(float)
+        start = 20.0 + warm + rng.normal(0, 0.8)
+        room = start + room_early + (3.0 + rng.normal(0, 1.5)) * (1 - np.exp(-t / 9000.0))
+        spindle, bed, slide = np.full(rows, start), np.full(rows, start), np.full(rows, start)
+        for i in range(1, rows):
+            spindle[i] = spindle[i - 1] + STEP * (on[i] * 12.0 / 5400 - (spindle[i - 1] - bed[i - 1]) / 5400)
+            bed[i] = bed[i - 1] + STEP * ((spindle[i - 1] - bed[i - 1]) / 30000 + (room[i - 1] - bed[i - 1]) / 20000)
+            slide[i] = slide[i - 1] + STEP * (room[i - 1] - slide[i - 1]) / 7200.0
+        growth = 4.0 * (spindle - spindle[0]) - 6.0 * (slide - slide[0])
+        frames.append(
+            pd.DataFrame(
+                {
+                    "run": f"r{k}", "season": "warm" if warm else "cold", "t": t + k * 86400.0 + warm * 1e7,
+                    "T_room": room, "T_spindle": spindle, "T_bed": bed,
+                    "E_D": 45.0 + rng.normal(0, 3) + growth + rng.normal(0, 0.3, rows),
+                }
+            )
+        )  # fmt: skip
+    columns = {
+        "run": Column(role="run"),
+        "season": Column(role="group", of="season"),
+        "t": Column(role="time", unit="s"),
+        "T_room": Column(role="temperature", unit="degC", location="room air"),
+        "T_spindle": Column(role="temperature", unit="degC", location="spindle bearing"),
+        "T_bed": Column(role="temperature", unit="degC", location="bed"),
+        "E_D": Column(role="error", component="E_D", unit="um"),
+    }
+    return Recording(Manifest(recording=1, tables=("x.csv",), columns=columns), pd.concat(frames, ignore_index=True))
+
+
+def both(one: Recording, two: Recording) -> Recording:
+    frame = two.frame.assign(run=[f"w{r}" for r in two.frame["run"]])
+    return Recording(one.manifest, pd.concat([one.frame, frame], ignore_index=True))
+
+
+def rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def truth(recording: Recording) -> np.ndarray:
+    return thermal_season.since_start(recording.array(recording.names("error")[0]), recording.run_codes(), 3)[0]
+
+
+def test_sensors_are_told_apart_by_where_they_sit():
+    found = thermal_causes.sensors(machine(1))
+    assert (found.room, found.spindle, found.bed) == ("T_room", "T_spindle", "T_bed")
+    assert found.starts == ("T_bed",)
+    with pytest.raises(DataError, match=r"'T_rom' is not a temperature.*Did you mean T_room"):
+        thermal_causes.sensors(machine(1), room="T_rom")
+
+
+def test_running_is_read_from_the_bearing_alone():
+    recording = machine(2)
+    state = drive(thermal_causes.running(recording, thermal_causes.sensors(recording)), recording)
+    t = recording.time() % 86400.0
+    last = t.max()
+    settled_on = (t > 900) & ((t < 0.4 * last) | (t > 0.55 * last + 900))
+    settled_off = (t > 0.4 * last + 1200) & (t < 0.55 * last)
+    assert state[settled_on].mean() > 0.99
+    assert state[settled_off].mean() < 0.01
+
+
+def test_a_model_of_cold_days_holds_on_warm_days():
+    cold, warm = machine(10), machine(6, warm=7.0, seed=5, room_early=2.0)
+    model = thermal_season.fit(cold, "E_D")
+    residual = truth(warm) - model.values(warm)
+    assert rms(residual) < 0.25 * rms(truth(warm))
+    pushes = {k: v for k, v in model.report["causes"].items() if "follows" not in k}
+    pulls = {k: v for k, v in model.report["causes"].items() if "follows" in k}
+    assert all(v > 0 for v in pushes.values()) and all(v < 0 for v in pulls.values())
+    assert -8.0 < sum(pulls.values()) < -4.0
+
+
+def test_no_deviation_no_gain():
+    recording = machine(4)
+    flat = Recording(recording.manifest, recording.frame.assign(E_D=12.0))
+    assert_allclose(thermal_season.fit(flat, "E_D").values(flat), 0.0, atol=1e-9)
+
+
+def test_row_k_uses_rows_up_to_k_only():
+    recording = machine(3, seed=2)
+    model = thermal_season.fit(recording, "E_D")
+    whole = model.predict(recording).predicted
+    cut = recording.take(np.arange(60))
+    assert_allclose(model.predict(cut).predicted, whole[:60], atol=1e-9)
+
+
+def test_the_fit_never_looks_outside_its_rows():
+    recording = both(machine(5), machine(4, warm=7.0, seed=3))
+    rows = recording.frame["season"].to_numpy() == "cold"
+    spoilt = recording.frame.copy()
+    spoilt.loc[~rows, "E_D"] = 1e4
+    one = thermal_season.fit(recording, "E_D", rows=rows)
+    two = thermal_season.fit(Recording(recording.manifest, spoilt), "E_D", rows=rows)
+    assert one.terms == two.terms and one.intervals == two.intervals
+
+
+def test_outside_what_was_seen_nothing_jumps_and_the_limit_holds():
+    model = thermal_season.fit(machine(6), "E_D")
+    last = None
+    for offset in np.linspace(0.0, 30.0, 121):
+        recording = machine(1, seed=9, rows=40)
+        shifted = {n: recording.array(n) + offset for n in ("T_room", "T_spindle", "T_bed")}
+        hot = Recording(recording.manifest, recording.frame.assign(**shifted))
+        value = model.predict(hot)
+        assert value.predicted.max() <= model.limit[1] + 1e-9 and value.predicted.min() >= model.limit[0] - 1e-9
+        if last is not None:
+            assert np.abs(value.predicted - last.predicted).max() < 1.5
+            assert (value.upper - value.lower >= last.upper - last.lower - 1e-9).all() or offset < 3.0
+        last = value
+    assert last.outside.all()
+
+
+def test_the_terms_are_plain_drivers_that_survive_json():
+    recording = machine(5)
+    model = thermal_season.fit(recording, "E_D")
+    component = model.component_model()
+    again = sum(
+        t.values()["gain"] * drive(d.Affine.model_validate({"weights": [1.0], "of": [t.term["driver"][0]]}), recording)
+        for t in component.terms
+    )
+    assert_allclose(again, model.values(recording), atol=1e-12)
+
+
+def test_signed_gains_keep_their_sign():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(200, 2))
+    x[:, 1] = x[:, 0] + 0.01 * x[:, 1]
+    y = 3.0 * x[:, 0] + rng.normal(0, 0.5, 200)
+    triangle = thermal_network.stack(thermal_network.triangles(x, y, np.zeros(200, int)), [0])
+    found = thermal_network.signed_gains(triangle, 200, [np.array([0, 1])], np.array([1.0, -1.0]), 1e-6)
+    assert found[0] >= 0.0 and found[1] <= 0.0
+    assert_allclose(found.sum(), 3.0, atol=0.15)
+
+
+def test_conformal_half_width_counts_every_group_once():
+    error = np.r_[np.full(900, 1.0), np.full(10, 9.0)]
+    group = np.r_[np.zeros(900), np.ones(10)]
+    assert thermal_season.conformal_half_width(error, group, 0.9) == 9.0
+    uniform = np.random.default_rng(1).uniform(size=20000)
+    assert_allclose(thermal_season.conformal_half_width(uniform, np.arange(20000) % 100, 0.9), 0.909, atol=0.01)
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_a_season_left_out_of_a_real_turning_centre():
+    folder = REAL / "turning-centre-thermal"
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings at {folder.name}")
+    manifest_folder = pytest.importorskip("errpipe.formats.manifest_folder")
+    recording = manifest_folder.read(folder)
+    season = recording.frame["season"].to_numpy()
+    y = truth(recording)
+    for left_out, bar in (("winter", 10.0), ("spring", 8.7)):
+        judged = season == left_out
+        model = thermal_season.fit(recording, "E_D", rows=~judged)
+        assert rms((y - model.values(recording))[judged]) < min(bar, rms(y[judged]))
