@@ -35,7 +35,7 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
         for fitted in component.terms:
             total = total + term_of(fitted).value(recording, fitted.values())
         if model.datum == "run_start":
-            total = total - _first(recording, total)
+            total = from_run_start(recording, total)
         out[component.component] = (
             total if component.limit is None else np.clip(total, -component.limit, component.limit)
         )
@@ -48,6 +48,11 @@ def term_of(fitted: FittedTerm) -> Term:
     if kind is None:
         raise DataError(f"error model: the term {fitted.term['term']!r} is not known")
     return kind.model_validate(fitted.term)
+
+
+def from_run_start(recording: Recording, values: np.ndarray) -> np.ndarray:
+    """Values counted from the first finite one of each run, shape (rows,)."""
+    return values - _first(recording, values)
 
 
 def _first(recording: Recording, values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,13 @@
+"""The stages of a pipeline: typed in, typed out, glue only. Heavy imports wait inside `run`."""
+
+from __future__ import annotations
+
+from errpipe.stages.clean import Clean
+from errpipe.stages.export import Export
+from errpipe.stages.fit import Fit
+from errpipe.stages.ingest import Ingest
+from errpipe.stages.report import Report
+from errpipe.stages.simulate import Simulate
+from errpipe.stages.validate import Validate
+
+STAGES = (Clean, Export, Fit, Ingest, Report, Simulate, Validate)

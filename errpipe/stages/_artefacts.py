@@ -1,0 +1,66 @@
+"""What stages leave for each other: recordings, error models and tables, read back from a stage's folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe import jsonfile
+from errpipe.errors import DataError, VerifyError
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.domain.table import CompensationTable
+
+MODEL = "error_model.json"
+TABLE = "table.ect"
+TWIN = "table.json"
+
+
+def recording_in(folder: Path) -> Recording:
+    """The recording a stage (or a person) left in a folder."""
+    from errpipe.formats import manifest_folder
+
+    return manifest_folder.read(folder)
+
+
+def read_model(path: Path) -> ErrorModel:
+    """An error model from its JSON file. Raises VerifyError where it is none."""
+    from pydantic import ValidationError
+
+    from errpipe.domain.error_model import ErrorModel
+
+    try:
+        return ErrorModel.model_validate(jsonfile.read(path))
+    except ValidationError as err:
+        first = err.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise VerifyError(f"{path}: not an error model: {where}: {first['msg']}") from None
+
+
+def model_json(model: ErrorModel) -> dict[str, Any]:
+    """The canonical JSON value of an error model, without what is at its default."""
+    return model.model_dump(mode="json", exclude_defaults=True) | {"error_model": 1}
+
+
+def read_table(path: Path) -> CompensationTable:
+    """A compensation table, binary or JSON twin. Raises VerifyError where it is none."""
+    from errpipe.tables import ect
+
+    return ect.read(Path(path))
+
+
+def model_or_table(path: Path) -> ErrorModel | CompensationTable:
+    """Whichever of the two a file holds. Raises DataError for neither, VerifyError for a damaged one."""
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: there is no such file (an error model or a compensation table is needed)")
+    if path.suffix == ".ect":
+        return read_table(path)
+    if path.suffix != ".json":
+        raise DataError(f"{path}: an error model (.json) or a compensation table (.ect, .json) is needed")
+    value = jsonfile.read(path)
+    if isinstance(value, dict) and "table" in value:
+        return read_table(path)
+    return read_model(path)

@@ -1,0 +1,84 @@
+"""The inputs of a compensation table, from what an error model says of its columns."""
+
+from __future__ import annotations
+
+from errpipe.domain import driver as d
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.table import Kind, TableInput
+from errpipe.errors import GateError
+
+# Role of a column -> kind of the controller's channel, lowest and highest believable reading, stale after (s).
+CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
+    "position": ("position", -1e5, 1e5, None),
+    "command": ("position", -1e5, 1e5, None),
+    "direction": ("direction", -1.0, 1.0, None),
+    "velocity": ("velocity", -1e5, 1e5, None),
+    "force": ("force", -1e6, 1e6, None),
+    "temperature": ("sensor", -40.0, 200.0, 60.0),
+    "pressure": ("sensor", 0.0, 1e6, 600.0),
+    "humidity": ("sensor", 0.0, 100.0, 600.0),
+    "spindle_speed": ("speed", 0.0, 1e6, None),
+    "coolant": ("coolant", 0.0, 1.0, None),
+    "load": ("load", 0.0, 1e6, None),
+    "feed": ("other", 0.0, 1e7, None),
+    "overhang": ("tool", 0.0, 1e5, None),
+    "depth_of_cut": ("other", 0.0, 1e4, None),
+    "cut_length": ("other", 0.0, 1e9, None),
+}
+FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
+
+
+def table_inputs(model: ErrorModel) -> list[TableInput]:
+    """One channel per column of the model, in its order. Raises GateError for a column no controller can feed."""
+    return [_channel(name, facts, model) for name, facts in model.columns.items() if facts["role"] in CHANNELS]
+
+
+def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
+    kind, low, high, stale = CHANNELS[facts["role"]]
+    seen = model.validity.ranges.get(name)
+    if kind == "direction":
+        return TableInput(
+            name=name, kind=kind, axis=facts.get("axis", ""), low=-1.0, high=1.0, default=0.0, optional=True
+        )
+    default = min(max(sum(seen) / 2 if seen else 0.0, low), high)
+    box = {}
+    if seen is not None and kind not in ("position", "velocity", "coolant"):
+        margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
+        box = {"valid": seen, "margin": margin}
+    return TableInput(
+        name=name,
+        kind=kind,
+        axis=facts.get("axis") or "",
+        unit=facts.get("unit") or "",
+        low=low,
+        high=high,
+        stale_after_s=stale,
+        default=default,
+        **box,
+    )
+
+
+def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
+    """Range of each axis' profiles, mm or deg: what was seen, else its travel."""
+    out = {}
+    for letter, facts in model.constants.items():
+        if facts.get("role") == "axis" and facts.get("travel"):
+            out[letter] = tuple(facts["travel"])
+    for name, facts in model.columns.items():
+        seen = model.validity.ranges.get(name)
+        if facts["role"] in ("position", "command") and seen is not None:
+            out[facts["axis"]] = seen
+    return out
+
+
+def unknown_inputs(names: set[str], model: ErrorModel) -> None:
+    """Raises GateError naming an input that no controller can feed (such as the time of a recording)."""
+    for name in sorted(names):
+        role = model.columns.get(name, {}).get("role")
+        if role not in CHANNELS:
+            raise GateError(f"a driver reads {name!r} (role {role}), which a controller cannot be given")
+
+
+def read_by(drivers: list[d.Driver]) -> set[str]:
+    """Names of all inputs below some drivers."""
+    return {name for driver in drivers for name in d.inputs(driver)}

@@ -1,0 +1,158 @@
+"""An error model compiled into the table a controller runs, proved against the model before it is called exported."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from errpipe.pipeline.stage import Context, Need, Stage
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.table import CompensationTable
+
+
+class Export(Stage):
+    """Compile the model into a compensation table and the files of controllers."""
+
+    kind: Literal["export"]
+    error_bound: float = Field(
+        0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
+    )
+    position_cycle: float = Field(
+        0.001, gt=0, description="Time between two corrections.", json_schema_extra={"unit": "s"}
+    )
+    thermal_cycle: float = Field(
+        1.0, gt=0, description="Time between two updates of slow drivers.", json_schema_extra={"unit": "s"}
+    )
+    magnitude: float | None = Field(
+        None, gt=0, description="Largest correction; default: what it can reach.", json_schema_extra={"unit": "um"}
+    )
+    slew: float | None = Field(None, gt=0, description="Largest rate of a correction in um/s.")
+    acceleration: float | None = Field(None, gt=0, description="Largest change of that rate in um/s2.")
+    targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
+    gate: Literal["better-than-nothing", "none"] = Field(
+        "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."
+    )
+    reads: ClassVar[Mapping[str, Need]] = {
+        "recording": Need("clean", "ingest"),
+        "fit": Need("fit"),
+        "validate": Need("validate", optional=True),
+    }
+
+    def outputs(self) -> tuple[str, ...]:
+        return (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        model = _artefacts.read_model(context.needed("fit") / _artefacts.MODEL)
+        validation = context.maybe("validate")
+        if self.gate != "none" and validation is not None:
+            refuse_no_better(validation / "validation.json")
+        context.progress(0.2, "compiling")
+        table = compile_model(model, self)
+        context.progress(0.5, "comparing table and model")
+        recording = _artefacts.recording_in(context.needed("recording"))
+        proof = compare(table, model, recording)
+        files = _write(context, table, model, self.targets)
+        context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, "proof": proof, "files": files})
+        worst = max((p["largest_difference_um"] for p in proof), default=0.0)
+        return {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
+
+
+def refuse_no_better(path: Path) -> None:
+    """Raises GateError where a component is not better than nothing on the rows that sat out."""
+    from errpipe import jsonfile
+    from errpipe.errors import GateError
+
+    worse = [c for c in jsonfile.read(path)["components"] if c["rms_after"] >= c["rms_before"]]
+    if worse:
+        told = "; ".join(f"{c['component']} {c['rms_before']:.3g} -> {c['rms_after']:.3g} {c['unit']}" for c in worse)
+        raise GateError(f"export: not better than nothing on held-out rows ({told}). Nothing was exported.")
+
+
+def compile_model(model: ErrorModel, options: Export) -> CompensationTable:
+    """The table of a model. Raises GateError for what a controller cannot be given."""
+    from errpipe import __version__, jsonfile, tables
+    from errpipe.errors import GateError
+    from errpipe.fitting.lowering import left_behind, lower
+    from errpipe.stages import _inputs
+
+    lowered = lower(model)
+    empty = [name for name, pairs in lowered.items() if not pairs]
+    if len(empty) == len(lowered):
+        behind = ", ".join(sorted({t for terms in left_behind(model).values() for t in terms})) or "no term"
+        raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
+    _inputs.unknown_inputs(_inputs.read_by([p.driver for pairs in lowered.values() for p in pairs]), model)
+    sources = [
+        tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]))
+        for c in model.components
+        if lowered[c.component]
+    ]
+    limits = {
+        s.name: tables.Limits(options.magnitude, options.slew, options.acceleration)
+        for s in sources
+        if any(v is not None for v in (options.magnitude, options.slew, options.acceleration))
+    }
+    return tables.compile_table(
+        sources,
+        inputs=_inputs.table_inputs(model),
+        travel=_inputs.travel(model),
+        limits=limits,
+        error_bound=options.error_bound,
+        position_cycle_s=options.position_cycle,
+        thermal_cycle_s=options.thermal_cycle,
+        machine=model.machine,
+        title=model.title,
+        version=__version__,
+        fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
+    )
+
+
+def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict[str, Any]]:
+    """Table beside model on the recording's own rows: largest and rms difference per component, um or urad."""
+    import numpy as np
+
+    from errpipe.fitting.components import evaluate
+    from errpipe.fitting.lowering import left_behind
+    from errpipe.stages.predict import table_values
+
+    by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
+    behind = left_behind(model)
+    out = []
+    for name, values in by_table.items():
+        gap = values - by_model[name]
+        gap = gap[np.isfinite(gap)]
+        out.append(
+            {
+                "component": name,
+                "rows": int(gap.size),
+                "largest_difference_um": float(np.abs(gap).max()) if gap.size else 0.0,
+                "rms_difference_um": float(np.sqrt(np.mean(gap**2))) if gap.size else 0.0,
+                "not_compensated": behind.get(name, []),
+            }
+        )
+    return out
+
+
+def _write(context: Context, table: CompensationTable, model: ErrorModel, targets: Sequence[str]) -> list[dict]:
+    from errpipe.errors import VerifyError
+    from errpipe.tables import ect
+
+    ect.write(table, context.folder / _artefacts.TABLE)
+    ect.write_json(table, context.folder / _artefacts.TWIN)
+    context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
+    if ect.read(context.folder / _artefacts.TABLE) != table or ect.read_json(context.folder / _artefacts.TWIN) != table:
+        raise VerifyError("export: the table read back from its file is not the table that was written")
+    files = [
+        {"file": _artefacts.TABLE, "what": "compensation table, binary", "error": "0", "read_back": "equal"},
+        {"file": _artefacts.TWIN, "what": "its JSON twin", "error": "0", "read_back": "equal"},
+    ]
+    if targets:
+        from errpipe.stages.targets import write_targets
+
+        files += write_targets(table, targets, context.folder)
+    return files

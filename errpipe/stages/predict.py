@@ -1,0 +1,59 @@
+"""What a controller would predict for every row of a recording, from an error model or from the table itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.domain.table import CompensationTable
+
+
+def predict(source: Path, recording: Path, out: Path) -> dict[str, Any]:
+    """Write one row per recording row: run, time, and NAME_predicted, _lower, _upper, _outside per response."""
+    from errpipe import jsonfile
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.validation import predict as rows
+
+    found = _artefacts.model_or_table(source)
+    read = _artefacts.recording_in(Path(recording))
+    if isinstance(found, ErrorModel):
+        frame = rows.predict(found, read)
+    else:
+        frame = rows.predict(_of_table(found, Path(source)), read)
+    jsonfile.write_text(Path(out), frame.to_csv(index=False, lineterminator="\n"))
+    return {"written": str(out), "rows": len(frame), "columns": list(frame.columns)}
+
+
+def _of_table(table: CompensationTable, path: Path):
+    """The predictor of a table, with the intervals of the model that stands beside it where it is the same one."""
+    from errpipe import jsonfile
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.validation.predict import Predictor, of_evaluator
+
+    beside = path.parent / _artefacts.MODEL
+    if beside.is_file():
+        model = _artefacts.read_model(beside)
+        if jsonfile.fingerprint(_artefacts.model_json(model)) == table.fingerprint:
+            return of_evaluator(lambda recording: table_values(table, model, recording), model)
+    bare = ErrorModel(components=())
+    return Predictor(lambda recording: table_values(table, bare, recording), tuple(o.name for o in table.outputs))
+
+
+def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:
+    """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
+    from errpipe.fitting.components import from_run_start
+    from errpipe.tables import batch
+
+    columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
+    replay = batch.evaluate(table, columns, recording.time(), recording.run_codes())
+    if model.datum == "run_start":
+        return {name: from_run_start(recording, values) for name, values in replay.deviation.items()}
+    return replay.deviation

@@ -1,0 +1,193 @@
+"""One page per run: what went in, what was removed, what was fitted, what held on rows that had no say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from errpipe.pipeline.stage import Context, Need, Stage
+from errpipe.stages import _artefacts
+from errpipe.stages.validate import HELD_OUT
+
+ISO230_2 = {
+    "A": "bidirectional accuracy",
+    "R": "bidirectional repeatability",
+    "E": "bidirectional systematic deviation",
+    "B": "reversal value",
+    "M": "range of the mean bidirectional deviation",
+}
+
+
+class Report(Stage):
+    """Write the report, one self-contained HTML file."""
+
+    kind: Literal["report"]
+    reads: ClassVar[Mapping[str, Need]] = {
+        "ingest": Need("ingest"),
+        "clean": Need("clean", optional=True),
+        "fit": Need("fit"),
+        "validate": Need("validate"),
+        "export": Need("export", optional=True),
+    }
+
+    def outputs(self) -> tuple[str, ...]:
+        return ("report.html",)
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe import __version__, jsonfile
+        from errpipe.reporting.run_report import RunReport, render
+
+        facts = jsonfile.read(context.needed("ingest") / "ingest.json")
+        validation = jsonfile.read(context.needed("validate") / "validation.json")
+        recording = _artefacts.recording_in(context.maybe("clean") or context.needed("ingest"))
+        model = _artefacts.read_model(context.needed("fit") / _artefacts.MODEL)
+        page = RunReport(
+            title=context.title or facts["title"],
+            machine=facts["machine"],
+            version=__version__,
+            fingerprint=context.fingerprint[:16],
+            sources=_sources(facts, recording, validation),
+            removed=_removed(context.maybe("clean")),
+            responses=_responses(recording, model, validation, context.needed("validate") / HELD_OUT),
+            validity=_validity(model),
+            exported=_exported(context.maybe("export")),
+            iso230=_iso230(validation),
+            next_step=_next_step(context.maybe("export")),
+        )
+        context.write_text("report.html", render(page))
+        return {"report": "report.html"}
+
+
+def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, Any]) -> list[dict[str, Any]]:
+    roles: dict[str, list[str]] = {}
+    for name, column in facts["columns"].items():
+        roles.setdefault(column["role"], []).append(name)
+    rows = [
+        {"what": "recording", "value": facts["title"]},
+        {"what": "rows", "value": f"{facts['rows']}, of which {len(recording)} were kept"},
+        {"what": "runs", "value": len(recording.run_labels())},
+        *({"what": role.replace("_", " "), "value": ", ".join(names)} for role, names in roles.items()),
+        {"what": "who sat out", "value": validation["scheme"]},
+    ]
+    if facts["simulated"]:
+        rows.insert(1, {"what": "origin", "value": "simulated by errpipe itself; no machine was measured"})
+    return rows
+
+
+def _removed(folder: Path | None) -> list[dict[str, Any]]:
+    from errpipe import jsonfile
+
+    if folder is None:
+        return []
+    return [
+        {"rule": rule["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
+        for rule in jsonfile.read(folder / "cleaning.json")["rules"]
+        for done in rule["done"]
+    ]
+
+
+def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: Path) -> list[Any]:
+    import pandas as pd
+
+    from errpipe.reporting.run_report import Response
+
+    held_out = pd.read_parquet(rows)
+    out = []
+    for figures in validation["components"]:
+        component = next(c for c in model.components if c.component == figures["component"])
+        own = held_out[held_out["component"] == component.component].sort_values("row", kind="stable")
+        index = own["row"].to_numpy()
+        out.append(
+            Response(
+                component=component.component,
+                unit=figures["unit"],
+                deviation=own["before"].to_numpy(),
+                predicted=(own["before"] - own["after"]).to_numpy(),
+                groups=own["group"].tolist(),
+                inputs=_columns(recording, model, index),
+                rms_before=figures["rms_before"],
+                rms_after=figures["rms_after"],
+                noise_floor=figures["noise_floor"],
+                terms=[_term(t) for t in component.terms],
+                table=[_group(g) for g in figures["groups"]],
+                scheme=validation["scheme"],
+                notes=_notes(component, figures),
+            )
+        )
+    return out
+
+
+def _columns(recording: Any, model: Any, index: Any) -> dict[str, Any]:
+    """Label with unit -> values, what the model reads first (positions before all), then the other numbers."""
+    columns = recording.manifest.columns
+    responses = ("error", "simulated")
+    numbers = [n for n, c in columns.items() if c.unit and c.role not in responses and n in recording.frame]
+    first = {"position": 0, "time": 1}
+    numbers.sort(key=lambda n: (first.get(columns[n].role, 2), n not in model.columns))
+    return {f"{n} in {columns[n].unit}": recording.array(n)[index] for n in numbers}
+
+
+def _term(fitted: Any) -> dict[str, Any]:
+    from errpipe.fitting.components import term_of
+
+    term = term_of(fitted)
+    parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
+    return {"says": term.says(fitted.values()), "parameters": parameters}
+
+
+def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "group": figures["label"],
+        "rows": figures["rows"],
+        "rms_before": figures["rms_before"],
+        "rms_after": figures["rms_after"],
+        "bias": figures["bias_after"],
+        "scatter": figures["scatter_after"],
+        "worst": figures["worst_after"],
+        "coverage90": figures["coverage90"],
+    }
+
+
+def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
+    notes = [
+        f"{component.rows} rows fitted, worth {component.rows_effective:.0f} independent ones; "
+        f"on them {component.rms_before:.3g} -> {component.rms_after:.3g} {component.unit}."
+    ]
+    if figures["verdict"] != "model":
+        notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
+    if component.half_width90 is not None:
+        notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}.")
+    return notes
+
+
+def _validity(model: Any) -> list[dict[str, Any]]:
+    return [
+        {
+            "input": f"{name} in {model.columns.get(name, {}).get('unit') or '1'}",
+            "low": low,
+            "high": high,
+            "outside": f"fades to nothing over {model.validity.margins[name]:.3g}"
+            if name in model.validity.margins
+            else "held at the end",
+        }
+        for name, (low, high) in model.validity.ranges.items()
+    ]
+
+
+def _exported(folder: Path | None) -> list[dict[str, Any]]:
+    from errpipe import jsonfile
+
+    return jsonfile.read(folder / "export.json")["files"] if folder is not None else []
+
+
+def _iso230(validation: Mapping[str, Any]) -> list[dict[str, Any]]:
+    figures = validation.get("iso230_2", {})
+    rows = [{"figure": k, "meaning": m, "value": figures.get(k)} for k, m in ISO230_2.items()]
+    return [row for row in rows if row["value"] is not None]
+
+
+def _next_step(export: Path | None) -> str:
+    if export is None:
+        return "add an export stage to compile this model into a table that a controller runs."
+    return "errpipe whatis on the exported table.ect says what a cycle costs; errpipe verify re-reads every file."

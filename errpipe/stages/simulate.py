@@ -1,0 +1,30 @@
+"""A machine that never existed, measured: a recording folder made by errpipe's own simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from errpipe.pipeline.stage import Context, Stage
+
+
+class Simulate(Stage):
+    """Write a simulated recording; equal seeds give equal bytes."""
+
+    kind: Literal["simulate"]
+    machine: Literal["ball-screw-axis", "spindle-drift"] = Field(
+        "ball-screw-axis", description="What is simulated: an axis over nine thermal states, or a warming spindle."
+    )
+    seed: int = Field(1, ge=0, description="Seed of the noise and of the room's weather.")
+
+    def outputs(self) -> tuple[str, ...]:
+        return ("recording.yaml", "recording.csv")
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe.simulation import ball_screw_axis, folder, spindle_drift
+
+        made = {"ball-screw-axis": ball_screw_axis, "spindle-drift": spindle_drift}[self.machine].simulate(self.seed)
+        folder.write(context.folder, made.recording)
+        return {"rows": len(made.recording), "simulated": "yes"}
