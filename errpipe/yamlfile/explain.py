@@ -48,7 +48,7 @@ def explain(
         elif kind in ("literal_error", "enum"):
             words = trail.choices or [str(error["ctx"]["expected"]).replace("'", "")]
             choices.setdefault(trail.place, []).extend(map(str, words))
-        else:
+        elif not _only_looks_short(kind, error, _at(data, trail.place)):
             place, message, at = _words(kind, error, trail, _at(data, trail.place))
             found.append((place, problem(place, message, at=at)))
     for place in dict.fromkeys([*needed, *choices]):
@@ -57,6 +57,11 @@ def explain(
             words = list(dict.fromkeys(needed.get(place, []))), list(dict.fromkeys(choices.get(place, [])))
             found.append((place, problem(place, _wrong_kind(_at(data, place), *words))))
     return list(dict.fromkeys(found))
+
+
+def _only_looks_short(kind: str, error: Mapping[str, Any], value: Any) -> bool:
+    """Entries that are wrong themselves are not counted by pydantic: the list is long enough all the same."""
+    return kind == "too_short" and isinstance(value, list | dict) and len(value) >= error["ctx"]["min_length"]
 
 
 def _words(kind: str, error: Mapping[str, Any], trail: _Trail, value: Any) -> tuple[Place, str, str]:
