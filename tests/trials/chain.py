@@ -22,7 +22,7 @@ def correlated(rng: np.random.Generator, n: int, rms: float) -> Array:
 
 def resolution(rng: np.random.Generator, noise: float) -> float:
     """A display step that does not hide the noise."""
-    fit = LADDER[LADDER <= 0.45 * noise]
+    fit = LADDER[noise >= 2.2 * LADDER]
     return float(rng.choice(fit[-4:])) if fit.size else 0.01
 
 

@@ -1,4 +1,4 @@
-"""Feedback traces: an axis under way, its drive force or its deviation from the command, a few hundred readings a second."""
+"""Feedback traces: an axis under way, its drive force or its deviation from the command, at a few hundred hertz."""
 
 from __future__ import annotations
 

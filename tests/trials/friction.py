@@ -10,9 +10,9 @@ Array = np.ndarray
 
 
 def lugre(t: Array, v: Array, coulomb: float, static: float, knee: float, bristle: float) -> Array:
-    """Friction force in N for speed v (mm/s); `knee` mm/s is the Stribeck speed, `bristle` the pre-sliding travel, mm.
+    """Friction force in N for speed v (mm/s); `knee` is the Stribeck speed, `bristle` the pre-sliding travel in mm.
 
-    The bristle state is exact for a speed held between samples; the force is the bristle's part alone (no viscous part).
+    The bristle state is exact for a speed held between samples; the force is the bristle's part alone.
     """
     z = 0.0
     out = np.empty(t.size)
@@ -37,22 +37,25 @@ def bouc_wen(travel: Array, length: float, power: float = 1.4, start: float = 0.
     for i, x in enumerate(travel.tolist()):
         step = x - last
         last = x
-        pieces = min(int(abs(step) / (0.1 * length)) + 1, 80)
-        d = step / pieces if abs(step) < 8 * length else math.copysign(0.1 * length, step)
-        for _ in range(pieces):
-            slope = 1.0 - abs(z) ** power * (1.0 if d * z >= 0 else -1.0)
-            z = max(-1.0, min(1.0, z + d / length * slope))
+        if abs(step) > 8 * length or (z * step > 0 and abs(z) > 0.9999):
+            z = math.copysign(1.0, step)
+        else:
+            pieces = int(abs(step) / (0.1 * length)) + 1
+            d = step / pieces / length
+            for _ in range(pieces):
+                z += d * (1.0 - math.copysign(abs(z) ** power, d * z))
+                z = -1.0 if z < -1.0 else min(z, 1.0)
         out[i] = z
     return out
 
 
 def play(travel: Array, gap: float, start: float = 0.0) -> Array:
-    """Position error in units of half the gap (-1..1): the driven side follows only once the gap is closed."""
+    """Side of the gap (-1..1, with the sign of the motion): the driven part follows only once the gap is closed."""
     out = np.empty(travel.size)
-    slack = start * gap / 2
+    slack = -start * gap / 2
     last = float(travel[0])
     for i, x in enumerate(travel.tolist()):
         slack = max(-gap / 2, min(gap / 2, slack - (x - last)))
         last = x
         out[i] = -2 * slack / gap if gap > 0 else 0.0
-    return -out
+    return out

@@ -1,6 +1,7 @@
 """Draw blind cases.
 
-    python -m tests.trials.generate OUT_DIR --seed 7 --cases 130 [--tiers plain,null] [--effects backlash] [--protocols "circular test"]
+    python -m tests.trials.generate OUT_DIR --seed 7 --cases 130 [--tiers plain,null] [--effects backlash]
+                                    [--protocols "circular test"]
 
 Writes OUT_DIR/cases/<id>/{recording.yaml,recording.csv}, OUT_DIR/answers/<id>.json and OUT_DIR/answers.sha256.
 """
@@ -169,6 +170,11 @@ def generate(
     return ids
 
 
+def split(text: str | None) -> list[str] | None:
+    """A comma-separated option."""
+    return [part.strip() for part in text.split(",")] if text else None
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Draw blind cases.")
     parser.add_argument("out", type=Path)
@@ -178,11 +184,7 @@ def main() -> None:
     parser.add_argument("--effects", help="comma-separated effect ids")
     parser.add_argument("--protocols", help="comma-separated")
     a = parser.parse_args()
-    split = {
-        k: v.split(",") if v else None
-        for k, v in (("tiers", a.tiers), ("effects", a.effects), ("protocols", a.protocols))
-    }
-    ids = generate(a.out, a.seed, a.cases, **split)
+    ids = generate(a.out, a.seed, a.cases, split(a.tiers), split(a.effects), split(a.protocols))
     print(f"{len(ids)} cases in {a.out}")
 
 

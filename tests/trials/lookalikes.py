@@ -28,7 +28,7 @@ class Form:
 
 
 def lagged(t: Array, u: Array, taus: Array, *, steps: bool = False) -> Array:
-    """First-order lags (rows, taus) of u: straight between rows and settled at the start, or with `steps` held and cold."""
+    """First-order lags (rows, taus) of u: straight between rows, settled at the start; with `steps` held, cold."""
     out = np.empty((t.size, taus.size))
     dt = np.maximum(np.diff(t), 0.0)
     keep = np.exp(-dt[:, None] / taus)
@@ -298,17 +298,32 @@ class Verdict:
     tau: float | None
 
 
-def explained(target: Array, design: Array, others: Array) -> tuple[float, float]:
-    """Share of target's variance that [1, design] explains, and rms left once `others` may move as well."""
-    one = np.ones((target.size, 1))
-    total = float(np.sum((target - target.mean()) ** 2))
-    a = np.hstack([one, design / np.maximum(np.abs(design).max(axis=0), 1e-12)])
-    rest = target - a @ np.linalg.lstsq(a, target, rcond=None)[0]
-    share = 1.0 - float(rest @ rest) / max(total, 1e-30)
-    if others.shape[1]:
-        b = np.hstack([a, others])
-        rest = target - b @ np.linalg.lstsq(b, target, rcond=None)[0]
-    return share, float(np.sqrt(np.mean(rest**2)))
+class Target:
+    """A hidden contribution on the rows that matter, ready to be compared with many designs."""
+
+    def __init__(self, values: Array, others: Array) -> None:
+        self.values = values - values.mean()
+        self.total = max(float(self.values @ self.values), 1e-30)
+        others = others - others.mean(axis=0)
+        basis, size, _ = np.linalg.svd(others, full_matrices=False)
+        self.basis = basis[:, size > 1e-9 * max(size.max(initial=0.0), 1e-30)]
+        self.rest = self.values - self.basis @ (self.basis.T @ self.values)
+
+    def explained(self, design: Array) -> tuple[float, float]:
+        """Share that [1, design] explains, and the rms left once the other effects may move as well."""
+        design = design - design.mean(axis=0)
+        design = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
+        share = _taken(self.values, design) / self.total
+        beside = design - self.basis @ (self.basis.T @ design)
+        left = float(self.rest @ self.rest) - _taken(self.rest, beside)
+        return share, float(np.sqrt(max(left, 0.0) / self.values.size))
+
+
+def _taken(y: Array, design: Array) -> float:
+    """Sum of squares of y that the columns (of rms about 1) take; columns without substance take nothing."""
+    weight, turn = np.linalg.eigh(design.T @ design)
+    solid = weight > 1e-8 * y.size
+    return float(np.sum((turn[:, solid].T @ (design.T @ y)) ** 2 / weight[solid]))
 
 
 def compare(
@@ -319,10 +334,10 @@ def compare(
     With `partial` the rivals, too, may act only where the hidden effect does.
     """
     index = np.flatnonzero(rows)
-    pick = index[:: max(1, index.size // 2500)]
+    pick = index[:: max(1, index.size // 1500)]
     gate = hidden.active if partial else None
     evidence = 9.0 * 2.0 / index.size  # chi-square of 9, noise half as informative as its rows
-    y, others = hidden.values[pick], included[pick]
+    target = Target(hidden.values[pick], included[pick])
     name = hidden.effect
     accepted, seen, tau = {name}, {name: list(hidden.drivers)}, None
     own, best = 0.0, ("", 0.0)
@@ -331,10 +346,10 @@ def compare(
     for form in forms(bench, hidden.display):
         if not possible(form.effect, component, form.drivers):
             continue
-        share, left = explained(y, form.design[pick], others)
+        share, left = target.explained(form.design[pick])
         if gate is not None:
             for design in (form.design, form.design - form.design[0]):
-                gated = explained(y, design[pick] * gate[pick, None], others)
+                gated = target.explained(design[pick] * gate[pick, None])
                 share, left = max(share, gated[0]), min(left, gated[1])
         shares.append((share, form))
         if form.effect == name and share > own:

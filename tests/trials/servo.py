@@ -14,7 +14,7 @@ Array = np.ndarray
 
 @dataclass
 class Loop:
-    """A loop with integral action: compliance to force s*Ti / ((1 + s*Ti)(1 + 2*d*s/w + s^2/w^2)), um per N at mid band."""
+    """A loop with integral action: compliance s*Ti / ((1 + s*Ti)(1 + 2*d*s/w + s^2/w^2)), um per N at mid band."""
 
     integral: float  # s
     corner: float  # rad/s
@@ -39,7 +39,7 @@ def spike(loop: Loop, dt: float, v: Array, knee: float, bristle: float) -> Array
 
 
 def follow(dt: float, x: Array, lag: float, corner: float) -> Array:
-    """Actual minus commanded (same unit as x) of an axis that follows with a small lag and a mechanical corner, rad/s."""
+    """Actual minus commanded (same unit as x) of an axis with a small lag and a mechanical corner, rad/s."""
     b, a = bilinear([1.0], np.polymul([lag, 1.0], [1 / corner**2, 1.2 / corner, 1.0]), 1.0 / dt)
     ideal_b, ideal_a = bilinear([1.0], [1 / corner**2, 1.2 / corner, 1.0], 1.0 / dt)
     base = x - x[0]

@@ -100,10 +100,11 @@ def make(rng: np.random.Generator) -> Bench:
     dt = float(rng.choice([30, 60, 90, 120]))
     top = float(rng.choice([8000, 10000, 12000, 15000, 18000, 24000]))
     hours = float(rng.choice([8, 10, 12, 18, 22, 30]))
-    two = bool(rng.random() < 0.65)
-    gap = rng.uniform(0.25, 0.6) * hours * 3600 if two else 0.0
-    span = hours * 3600 - gap
-    n_run = int(span / dt / (2 if two else 1))
+    two = bool(rng.random() < 0.75)
+    while hours * 3600 / dt > 2700:
+        dt *= 2
+    gap = rng.uniform(25000, 50000) if two else 0.0
+    n_run = int(rng.uniform(0.96, 1.0) * hours * 3600 / dt / (2 if two else 1))
     n_gap = int(gap / dt)
     n = n_run * (2 if two else 1) + n_gap
     parts = [speeds(rng, n_run, dt, top)] + ([np.zeros(n_gap), speeds(rng, n_run, dt, top)] if two else [])

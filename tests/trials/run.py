@@ -1,0 +1,76 @@
+"""Draw cases, diagnose them with errpipe, judge the answers.
+
+python -m tests.trials.run --seed 7 --cases 130 --jobs 2 [--keep DIR] [--json FILE] [--markdown FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from time import perf_counter
+
+from .generate import generate, split
+from .score import document, figures, markdown, score, wrong_ones
+
+
+def diagnose(case: str, out: str) -> tuple[str, float, str]:
+    """One case in a worker process: seconds and what went wrong ('' for nothing)."""
+    from errpipe.stages.diagnose import diagnose as work
+
+    start = perf_counter()
+    try:
+        work(Path(case), Path(out))
+    except Exception as err:  # a crash is an answer too: none
+        return Path(case).name, perf_counter() - start, f"{type(err).__name__}: {err}"
+    return Path(case).name, perf_counter() - start, ""
+
+
+def diagnose_all(cases: Path, out: Path, jobs: int) -> list[tuple[str, float, str]]:
+    """Diagnose every case of a folder into out/<id>/diagnosis.json."""
+    folders = sorted(p for p in cases.iterdir() if p.is_dir())
+    done = []
+    with ProcessPoolExecutor(jobs) as pool:
+        work = [pool.submit(diagnose, str(f), str(out / f.name)) for f in folders]
+        for i, w in enumerate(work):
+            done.append(w.result())
+            if (i + 1) % 10 == 0:
+                print(f"{i + 1} of {len(work)} diagnosed", flush=True)
+    return done
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Blind trials: draw, diagnose, judge.")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--cases", type=int, default=130)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--keep", type=Path, help="folder to leave cases, answers and diagnoses in")
+    parser.add_argument("--tiers", help="comma-separated")
+    parser.add_argument("--effects", help="comma-separated effect ids")
+    parser.add_argument("--protocols", help="comma-separated")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path)
+    a = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        out = a.keep or Path(temporary) / "trials"
+        generate(out, a.seed, a.cases, split(a.tiers), split(a.effects), split(a.protocols))
+        done = diagnose_all(out / "cases", out / "diagnoses", a.jobs)
+        judged = score(out, out / "diagnoses")
+    text = markdown(judged, f"{len(judged)} cases drawn with seed {a.seed}")
+    print(text)
+    print(wrong_ones(judged))
+    for name, _, trouble in done:
+        if trouble:
+            print(f"{name} failed: {trouble}")
+    print(f"longest diagnosis {max(s for _, s, _ in done):.1f} s, all {sum(s for _, s, _ in done):.0f} s of work")
+    if a.markdown:
+        a.markdown.write_text(text)
+    if a.json:
+        a.json.write_text(json.dumps({"seed": a.seed, **document(judged)}, indent=1) + "\n")
+    print(f"right {100 * (figures(judged)['correct'] or 0):.1f} %")
+
+
+if __name__ == "__main__":
+    main()
