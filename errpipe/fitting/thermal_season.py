@@ -24,13 +24,15 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe import __version__
 from errpipe.domain import driver as d
-from errpipe.domain.error_model import ComponentModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_causes, thermal_network
 from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
+from errpipe.fitting.validity import box, distance
 from errpipe.terms import ProfileDriver
 from errpipe.terms._base import drive, plain
 
@@ -40,6 +42,7 @@ CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
 WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing
 WORTH_STEPS = 16
+LEAST_OUTSIDE = 0.05  # ranges' widths: rows nearer to the box tell nothing of how errors grow outside of it
 
 
 class SeasonOptions(Frozen):
@@ -77,11 +80,10 @@ class SeasonOptions(Frozen):
 
 @dataclass(frozen=True)
 class Intervals:
-    """Half width in um: `inside` where runs start as seen, growing by `widening` um per K outside, at most `most`."""
+    """Half width in um: `inside` the box of what was seen, wider by `widening` per range's width outside of it."""
 
     inside: float
     widening: float
-    most: float
 
 
 @dataclass(frozen=True)
@@ -96,13 +98,16 @@ class Prediction:
 
 @dataclass(frozen=True)
 class SeasonModel:
-    """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run."""
+    """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run.
+
+    parts: the same, cause by cause and without the limit, for a person to read. fade: K, see the options.
+    datum: mean and standard deviation of the runs' zeros, um: how far the start of a new run is unknown.
+    """
 
     component: str
     options: SeasonOptions
     parts: tuple[tuple[str, float, d.Driver], ...]
     terms: tuple[tuple[float, d.Driver], ...]
-    distance: d.Driver
     intervals: Intervals
     validity: Validity
     fade: float
@@ -117,14 +122,9 @@ class SeasonModel:
     def predict(self, recording: Recording) -> Prediction:
         """Deviation since the start of each run with its interval, um; row k uses rows up to k of its run."""
         value = self.values(recording)
-        away = drive(self.distance, recording)
-        half = np.minimum(self.intervals.inside + self.intervals.widening * away, self.intervals.most)
-        box = np.zeros(len(recording), dtype=bool)
-        for name, (low, high) in self.validity.ranges.items():
-            reading = recording.array(name)
-            margin = self.validity.margins[name]
-            box |= (reading < low - margin) | (reading > high + margin)
-        return Prediction(value, value - half, value + half, box | (away > self.fade))
+        away = distance(self.validity, recording)
+        half = self.intervals.inside + self.intervals.widening * away
+        return Prediction(value, value - half, value + half, away > 0.0)
 
     def component_model(self) -> ComponentModel:
         """As an error model's component: one term per driver, with the figures of the report."""
@@ -145,6 +145,19 @@ class SeasonModel:
             widening90=self.intervals.widening,
             limit=max(abs(self.limit[0]), abs(self.limit[1])),
         )
+
+    def error_model(self, recording: Recording) -> ErrorModel:
+        """As an error model of one component; `recording` gives machine, title and the columns' entries."""
+        manifest = recording.manifest
+        columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in self.validity.ranges}
+        notes = (
+            "counts from the start of each run: temperatures do not tell where the probe was zeroed "
+            f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
+        )
+        return ErrorModel(
+            machine=manifest.machine, title=manifest.title, version=__version__, columns=columns,
+            components=(self.component_model(),), validity=self.validity, datum="run_start", notes=notes,
+        )  # fmt: skip
 
 
 def fit(
@@ -218,25 +231,26 @@ class _Problem:
         mask = self.rows & np.isin(self.group, list(groups))
         return _Gains(core, correction, np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0))
 
-    def distance(self, gains: _Gains) -> np.ndarray:
+    def start_distance(self, gains: _Gains) -> np.ndarray:
         """How far outside the seen starts each row's run began, mean over sensors, K."""
         outside = np.maximum(gains.low - self.starts, 0.0) + np.maximum(self.starts - gains.high, 0.0)
         return np.nan_to_num(outside).mean(axis=1)
 
     def left_out(self, folds: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
         """Core and gated correction of every used row by gains that never saw its fold; also the distance."""
-        out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction", "distance")}
+        out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction", "outside")}
         for fold in folds:
             rest = [g for g in self.groups if g not in fold]
             if not rest:
                 continue
             gains = self.solve(rest)
             rows = self.rows & np.isin(self.group, list(fold))
-            away = self.distance(gains)[rows]
+            away = self.start_distance(gains)[rows]
             out["core"][rows] = self.core_centred[rows] @ gains.core
             gate = np.clip(1.0 - away / self.options.fade, 0.0, 1.0)
             out["correction"][rows] = gate * (self.extra_centred[rows] @ gains.correction)
-            out["distance"][rows] = away
+            seen = box(self.recording, self.found.all(), self.rows & np.isin(self.group, rest))
+            out["outside"][rows] = distance(seen, self.recording)[rows]
         return out
 
     def environments(self) -> list[list[int]]:
@@ -285,14 +299,14 @@ class _Problem:
         share = self._share(afar["core"], far) if far.any() else 1.0
         gains = self.solve(self.groups)
         near = np.abs(y - runs["core"] - runs["correction"])
-        intervals = self._intervals(near, seen, np.abs(y - afar["core"]), far, afar["distance"])
+        intervals = self._intervals(near, seen, np.abs(y - afar["core"]), far, afar["outside"])
         limit = _limits(y[self.rows])
         parts = self._parts(gains, worth, share)
         total = d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
         terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
-        box = self._validity()
+        seen_box = box(self.recording, self.found.all(), self.rows)
         model = SeasonModel(
-            self.component, self.options, parts, terms, self._distance_driver(gains), intervals, box,
+            self.component, self.options, parts, terms, intervals, seen_box,
             self.options.fade, limit, self._datum(),
         )  # fmt: skip
         after = y - model.values(self.recording)
@@ -321,18 +335,24 @@ class _Problem:
         spread = float(np.sqrt((len(each) - 1) / len(each) * np.sum((np.array(each) - np.mean(each)) ** 2)))
         return float(np.clip(whole + spread, 0.0, 1.0))
 
-    def _intervals(self, near, seen, far_error, far, distance) -> Intervals:
-        """Inside: the widest that any environment of four groups or more asks for; outside: environments left out."""
-        inside = conformal_half_width(near[seen], self.group[seen], self.options.coverage)
-        for members in self.environments():
-            mine = seen & np.isin(self.group, members)
-            if len(members) >= 4:
-                inside = max(inside, conformal_half_width(near[mine], self.group[mine], self.options.coverage))
-        if not far.any():
-            return Intervals(inside, inside, 3.0 * inside)
-        outside = max(conformal_half_width(far_error[far], self.group[far], self.options.coverage), inside)
-        per_kelvin = (outside - inside) / max(float(np.median(distance[far])), self.options.fade)
-        return Intervals(inside, per_kelvin, 3.0 * max(outside, inside))
+    def _intervals(self, near, seen, afar, far, outside) -> Intervals:
+        """Half widths from rows left out; inside the box a new run counts as likely of a new season as of a known one.
+
+        Temperatures inside the box do not prove that the season is known (a cold morning in spring), so errors of
+        runs left out and errors inside the box of environments left out weigh the same.
+        """
+        level = self.options.coverage
+        inside = conformal_half_width(near[seen], self.group[seen], level)
+        unseen = far & (outside <= 0.0)
+        if unseen.any():
+            errors = np.r_[near[seen], afar[unseen]]
+            groups = np.r_[self.group[seen], -1 - self.group[unseen]]
+            inside = max(inside, conformal_half_width(errors, groups, level))
+        beyond = far & (outside > LEAST_OUTSIDE)
+        if np.count_nonzero(beyond) < 50:
+            return Intervals(inside, inside)
+        needed = np.maximum(afar[beyond] - inside, 0.0) / outside[beyond]
+        return Intervals(inside, max(inside, conformal_half_width(needed, self.group[beyond], level)))
 
     def _parts(self, gains: _Gains, worth, share: float) -> tuple[tuple[str, float, d.Driver], ...]:
         away = self._distance_driver(gains)
@@ -368,12 +388,6 @@ class _Problem:
             nodes.append(d.Clip(of=d.Affine(offset=float(low), weights=(-1.0,), of=(start,)), low=0.0, high=most))
             nodes.append(d.Clip(of=d.Affine(offset=-float(high), weights=(1.0,), of=(start,)), low=0.0, high=most))
         return d.Affine(weights=(1.0 / len(self.found.all()),) * len(nodes), of=tuple(nodes))
-
-    def _validity(self) -> Validity:
-        names = self.found.all()
-        seen = {n: self.recording.array(n)[self.rows] for n in names}
-        ranges = {n: (float(v.min()), float(v.max())) for n, v in seen.items()}
-        return Validity(ranges=ranges, margins={n: max(0.1 * (b - a), 0.5) for n, (a, b) in ranges.items()})
 
     def _datum(self) -> tuple[float, float]:
         run = self.recording.run_codes()
