@@ -39,9 +39,9 @@ class Gaps(Rule):
         values = recording.array(name)
         missing = np.isnan(values)
         rows, held = [], []
-        for start, end in zip(*stretches(missing), strict=True):
-            inside = start > 0 and run[start - 1] == run[end - 1]
-            if inside and t[end - 1] - t[start - 1] <= self.hold:
+        for start, over in zip(*stretches(missing), strict=True):
+            end = start + int(np.argmax(np.r_[run[start:over] != run[start], True]))  # no further than the run
+            if start > 0 and run[start - 1] == run[start] and t[end - 1] - t[start - 1] <= self.hold:
                 rows += range(start, end)
                 held += [values[start - 1]] * (end - start)
         if not rows:

@@ -23,7 +23,7 @@ BLOCK = 50  # readings over which a local scatter is taken, so that a rough stre
 LONGEST = 2  # readings side by side that can be outliers; three are an event
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change, and ends a part
 DRAW_ON = 1.25  # from the middle of one side's readings to the middle of the other's, in sides
-DRAWN = 0.35  # a neighbour that goes along by this share of the departure makes it an event
+DRAWN = 0.3  # a neighbour that goes along by this share of the departure makes it an event
 NORMAL = 1.4826  # from median absolute deviation to the standard deviation of a normal distribution
 REVERSAL = 3  # readings on either side of a reversal that are not judged
 RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals tell nothing
@@ -85,7 +85,7 @@ def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> n
     before = np.column_stack([_shifted(y, part, -k) for k in range(1, SIDE + 1)])
     after = np.column_stack([_shifted(y, part, k) for k in range(1, SIDE + 1)])
     far_before, far_after = _median(_shifted_all(before, part, -SIDE)), _median(_shifted_all(after, part, SIDE))
-    left, right = _median(before), _median(after)
+    left, right = _side(before), _side(after)
     # At either end of a part the missing side is the other side, drawn on as a line.
     left = np.where(np.isnan(left), right + DRAW_ON * (right - far_after), left)
     right = np.where(np.isnan(right), left + DRAW_ON * (left - far_before), right)
@@ -95,8 +95,9 @@ def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> n
     # Beyond both sides, on the same side: a reading between them lies on a ramp or at a step.
     off = (y > np.maximum(left, right) + limit) | (y < np.minimum(left, right) - limit)
     off &= np.abs(residual) > limit
+    base = np.where(residual > 0, np.maximum(left, right), np.minimum(left, right))
     for start, end in zip(*stretches(off), strict=True):
-        if end - start > LONGEST or _drawn_along(residual, start, end):
+        if end - start > LONGEST or _drawn_along(y, base, start, end):
             off[start:end] = False
     return np.flatnonzero(off)
 
@@ -111,6 +112,11 @@ def _shifted(y: np.ndarray, part: np.ndarray, by: int) -> np.ndarray:
 
 def _shifted_all(windows: np.ndarray, part: np.ndarray, by: int) -> np.ndarray:
     return np.column_stack([_shifted(column, part, by) for column in windows.T])
+
+
+def _side(windows: np.ndarray) -> np.ndarray:
+    """Median of one side; NaN where fewer than 3 readings are there, which one outlier could turn."""
+    return np.where(np.isfinite(windows).sum(axis=1) >= 3, _median(windows), np.nan)
 
 
 def _median(windows: np.ndarray) -> np.ndarray:
@@ -130,11 +136,12 @@ def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
     return np.maximum(np.maximum(whole, local), max(step / 2, 1e-12))
 
 
-def _drawn_along(residual: np.ndarray, start: int, end: int) -> bool:
+def _drawn_along(y: np.ndarray, base: np.ndarray, start: int, end: int) -> bool:
     """True where a reading beside the stretch departs the same way: a spike that builds up or decays."""
-    size = residual[start:end][np.argmax(np.abs(residual[start:end]))]
-    beside = [residual[i] for i in (start - 1, end) if 0 <= i < residual.size]
-    return any(b * np.sign(size) > DRAWN * abs(size) for b in beside)
+    for edge, beside in ((start, start - 1), (end - 1, end)):
+        if 0 <= beside < y.size and (y[beside] - base[edge]) / (y[edge] - base[edge]) > DRAWN:
+            return True
+    return False
 
 
 def _mismatch(recording: Recording, name: str, values: np.ndarray) -> tuple[np.ndarray, str]:

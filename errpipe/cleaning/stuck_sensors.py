@@ -86,7 +86,7 @@ def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, st
     starts, ends = _constant(y)
     lengths = ends - starts
     order = np.argsort(-lengths, kind="stable")
-    ranked = lengths[order].astype(float)
+    ranked = np.r_[lengths[order], 1.0]  # every other row stands alone
     for count in range(1, min(MOST_STRETCHES, ranked.size - 1) + 1):
         ratio = ranked[count - 1] / ranked[count]
         if ranked[count - 1] < SHORTEST:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FORMATS: tuple[ModuleType, ...] = (manifest_folder, ecmc_dat, renishaw_rtl)
 
+
 def detect(path: Path) -> ModuleType:
     """The format of a path. Raises DataError naming what is known where none or several fit."""
     path = Path(path)
