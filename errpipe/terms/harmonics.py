@@ -29,7 +29,9 @@ class Harmonics(Term):
 
     term: Literal["harmonics"] = "harmonics"
     axis: str
-    period: float | None = Field(None, gt=0, description="Repeat length; searched for where not given.")
+    period: float | None = Field(
+        None, gt=0, description="Repeat length; searched for where not given.", json_schema_extra={"unit": "mm"}
+    )
     search: tuple[float, float] = Field((2.0, 50.0), description="Shortest and longest period tried.")
     orders: tuple[int, ...] = Field((1,), min_length=1)
     spacing: float | None = Field(None, gt=0, description="Step between trial periods in 1/mm; from the travel.")

@@ -1,0 +1,40 @@
+"""A compensation table asked at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from errpipe.errors import UsageError, did_you_mean
+from errpipe.stages import _artefacts
+
+SETTLED = 1e9  # s: every lag has reached its operand
+
+
+def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
+    """Deviation and correction at given readings; inputs that are not named stand at their default.
+
+    The readings are those of a settled machine: references are taken where inputs stand by default, then every lag is
+    left to settle.
+    """
+    from errpipe.tables.reference import Evaluator
+
+    found = _artefacts.read_table(table)
+    names = [i.name for i in found.inputs]
+    unknown = [name for name in at if name not in names]
+    if unknown:
+        near = did_you_mean(unknown[0], names)
+        raise UsageError(f"{unknown[0]}: not an input of {table} (inputs: {', '.join(names)}).{near}")
+    evaluator = Evaluator(found)
+    start = {i.name: i.default for i in found.inputs if not (i.optional and i.name not in at)}
+    evaluator.cycle({**start, **{k: v for k, v in at.items() if found.inputs[names.index(k)].fast}}, dt=0.0)
+    evaluator.cycle({**start, **at}, dt=SETTLED)
+    cycle = evaluator.cycle({**start, **at}, dt=SETTLED)
+    outputs = {o.name: o for o in found.outputs}
+    says = [
+        f"{name}: deviation {value:+.4f} {outputs[name].unit}, "
+        f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
+        for name, value in cycle.deviation.items()
+    ]
+    return {"deviation": dict(cycle.deviation), "correction": dict(cycle.correction), "says": says}
