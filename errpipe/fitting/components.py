@@ -14,6 +14,7 @@ from errpipe.fitting import holdout
 from errpipe.fitting.design import Problem, Slot, assemble, inner_values, response_name
 from errpipe.fitting.estimate import Estimate, estimate
 from errpipe.fitting.noise_floor import noise_floor
+from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.uncertainty import half_width
 from errpipe.fitting.validity import box
@@ -231,6 +232,7 @@ def _at_bound(parameter, value: float) -> str:
     return "at the end of its bounds: not found" if near else ""
 
 
+@one_thread()
 def without_nuisance(problem: Problem, values: np.ndarray) -> np.ndarray:
     """`values` less what the nuisance terms alone explain of them, shape (n,)."""
     columns = [problem.columns_of(s, np.zeros(len(problem.unknowns))) for s in problem.slots if s.nuisance]

@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.fitting import identifiability, separable, solve, uncertainty
 from errpipe.fitting.design import Problem
+from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ModelSpec
 
 ROUNDS = 3  # of search and robust weights, each with the other's last answer; the third moves nothing that shows
@@ -29,6 +30,7 @@ class Estimate:
     freedom: float = 0.0
 
 
+@one_thread()
 def estimate(
     problem: Problem, spec: ModelSpec, *, folds: Sequence[tuple[np.ndarray, np.ndarray]] = (), intervals: bool = True
 ) -> Estimate:
@@ -127,7 +129,7 @@ def _separable(problem, spec, penalties, priors, folds):
         nonlinear = separable.search(columns, held, response, unknowns, begin=nonlinear)
         found = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
         weights = found.weights if spec.method == "robust" else weights
-        extra = _factor(_sum(penalties, found.strength)) if penalties else extra
+        extra = solve.penalty_rows(_sum(penalties, found.strength)) if penalties else extra
         if before is not None and np.allclose(before, nonlinear, rtol=1e-5):
             break
     return nonlinear, found
@@ -157,12 +159,6 @@ def _starts(slot, parameter) -> tuple[float, ...]:
 def _middle(unknown: separable.Unknown) -> float:
     trial = unknown.trial()
     return float(trial[trial.size // 2])
-
-
-def _factor(penalty: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(penalty)
-    keep = values > 1e-12 * max(values.max(), 1e-300)
-    return np.sqrt(values[keep])[:, None] * vectors[:, keep].T
 
 
 def _sum(penalties, strengths) -> np.ndarray:

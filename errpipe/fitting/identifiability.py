@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import NotIdentifiable
+from errpipe.fitting.solve import one_thread
 
 MOST_INFLATION = 200.0  # of a variance by the other columns: a correlation of 0.9975; beyond it the names are arbitrary
 
@@ -25,6 +26,7 @@ class Named:
         return f"{self.parameter} ({self.term})"
 
 
+@one_thread()
 def check(
     design: np.ndarray,
     names: Sequence[Named],

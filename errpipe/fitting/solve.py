@@ -7,17 +7,22 @@ its normal equations: squaring the condition number loses half of the digits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 HUBER = 1.345  # 95 % efficiency on normal noise (Huber 1981)
 TUKEY = 4.685  # the same for the biweight (Beaton and Tukey 1974)
 MAD = 1.4826  # median absolute deviation -> standard deviation of normal noise
 LOWEST_RANK = 1e-11  # of the largest scaled pivot; below it a direction is rounding
+
+_held: ContextVar[bool] = ContextVar("linear_algebra_on_one_thread", default=False)
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,26 @@ class Prior:
     spread: float
 
 
-def one_thread() -> threadpool_limits:
-    """Context in which linear algebra runs on one thread: with two the last bits change from run to run."""
-    return threadpool_limits(limits=1, user_api="blas")
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Linear algebra on one thread: with two the last bits change from run to run. Free where it already holds."""
+    if _held.get():
+        yield
+        return
+    token = _held.set(True)
+    try:
+        with _controller().limit(limits=1, user_api="blas"):
+            yield
+    finally:
+        _held.reset(token)
 
 
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+@one_thread()
 def least_squares(
     design: np.ndarray,
     response: np.ndarray,
@@ -66,8 +86,7 @@ def least_squares(
     extra, target = _further_rows(design.shape[1], penalty, priors, noise)
     stacked = np.vstack([design * root[:, None], extra])
     right = np.r_[response * root, target]
-    with one_thread():
-        coefficients, inverse, rank, leverage = _solve(stacked, right, response.size)
+    coefficients, inverse, rank, leverage = _solve(stacked, right, response.size)
     used = np.ones(response.size) if weights is None else weights
     return Solution(coefficients, response - design @ coefficients, inverse, used, leverage, rank)
 
@@ -75,16 +94,23 @@ def least_squares(
 def _further_rows(columns: int, penalty, priors: Sequence[Prior], noise: float) -> tuple[np.ndarray, np.ndarray]:
     rows, right = [np.empty((0, columns))], [np.empty(0)]
     if penalty is not None:
-        values, vectors = np.linalg.eigh(penalty)
-        keep = values > 1e-12 * max(values.max(), 1e-300)
-        rows.append(np.sqrt(values[keep])[:, None] * vectors[:, keep].T)
-        right.append(np.zeros(int(keep.sum())))
+        rows.append(penalty_rows(penalty))
+        right.append(np.zeros(rows[-1].shape[0]))
     for prior in priors:
         row = np.zeros((1, columns))
         row[0, prior.column] = noise / prior.spread
         rows.append(row)
         right.append(np.array([noise * prior.value / prior.spread]))
     return np.vstack(rows), np.concatenate(right)
+
+
+def penalty_rows(penalty: np.ndarray) -> np.ndarray:
+    """Rows whose squares sum to the quadratic form, shape (rank, p), for columns of whatever units."""
+    size = np.sqrt(np.diag(penalty))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(penalty / np.outer(size, size))
+    keep = values > 1e-12 * max(values.max(), 1e-300)
+    return np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
 
 
 def _solve(stacked: np.ndarray, right: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray, int, float]:
@@ -110,6 +136,7 @@ def scale_of(residual: np.ndarray, degrees: float) -> float:
     return spread * np.sqrt(residual.size / max(residual.size - degrees, 1.0))
 
 
+@one_thread()
 def robust(
     design: np.ndarray,
     response: np.ndarray,
@@ -155,6 +182,7 @@ def influence(standard: np.ndarray, loss: str) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside, standard * (1 - u**2) ** 2, 0.0), np.where(inside, (1 - u**2) * (1 - 5 * u**2), 0.0)
 
 
+@one_thread()
 def ridge(
     design: np.ndarray,
     response: np.ndarray,
@@ -205,6 +233,7 @@ def _gcv(design, response, penalty) -> float:
     return float(np.mean(found.residual**2) / (1.0 - found.degrees / n) ** 2)
 
 
+@one_thread()
 def penalised(
     design: np.ndarray,
     response: np.ndarray,
@@ -221,24 +250,33 @@ def penalised(
     each step multiplies a strength by (rank/strength - tr(V S)) sigma^2 / (b' S b). rows_effective: where the
     noise has a memory, rows count for less, else the curve would follow it.
     """
-    n = response.size
-    share = 1.0 if rows_effective is None else min(1.0, rows_effective / n)
-    strengths = np.array([max(np.trace(design.T @ design) / max(np.trace(s), 1e-300), 1e-12) * 1e-3 for s in penalties])
-    ranks = np.array([np.linalg.matrix_rank(s) for s in penalties])
-    found = None
+    used = np.ones(response.size) if weights is None else weights
+    root = np.sqrt(used)
+    small, left = _reduced(design * root[:, None], response * root)
+    rows = float(np.sum(used > 1e-6))
+    share = 1.0 if rows_effective is None else min(1.0, rows_effective / response.size)
+    size = max(float(np.sum(small[:, :-1] ** 2)), 1e-300)
+    strengths = np.array([1e-3 * size / max(np.trace(p), 1e-300) for p in penalties])
+    ranks = np.array([np.linalg.matrix_rank(p) for p in penalties])
+    degrees = np.inf
     for _ in range(iterations):
         total = sum(s * p for s, p in zip(strengths, penalties, strict=True))
-        found = least_squares(design, response, weights=weights, penalty=total, priors=priors)
-        used = found.weights
-        variance = float(np.sum(used * found.residual**2) / max(np.sum(used > 1e-6) - found.degrees, 1.0)) / share
-        new = strengths.copy()
+        found = least_squares(small[:, :-1], small[:, -1], penalty=total, priors=priors)
+        variance = (left + float(np.sum(found.residual**2))) / max(rows - found.degrees, 1.0) / share
         for j, p in enumerate(penalties):
             rough = float(found.coefficients @ p @ found.coefficients)
-            fitted = ranks[j] / strengths[j] - float(np.sum(found.inverse * p))
-            new[j] = np.clip(strengths[j] * max(fitted, 1e-12) * variance / max(rough, 1e-300), 1e-10, 1e12)
-        done = np.all(np.abs(np.log(new / strengths)) < 1e-3)
-        strengths = new
-        if done:
+            fitted = max(ranks[j] - strengths[j] * float(np.sum(found.inverse * p)), 1e-12)
+            strengths[j] = np.clip(fitted * variance / max(rough, 1e-300), 1e-10, 1e12)
+        if abs(found.degrees - degrees) < 1e-4 * found.degrees:
             break
-    assert found is not None
+        degrees = found.degrees
+    total = sum(s * p for s, p in zip(strengths, penalties, strict=True))
+    found = least_squares(design, response, weights=weights, penalty=total, priors=priors)
     return Solution(**(found.__dict__ | {"strength": tuple(float(s) for s in strengths)}))
+
+
+def _reduced(design: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, float]:
+    """Triangular factor of the design with the rotated response beside it, and the sum of squares it cannot reach."""
+    q, r = np.linalg.qr(design)
+    rotated = q.T @ response
+    return np.column_stack([r, rotated]), max(float(response @ response - rotated @ rotated), 0.0)

@@ -9,8 +9,8 @@ import numpy as np
 from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 
-MARGIN = 0.1  # of a range: what lies so close outside is still much like what was seen (from taste)
-LEAST_MARGIN = {"temperature": 1.0}  # K
+MARGIN = 0.5  # of a range, the distance over which a table fades out: half of what was seen (from taste)
+LEAST_MARGIN = {"temperature": 2.0}  # K
 UNBOXED = ("run", "group", "time", "direction", "coolant", "ignore", "error", "simulated")
 
 
