@@ -50,7 +50,7 @@ def _check(path: Path) -> str:
     document = yamlfile.read(path)
     keys = document.value if isinstance(document.value, dict) else {}
     if "recording" in keys:
-        from errpipe.domain.recording import Manifest
+        from errpipe.domain.written_manifest import WrittenManifest as Manifest
 
         manifest = document.validate(Manifest)
         gone = [n for n, table in enumerate(manifest.tables) if not (path.parent / table).is_file()]

@@ -12,18 +12,17 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import datetime
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from errpipe import jsonfile, yamlfile
-from errpipe.domain import components, units
-from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain import units
+from errpipe.domain.recording import Manifest, Recording
+from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import DataError
 from errpipe.formats import _tables
 
@@ -36,84 +35,13 @@ CHUNK_ROWS = 131_072  # also the row group of what is written, so chunked and wh
 
 _PLAIN = re.compile(r"[A-Za-z_][\w./-]*", re.ASCII)
 _NOT_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")  # to one YAML reader or another
-_AXIS = re.compile(r"[A-Z]\d?")
 _AXIS_LENGTHS = ("travel", "screw_lead", "encoder_period", "drive_end")
-
-
-def _inside(path: str) -> str:
-    parts = PurePosixPath(path.replace("\\", "/"))
-    if parts.is_absolute() or ".." in parts.parts or re.match(r"[A-Za-z]:", path) or not path:
-        raise ValueError(f"{path!r} is outside the folder (allowed: a file of the manifest's own folder)")
-    return path
 
 
 class Options(yamlfile.Options):
     """A folder with a recording manifest needs no options: the manifest says everything."""
 
     format: Literal["manifest"] = "manifest"
-
-
-class _DoorColumn(Column):
-    """A column as the door wants it: a unit wherever its role has one, an ISO component, an ISO axis."""
-
-    @field_validator("axis")
-    @classmethod
-    def _iso_axis(cls, axis: str | None) -> str | None:
-        if axis is not None and not _AXIS.fullmatch(axis):
-            raise ValueError(f"{axis!r} is not an ISO 841 axis (allowed: a capital letter such as X, X1, C)")
-        return axis
-
-    @field_validator("component")
-    @classmethod
-    def _iso_component(cls, component: str | None) -> str | None:
-        if component is not None:
-            components.parse(component)
-        return component
-
-    @field_validator("epoch")
-    @classmethod
-    def _iso_epoch(cls, epoch: str | None) -> str | None:
-        try:
-            datetime.fromisoformat(epoch or "2000-01-01")
-        except ValueError:
-            raise ValueError(f"{epoch!r} is not ISO 8601 (allowed: such as 2026-01-31T08:00:00Z)") from None
-        return epoch
-
-    @model_validator(mode="after")
-    def _unit_of_the_component(self) -> _DoorColumn:
-        try:
-            convert = units.conversion(self.role, self.unit)
-        except ValueError as err:
-            raise yamlfile.Misplaced(("unit",), str(err)) from None
-        if self.role in ("error", "simulated") and convert is not None:
-            wanted = components.unit(str(self.component))
-            if convert.unit != wanted:
-                raise yamlfile.Misplaced(("unit",), f"{self.component} is measured in {wanted} (found {self.unit!r})")
-        return self
-
-
-class _DoorManifest(Manifest):
-    """The manifest with what only the door can check."""
-
-    tables: tuple[Annotated[str, AfterValidator(_inside)], ...] = Field(min_length=1)
-    columns: dict[str, _DoorColumn]
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> _DoorManifest:
-        seen: dict[tuple[str | None, ...], str] = {}
-        for column_name, c in self.columns.items():
-            if c.role in ("run", "time", "error", "simulated"):
-                what = (c.role, c.component)
-                if what in seen:
-                    of = f" of {c.component}" if c.component else ""
-                    raise ValueError(
-                        f"columns {seen[what]!r} and {column_name!r} are both role {c.role}{of} (allowed: one;"
-                        " give the other role ignore)"
-                    )
-                seen[what] = column_name
-        if len(set(self.tables)) < len(self.tables):
-            raise ValueError("a table is listed twice (its rows would count twice)")
-        return self
 
 
 def sniff(path: Path) -> bool:
@@ -125,7 +53,7 @@ def sniff(path: Path) -> bool:
 def load_manifest(path: Path) -> Manifest:
     """The manifest of a folder (or the file itself), units as written. Raises ConfigError with every problem."""
     path = Path(path)
-    door = yamlfile.load(path / MANIFEST if path.is_dir() else path, _DoorManifest)
+    door = yamlfile.load(path / MANIFEST if path.is_dir() else path, WrittenManifest)
     return Manifest.model_validate(door.model_dump())
 
 

@@ -1,0 +1,90 @@
+"""A recording manifest as a person writes it: everything that can be wrong before a table is opened.
+
+`Manifest` itself only says what the keys are. At the door every role that has a unit states one that fits its
+component, components are ISO 230-1, axes ISO 841, and no table lies outside the folder.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from pathlib import PurePosixPath
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from errpipe.domain import components, units
+from errpipe.domain.recording import Column, Manifest
+from errpipe.yamlfile import Misplaced
+
+_AXIS = re.compile(r"[A-Z]\d?")
+
+
+def _inside(path: str) -> str:
+    parts = PurePosixPath(path.replace("\\", "/"))
+    if parts.is_absolute() or ".." in parts.parts or re.match(r"[A-Za-z]:", path) or not path:
+        raise ValueError(f"{path!r} is outside the folder (allowed: a file of the manifest's own folder)")
+    return path
+
+
+class WrittenColumn(Column):
+    """A column with a unit wherever its role has one, an ISO component, an ISO axis."""
+
+    @field_validator("axis")
+    @classmethod
+    def _iso_axis(cls, axis: str | None) -> str | None:
+        if axis is not None and not _AXIS.fullmatch(axis):
+            raise ValueError(f"{axis!r} is not an ISO 841 axis (allowed: a capital letter such as X, X1, C)")
+        return axis
+
+    @field_validator("component")
+    @classmethod
+    def _iso_component(cls, component: str | None) -> str | None:
+        if component is not None:
+            components.parse(component)
+        return component
+
+    @field_validator("epoch")
+    @classmethod
+    def _iso_epoch(cls, epoch: str | None) -> str | None:
+        try:
+            datetime.fromisoformat(epoch or "2000-01-01")
+        except ValueError:
+            raise ValueError(f"{epoch!r} is not ISO 8601 (allowed: such as 2026-01-31T08:00:00Z)") from None
+        return epoch
+
+    @model_validator(mode="after")
+    def _unit_of_the_component(self) -> WrittenColumn:
+        try:
+            convert = units.conversion(self.role, self.unit)
+        except ValueError as err:
+            raise Misplaced(("unit",), str(err)) from None
+        if self.role in ("error", "simulated") and convert is not None:
+            wanted = components.unit(str(self.component))
+            if convert.unit != wanted:
+                raise Misplaced(("unit",), f"{self.component} is measured in {wanted} (found {self.unit!r})")
+        return self
+
+
+class WrittenManifest(Manifest):
+    """A manifest whose columns are `WrittenColumn`s, each response and the clock once, and tables of its own folder."""
+
+    tables: tuple[Annotated[str, AfterValidator(_inside)], ...] = Field(min_length=1)
+    columns: dict[str, WrittenColumn]
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> WrittenManifest:
+        seen: dict[tuple[str | None, ...], str] = {}
+        for column_name, c in self.columns.items():
+            if c.role in ("run", "time", "error", "simulated"):
+                what = (c.role, c.component)
+                if what in seen:
+                    of = f" of {c.component}" if c.component else ""
+                    raise ValueError(
+                        f"columns {seen[what]!r} and {column_name!r} are both role {c.role}{of} (allowed: one;"
+                        " give the other role ignore)"
+                    )
+                seen[what] = column_name
+        if len(set(self.tables)) < len(self.tables):
+            raise ValueError("a table is listed twice (its rows would count twice)")
+        return self
