@@ -53,17 +53,26 @@ RESEMBLES = {
 
 
 USUAL_NOISE = {  # rms, um (N for forces); what the public sample shows
-    "linear positioning": (0.3, 1.6),
-    "spindle drift": (0.2, 2.5),
-    "circular test": (0.12, 1.2),
-    "feedback trace": (0.25, 1.2),
-    "N": (1.5, 6.0),
-    "volumetric grid": (0.3, 4.0),
-    "cutting series": (0.6, 1.8),
+    "linear positioning": (0.4, 1.5),
+    "spindle drift": (0.2, 2.3),
+    "circular test": (0.2, 1.0),
+    "feedback trace": (0.3, 1.0),
+    "N": (1.5, 5.0),
+    "volumetric grid": (0.35, 4.0),
+    "cutting series": (0.6, 1.6),
 }
 NO_FORM = {"reversal_spike", "clock_offset", "sensor_fault", "torque_ripple", "friction_hysteresis"}
 MOSTLY_EXPLAINED = 0.85  # a novel mechanism that one textbook form explains so far is not novel
 LEAST_OWN = 0.75  # share of a hidden contribution that its own textbook form must explain
+STEPS = {  # of the display, um or N
+    "linear positioning": (0.01, 0.02, 0.04, 0.1, 0.1),
+    "spindle drift": (0.02, 0.03, 0.05, 0.1),
+    "circular test": (0.01, 0.01, 0.05),
+    "feedback trace": (0.01, 0.01, 0.05),
+    "N": (0.1, 0.2, 0.5),
+    "volumetric grid": (0.1, 0.1, 0.05),
+    "cutting series": (0.1, 0.5, 0.5),
+}
 # Effects that may act on one stretch of the axis only.
 STRETCH = {
     "backlash", "pitch_cyclic", "interpolation", "friction_hysteresis", "screw_windup", "coulomb_friction",
@@ -140,24 +149,21 @@ def quiet(rng: np.random.Generator, bench: Bench, response: Response, kind: str 
     size = _rms(sum(c.values for c in included)[rows])
     if size <= 0:
         raise Unfit("nothing included")
+    low, high = usual_noise(bench, response)
+    noise = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    count = len(included)
     if kind == "exact":
-        noise = size * rng.uniform(0.03, 0.3)
-        return Story(response, included, [1.0] * len(included), 0.0, [], float(noise))
+        noise = float(np.clip(noise, 0.02 * size, 0.3 * size))
+        return Story(response, included, [1.0] * count, 0.0, [], noise)
     if kind == "datum":
-        noise = size * rng.uniform(0.04, 0.25)
-        return Story(
-            response,
-            included,
-            [1.0] * len(included),
-            float(noise * rng.uniform(0.6, 5) * rng.choice([-1, 1])),
-            [],
-            noise,
-        )
-    gains = wrong_gains(rng, len(included), 0.04)
+        noise = float(np.clip(noise, 0.02 * size, 0.3 * size))
+        datum = float(noise * rng.uniform(0.6, 5) * rng.choice([-1, 1]))
+        return Story(response, included, [1.0] * count, datum, [], noise)
+    gains = wrong_gains(rng, count, 0.04)
     rest = _rms(off_by(included, gains, bench.rows)[rows])
-    noise = rest / (rng.uniform(0.7, 1.5) if rng.random() < 0.3 else rng.uniform(1.5, 5.5))
+    noise = float(np.clip(noise, rest / 5.5, rest / rng.uniform(0.7, 1.6)))
     datum = float(noise * rng.uniform(-3, 3)) if rng.random() < 0.5 else 0.0
-    return Story(response, included, gains, datum, [], float(noise))
+    return Story(response, included, gains, datum, [], noise)
 
 
 def hide(rng: np.random.Generator, bench: Bench, response: Response, tier: str, wanted: str | None) -> Story:
@@ -170,38 +176,54 @@ def hide(rng: np.random.Generator, bench: Bench, response: Response, tier: str, 
         if tier in ("concealed", "pair") or rng.random() < 0.3
         else ()
     )
-    carriers = [c.carrier for c in hidden if c.carrier is not None]
-    included = choose(rng, response, names | {c.effect for c in carriers}, near)
-    if carriers:
-        included = [*included[:2]]
     late = any(c.effect == "clock_offset" for c in hidden)
-    if late:
-        included = _late(hidden, response)
-    gains = wrong_gains(rng, len(included) + len(carriers), 0.05 if tier == "concealed" else 0.02)
-    everything = [*included, *carriers]
-    rest = _rms(off_by(everything, gains, n)[rows])
     if tier == "concealed":
-        size = hidden[0].rms(rows)
-        if size <= 0 or rest <= 0:
-            raise Unfit("nothing to conceal behind")
-        want = rest * rng.uniform(0.5, 1.0)
-        factor = want / size
-        if hidden[0].effect == "clock_offset" or carriers or factor > 2.5:
+        if late or hidden[0].carrier is not None:
             raise Unfit("cannot be scaled")
-        hidden = [hidden[0].scaled(factor)]
-        noise = want / rng.uniform(0.9, 3.0)
     else:
         hidden, least = _sized(rng, bench, response, hidden)
+    carriers = [c.carrier for c in hidden if c.carrier is not None]
+    included = _late(hidden, response) if late else choose(rng, response, names | {c.effect for c in carriers}, near)
+    everything = [*included[:2], *carriers] if carriers else included
+    gains = wrong_gains(rng, len(everything), 0.05 if tier == "concealed" else 0.02)
+    rest = _rms(off_by(everything, gains, n)[rows])
+    low, high = usual_noise(bench, response)
+    if tier == "concealed":
+        hidden, noise = _concealed(rng, hidden[0], rest, rows, 0.5 * low)
+    else:
         if rest > least:  # what wrong gains cause must stay below the hidden effect
-            shrink = least / rest * rng.uniform(0.4, 1.0)
-            smaller = max(shrink, 0.4)
+            smaller = max(least / rest * rng.uniform(0.4, 1.0), 0.4)
             everything = [c if c in carriers or late else c.scaled(smaller) for c in everything]
             rest = _rms(off_by(everything, gains, n)[rows])
             if rest > least:
                 gains = [round(1 + (g - 1) * least / rest * 0.9, 4) for g in gains]
         noise = least / (ratio(rng) if len(hidden) == 1 else rng.uniform(1.5, 4.5))
+        if not 0.25 * low < noise < 2.5 * high:
+            raise Unfit("an unusual noise")
     datum = float(noise * rng.uniform(-4, 4)) if rng.random() < 0.5 else 0.0
     return Story(response, everything, gains, datum, hidden, float(noise))
+
+
+def usual_noise(bench: Bench, response: Response) -> tuple[float, float]:
+    """Lowest and highest usual noise of a response."""
+    low, high = USUAL_NOISE["N" if response.unit == "N" else bench.protocol]
+    return (0.3 * low, 0.3 * high) if response.component == "E_X" and bench.protocol == "spindle drift" else (low, high)
+
+
+def _concealed(
+    rng: np.random.Generator, one: Contribution, rest: float, rows: Array, least_noise: float
+) -> tuple[list[Contribution], float]:
+    """Half as large to as large as the rest of the mismatch."""
+    size = one.rms(rows)
+    if size <= 0 or rest <= 0:
+        raise Unfit("nothing to conceal behind")
+    want = rest * rng.uniform(0.5, 1.0)
+    if want > 2.5 * size:
+        raise Unfit("cannot be scaled")
+    noise = max(want / rng.uniform(0.9, 3.0), least_noise)
+    if noise > 1.15 * want:
+        raise Unfit("lost in the noise")
+    return [one.scaled(want / size)], noise
 
 
 def _sized(
@@ -211,15 +233,12 @@ def _sized(
     sizes = [c.rms(bench.measured) for c in hidden]
     if min(sizes) <= 0:
         raise Unfit("the effect does not act")
-    low, high = USUAL_NOISE[response.unit if response.unit == "N" else bench.protocol]
-    noise = np.exp(rng.uniform(np.log(low), np.log(high)))
-    if response.component == "E_X" and bench.protocol == "spindle drift":
-        noise *= 0.3
-    target = 3.0 * noise
+    low, high = usual_noise(bench, response)
+    target = 3.0 * np.exp(rng.uniform(np.log(low), np.log(high)))
     out = []
     for c, size in zip(hidden, sizes, strict=True):
-        wanted = float(np.clip(target * rng.uniform(0.7, 1.5) / size, 0.25, 1.4))
-        fixed = c.carrier is not None or c.effect in ("clock_offset", "air_refraction", "feed_heating")
+        wanted = float(np.clip(target * rng.uniform(0.7, 1.5) / size, 0.2, 1.4))
+        fixed = c.effect in ("clock_offset", "air_refraction", "feed_heating")
         out.append(c if fixed else c.scaled(wanted))
     return out, min(c.rms(bench.measured) for c in out)
 
@@ -286,8 +305,8 @@ def _partly(rng, bench: Bench, one: Contribution) -> Contribution:
     return Contribution(one.effect, values, one.drivers, one.params, active=mask, where=where)
 
 
-def measure(rng: np.random.Generator, bench: Bench, story: Story) -> None:
-    """Fill in what is recorded and what the simulation says."""
+def measure(rng: np.random.Generator, bench: Bench, story: Story, step: float) -> None:
+    """Fill in what is recorded, on a display of `step`, and what the simulation says."""
     n = bench.rows
     truth = (
         story.datum
@@ -297,7 +316,7 @@ def measure(rng: np.random.Generator, bench: Bench, story: Story) -> None:
     story.simulated = np.round(
         sum((g * c.values for c, g in zip(story.included, story.gains, strict=True)), np.zeros(n)), 3
     )
-    story.step = chain.resolution(rng, story.noise)
+    story.step = chain.fit_step(step, story.noise)
     story.truth = truth
     noisy = truth + chain.correlated(rng, n, story.noise)
     story.clean = chain.display(noisy, story.step)
@@ -400,6 +419,7 @@ def build(rng: np.random.Generator, bench: Bench, tier: str, wanted: str | None)
         raise Unfit(f"{wanted} does not occur on this bench")
     chosen = None if tier == "null" else str(rng.choice(able))
     stories, keys = [], {}
+    step = float(rng.choice(STEPS["N" if bench.responses[names[0]].unit == "N" else bench.protocol]))
     exact_all = tier == "null" and rng.random() < 0.4
     for name in names:
         response = bench.responses[name]
@@ -408,7 +428,7 @@ def build(rng: np.random.Generator, bench: Bench, tier: str, wanted: str | None)
             if name == chosen
             else quiet(rng, bench, response, "exact" if exact_all else None)
         )
-        measure(rng, bench, story)
+        measure(rng, bench, story, step)
         keys[name] = key_of(bench, story, tier)
         stories.append(story)
     return keys, stories

@@ -20,10 +20,10 @@ def correlated(rng: np.random.Generator, n: int, rms: float) -> Array:
     return rms * (np.sqrt(1 - share) * rng.normal(0, 1, n) + np.sqrt(share) * red)
 
 
-def resolution(rng: np.random.Generator, noise: float) -> float:
-    """A display step that does not hide the noise."""
-    fit = LADDER[noise >= 2.2 * LADDER]
-    return float(rng.choice(fit[-4:])) if fit.size else 0.01
+def fit_step(step: float, noise: float) -> float:
+    """The display's step, or the next finer one that does not hide the noise."""
+    finer = LADDER[noise >= 1.6 * LADDER]
+    return min(step, float(finer[-1])) if finer.size else 0.01
 
 
 def display(values: Array, step: float) -> Array:

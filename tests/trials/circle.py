@@ -16,8 +16,8 @@ def make(rng: np.random.Generator) -> Bench:
     """E_R over 4 to 12 circles."""
     radius = float(rng.choice([50, 100, 150]))
     feeds = sorted(rng.choice([1000, 2000, 3000, 4000, 6000], int(rng.integers(2, 4)), replace=False).tolist())
-    repeats = int(rng.integers(1, 3))
-    points = int(min(rng.integers(900, 1750), 15500 // (len(feeds) * 2 * repeats)))
+    repeats = int(rng.choice([1, 2, 2]))
+    points = int(min(rng.integers(1200, 1750), 15500 // (len(feeds) * 2 * repeats)))
     runs, now = [], 0.0
     for _ in range(repeats):
         for feed in feeds:
