@@ -102,9 +102,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if name and name not in VERBS:
             raise UsageError(f"no verb {name!r} (errpipe --help lists them).{did_you_mean(name, VERBS)}")
-        code = typer.main.get_command(app).main(arguments, prog_name="errpipe", standalone_mode=False)
+        # not click's own main(): it has its own mind about interrupts and closed pipes
+        command: Any = typer.main.get_command(app)
+        with command.make_context("errpipe", arguments) as context:
+            command.invoke(context)
         sys.stdout.flush()
-        return code if isinstance(code, int) else 0
+        return 0
     except typer.Exit as end:
         return int(end.exit_code)
     except BrokenPipeError:

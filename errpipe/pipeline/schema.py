@@ -38,7 +38,10 @@ def properties(schema: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, 
 
 
 def undescribed(schema: Mapping[str, Any]) -> list[str]:
-    """`Model.key` of every property without a description, or with a number but no unit (`1`: a pure number)."""
+    """`Model.key` of every property without a description, or with a number but no unit (`1`: a pure number).
+
+    Whole numbers count things or number a version and need no unit; where one has a unit it is said all the same.
+    """
     found = []
     for owner, name, prop in properties(schema):
         if not prop.get("description"):
@@ -90,10 +93,9 @@ def _choice(node: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _has_number(prop: Mapping[str, Any]) -> bool:
-    kinds = prop.get("type")
     inner = [prop.get("items"), prop.get("additionalProperties"), *prop.get("anyOf", ())]
     inner += prop["items"] if isinstance(prop.get("items"), list) else []
-    return kinds in _NUMBERS or any(_has_number(part) for part in inner if isinstance(part, dict))
+    return prop.get("type") == "number" or any(_has_number(part) for part in inner if isinstance(part, dict))
 
 
 def _accept_quantities(prop: dict[str, Any]) -> None:

@@ -55,7 +55,7 @@ def problems(text: str, model: object = Model) -> list[str]:
         ("1e-3", 1e-3), ("no", "no"), ("on", "on"), ("12:30", "12:30"), ("2024-01-01", "2024-01-01"), ("010", 10),
         ("0x1F", 31), ("0o17", 15), ("+3", 3), ("-.5", -0.5), ("5.", 5.0), ("1_000", "1_000"), ("~", None), ("", None),
         ("TRUE", True), ("-.inf", float("-inf")),
-        ("1" * 30, 1.1111111111111112e29), ("0b1", "0b1"), ("e3", "e3"), ("<<", "<<"),
+        ("1" * 30, float("1" * 30)), ("0b1", "0b1"), ("e3", "e3"), ("<<", "<<"),
     ],
 )  # fmt: skip
 def test_plain_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:

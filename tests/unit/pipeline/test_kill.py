@@ -69,8 +69,8 @@ def test_killed_a_few_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_killed_two_hundred_times(tmp_path: Path) -> None:
-    kill_in_a_loop(tmp_path, 200, seed=2)
+def test_killed_a_hundred_times(tmp_path: Path) -> None:
+    kill_in_a_loop(tmp_path, 100, seed=2)
 
 
 def test_two_runs_on_one_out_take_turns(tmp_path: Path) -> None:

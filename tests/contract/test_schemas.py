@@ -1,0 +1,93 @@
+"""The published JSON Schemas are those of the code, are draft-07, say units, and accept what errpipe accepts."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from errpipe import jsonfile, yamlfile
+from errpipe.cli.schema import MODELS, schema_of
+from errpipe.pipeline.schema import undescribed
+from errpipe.stages import STAGES
+
+ROOT = Path(__file__).parents[2]
+REAL_DATA = Path(os.environ.get("ERRPIPE_REAL_DATA", ROOT / "../shared/real-data"))
+TRIALS = ROOT / "../shared/blind-trials"
+
+
+def accepts(schema: dict[str, Any], path: Path) -> list[str]:
+    """What a draft-07 validator says of a YAML file."""
+    value = yamlfile.read(path, environment=os.environ).value
+    return [error.message for error in jsonschema.Draft7Validator(schema).iter_errors(value)]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_file_is_what_the_code_says(name: str) -> None:
+    path = ROOT / "schemas" / f"{name}.schema.json"
+    assert path.read_text() == jsonfile.dumps(schema_of(name)), "run `make schemas` and read the difference"
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_it_is_draft_07_and_every_reference_leads_somewhere(name: str) -> None:
+    schema = schema_of(name)
+    jsonschema.Draft7Validator.check_schema(schema)
+    text = jsonfile.dumps(schema)
+    assert "$defs" not in text and "prefixItems" not in text and "discriminator" not in text
+    definitions = schema.get("definitions", {})
+
+    def references(node: Any) -> list[str]:
+        if isinstance(node, list):
+            return [found for part in node for found in references(part)]
+        if not isinstance(node, dict):
+            return []
+        assert "$ref" not in node or len(node) == 1, f"beside a $ref draft-07 reads nothing: {node}"
+        own = [node["$ref"]] if isinstance(node.get("$ref"), str) else []
+        return own + [found for part in node.values() for found in references(part)]
+
+    assert {found.removeprefix("#/definitions/") for found in references(schema)} <= set(definitions)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.xfail(strict=True, reason="fields of terms and of the domain's models still lack descriptions or units")
+def test_every_key_says_what_it_means_and_in_which_unit(name: str) -> None:
+    assert undescribed(schema_of(name)) == []
+
+
+def test_the_engine_s_own_keys_are_described() -> None:
+    stages = {stage.__name__ for stage in STAGES}
+    keys = ("pipeline", "title", "root", "stages", "name", "from")
+    own = [f"{owner}.{key}:" for owner in ("", *stages) for key in keys]
+    assert [text for text in undescribed(schema_of("pipeline")) if text.startswith(tuple(own))] == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "pipelines").glob("*.yaml")), ids=lambda path: path.stem)
+def test_pipelines_are_accepted(path: Path) -> None:
+    assert accepts(schema_of("pipeline"), path) == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples" / "machines").glob("*.yaml")), ids=lambda path: path.stem)
+def test_machines_are_accepted(path: Path) -> None:
+    assert accepts(schema_of("machine"), path) == []
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("folder", [REAL_DATA, TRIALS], ids=["real", "trials"])
+def test_manifests_are_accepted(folder: Path) -> None:
+    paths = sorted(folder.glob("*/recording.yaml"))
+    if not paths:
+        pytest.skip("the recordings are not beside the project (ERRPIPE_REAL_DATA)")
+    for path in paths:
+        assert accepts(schema_of("recording"), path) == [], path.parent.name
+
+
+def test_a_wrong_pipeline_is_blamed_on_the_branch_that_was_meant() -> None:
+    value = {"pipeline": 1, "stages": [{"kind": "ingest", "recordin": "x"}]}
+    errors = list(jsonschema.Draft7Validator(schema_of("pipeline")).iter_errors(value))
+    assert [error.message.split(" (")[0] for error in errors] == ["Additional properties are not allowed"]
+    value = {"pipeline": 1, "stages": [{"kind": "ingst"}]}
+    (error,) = jsonschema.Draft7Validator(schema_of("pipeline")).iter_errors(value)
+    assert "'ingst' is not one of" in error.message
