@@ -1,0 +1,179 @@
+"""Champion against challengers: who holds on groups left out whole. Doing nothing runs too, and wins ties.
+
+A candidate wins only if it makes no left-out group worse than doing nothing; of those, the least error; within 1 %
+the one listed earlier (the simpler). Learners without a compiled form may compete, but a win of theirs is refused:
+what a table cannot say cannot leave.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting import thermal_causes, thermal_season
+from errpipe.fitting.design import response_name
+from errpipe.fitting.holdout import Fold
+
+TIE = 0.01
+LAGS = (900.0, 3600.0, 14400.0)  # s, of the lagged rises that the learners are given
+SEED = 20240101
+NETWORK = {"hidden_layer_sizes": (16,), "alpha": 1.0, "early_stopping": True, "max_iter": 300, "random_state": SEED}
+
+
+class Fitted(Protocol):
+    """What a candidate's fit returns."""
+
+    def values(self, recording: Recording) -> np.ndarray:
+        """Deviation since the start of each run, um, shape (rows,)."""
+
+
+Fitter = Callable[[Recording, str, np.ndarray], Fitted]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One way to predict. compiled: whether a table can say it."""
+
+    name: str
+    fit: Fitter
+    compiled: bool = True
+
+
+@dataclass(frozen=True)
+class _Values:
+    of: Callable[[Recording], np.ndarray]
+
+    def values(self, recording: Recording) -> np.ndarray:
+        return self.of(recording)
+
+
+def nothing(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
+    """No compensation."""
+    return _Values(lambda r: np.zeros(len(r)))
+
+
+def season(options: thermal_season.SeasonOptions, gain: float = 1.0) -> Fitter:
+    """The season model, or a share of it."""
+
+    def fit(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
+        model = thermal_season.fit(recording, component, options, rows)
+        return model if gain == 1.0 else _Values(lambda r: gain * model.values(r))
+
+    return fit
+
+
+def rises(recording: Recording, lags: Sequence[float] = ()) -> np.ndarray:
+    """Rises of all temperatures over the start of the run and the rises through lags, (rows, n), K."""
+    names = recording.names("temperature")
+    nodes: list[d.Driver] = [d.rise(n) for n in names]
+    nodes += [d.Lag(of=d.rise(n), tau_up=t, tau_down=t, start="zero") for n in names for t in lags]
+    return thermal_causes.columns(recording, nodes)
+
+
+def learner(make: Callable[[], Any], lags: Sequence[float]) -> Fitter:
+    """A scikit-learn regressor on (lagged) rises; rows with missing readings are left out of its fit."""
+
+    def fit(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
+        table = rises(recording, lags)
+        y = target(recording, component)
+        good = rows & np.isfinite(y) & np.isfinite(table).all(axis=1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a network that stops before it has converged still competes
+            model = make().fit(table[good], y[good])
+        return _Values(lambda r: np.asarray(model.predict(np.nan_to_num(rises(r, lags)))))
+
+    return fit
+
+
+def candidates(options: thermal_season.SeasonOptions | None = None) -> tuple[Candidate, ...]:
+    """Everyone who competes, the simplest first."""
+    from sklearn.ensemble import HistGradientBoostingRegressor
+    from sklearn.linear_model import LinearRegression, Ridge
+    from sklearn.neural_network import MLPRegressor
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    chosen = options or thermal_season.SeasonOptions()
+    core = chosen.model_copy(update={"correction": False})
+    return (
+        Candidate("do nothing", nothing),
+        Candidate("season physics, half gain", season(core, 0.5)),
+        Candidate("season physics", season(core)),
+        Candidate("season physics and correction", season(chosen)),
+        Candidate("linear on rises", learner(LinearRegression, ())),
+        Candidate("ridge on lagged rises", learner(lambda: make_pipeline(StandardScaler(), Ridge(50.0)), LAGS)),
+        Candidate(
+            "gradient boosting",
+            learner(lambda: HistGradientBoostingRegressor(max_iter=150, random_state=SEED), LAGS),
+            compiled=False,
+        ),
+        Candidate(
+            "neural network",
+            learner(lambda: make_pipeline(StandardScaler(), MLPRegressor(**NETWORK)), LAGS),
+            compiled=False,
+        ),
+    )
+
+
+def target(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
+    """Deviation since the start of each run (mean of its first `rows` rows), um, shape (rows,)."""
+    values = recording.array(response_name(recording, component))
+    return thermal_season.since_start(values, recording.run_codes(), rows)[0]
+
+
+def compare(
+    recording: Recording, component: str, folds: Sequence[Fold], entrants: Sequence[Candidate]
+) -> dict[str, Any]:
+    """rms per candidate and left-out group, who wins, and why the others do not: plain data.
+
+    Raises DataError where nobody takes part.
+    """
+    if not entrants or not folds:
+        raise DataError("champion: no candidate or no group to leave out")
+    y = target(recording, component)
+    found: dict[str, dict[str, float]] = {}
+    for entrant in entrants:
+        found[entrant.name] = {}
+        for fold in folds:
+            judged = fold.test & np.isfinite(y)
+            value = entrant.fit(recording, component, fold.train).values(recording)
+            found[entrant.name][fold.label] = rms((y - value)[judged])
+    base = {f.label: rms(y[f.test & np.isfinite(y)]) for f in folds}
+    return {"groups": base, "rms": found, **decide(base, found, entrants)}
+
+
+def decide(
+    base: Mapping[str, float], found: Mapping[str, Mapping[str, float]], entrants: Sequence[Candidate]
+) -> dict[str, Any]:
+    """The winner, and a word on everyone else. base: group -> rms without compensation."""
+    pooled = {n: float(np.sqrt(np.mean([v**2 for v in g.values()]))) for n, g in found.items()}
+    verdict, fit_to_win = {}, []
+    for entrant in entrants:
+        worse = [label for label, value in found[entrant.name].items() if value > base[label] * (1.0 + 1e-9)]
+        if worse:
+            verdict[entrant.name] = f"worse than doing nothing in {', '.join(worse)}"
+        else:
+            fit_to_win.append(entrant)
+    best = min((pooled[e.name] for e in fit_to_win), default=float("inf"))
+    tied = [e for e in fit_to_win if pooled[e.name] <= best * (1.0 + TIE)]
+    refused = [e.name for e in tied if not e.compiled]
+    for entrant in fit_to_win:
+        verdict[entrant.name] = "never worse than doing nothing"
+    for name in refused:
+        verdict[name] = "would win, but has no compiled form: refused"
+    able = [e for e in fit_to_win if e.compiled]
+    best = min((pooled[e.name] for e in able), default=float("inf"))
+    winner = next((e.name for e in able if pooled[e.name] <= best * (1.0 + TIE)), "do nothing")
+    return {"pooled": pooled, "verdict": verdict, "champion": winner}
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0

@@ -1,0 +1,67 @@
+"""How much characterisation is enough: out-of-season error against hours of data and number of duty cycles.
+
+The group that judges never fits. Runs come in the order they were taken (what a workshop would have had by then),
+or in several random orders, whose spread tells luck from progress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting import holdout as plain_holdout
+from errpipe.fitting.holdout import Fold
+from errpipe.validation import holdout
+from errpipe.validation.champion import Fitter, rms, target
+
+
+def curve(
+    recording: Recording,
+    component: str,
+    fit: Fitter,
+    scheme: plain_holdout.HoldOut | str = "leave-one-group-out:season",
+    *,
+    sizes: Sequence[int] = (1, 2, 3, 5, 8, 12, 16),
+    orders: int = 0,
+    seed: int = 0,
+) -> list[dict[str, Any]]:
+    """One entry per fold, order and number of runs: left_out, order, runs, hours, rms, rms_before (um).
+
+    orders: random orders beside the recorded one. Sizes beyond a fold's runs are left out.
+    """
+    if not sizes or min(sizes) < 1:
+        raise DataError("learning curve: sizes are numbers of runs, at least 1")
+    y = target(recording, component)
+    out = []
+    for fold in holdout.folds(recording, scheme):
+        for number, order in enumerate(_orders(recording, fold, orders, seed)):
+            for size in sorted({s for s in sizes if s <= len(order)} | {len(order)}):
+                rows = np.isin(recording.run_codes(), order[:size])
+                part = holdout.subset(fold, rows)
+                value = fit(recording, component, part.train).values(recording)
+                judged = fold.test & np.isfinite(y)
+                out.append(
+                    {
+                        "left_out": fold.label, "order": number, "runs": int(size),
+                        "hours": hours(recording, part.train), "rms": rms((y - value)[judged]),
+                        "rms_before": rms(y[judged]),
+                    }
+                )  # fmt: skip
+    return out
+
+
+def hours(recording: Recording, rows: np.ndarray) -> float:
+    """Measured time of the rows of a mask, h: the sum of the runs' lengths."""
+    run, t = recording.run_codes(), recording.time()
+    return float(sum(np.ptp(t[rows & (run == r)]) for r in np.unique(run[rows]))) / 3600.0
+
+
+def _orders(recording: Recording, fold: Fold, orders: int, seed: int) -> list[np.ndarray]:
+    run = recording.run_codes()
+    taken = np.array(list(dict.fromkeys(run[fold.train])))
+    rng = np.random.default_rng(seed)
+    return [taken, *(rng.permutation(taken) for _ in range(orders))]

@@ -1,0 +1,132 @@
+"""The table that a thermal model answers to: each season left out whole, beside doing nothing and its own season.
+
+    uncompensated   rms of the deviation since the start of the run
+    in_season       rms with only the judged run left out: other runs of its season took part
+    out_of_season   rms with the whole group left out
+    ratio           out_of_season / in_season
+    bias, scatter   mean and standard deviation of the out-of-season residual
+    worst           its largest magnitude
+    coverage        share of rows inside the 90 % interval of the model that never saw the group
+
+The optimism gap is out_of_season less the rms that a random choice of rows would have promised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting import holdout as plain_holdout
+from errpipe.fitting.holdout import Fold
+from errpipe.validation import holdout
+from errpipe.validation.champion import Fitter, rms, target
+
+VERSION = 1
+RANDOM_FOLDS = 5
+
+
+def table(
+    recording: Recording,
+    component: str,
+    fit: Fitter,
+    scheme: plain_holdout.HoldOut | str = "leave-one-group-out:season",
+    *,
+    in_season: bool = True,
+) -> dict[str, Any]:
+    """The seasonal document: one row per left-out group, and the optimism gap. um.
+
+    fit: rows of a mask -> something with `values`, and `predict` where it knows its interval.
+    in_season: also refit without each run, for the ratio (costs a fit per run).
+    """
+    folds = holdout.folds(recording, scheme)
+    y = target(recording, component)
+    runs = holdout.folds(recording, "leave-one-run-out") if in_season else []
+    own = _left_out(recording, component, fit, runs, y)[0] if runs else None
+    residual, covered = _left_out(recording, component, fit, folds, y)
+    rows = [_row(f, y, residual, covered, own) for f in folds]
+    gap = optimism(recording, component, fit, y, residual) if in_season else None
+    chosen = plain_holdout.parse(scheme) if isinstance(scheme, str) else scheme
+    return {
+        "seasons": VERSION,
+        "component": component,
+        "unit": "um",
+        "scheme": plain_holdout.name(chosen),
+        "groups": rows,
+        "never_worse": all(r["out_of_season"] <= r["uncompensated"] for r in rows),
+        "optimism": gap,
+    }
+
+
+def optimism(
+    recording: Recording, component: str, fit: Fitter, y: np.ndarray, residual: np.ndarray
+) -> dict[str, float]:
+    """rms promised by random rows against rms of whole groups left out, um."""
+    pick = np.random.default_rng(0).integers(RANDOM_FOLDS, size=len(recording))
+    folds = [Fold(str(k), pick != k, pick == k) for k in range(RANDOM_FOLDS)]
+    random, _ = _left_out(recording, component, fit, folds, y)
+    seen = np.isfinite(residual) & np.isfinite(random)
+    promised, kept = rms(random[seen]), rms(residual[seen])
+    return {"random_rows": promised, "groups_left_out": kept, "gap": kept - promised}
+
+
+def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: np.ndarray):
+    """Residual of each judged row and whether its interval covered it (NaN where the model has none)."""
+    residual, covered = np.full(y.size, np.nan), np.full(y.size, np.nan)
+    for fold in folds:
+        plain_holdout.check(fold)
+        model = fit(recording, component, fold.train)
+        if hasattr(model, "predict"):
+            told = model.predict(recording)
+            value = told.predicted
+            inside = (y >= told.lower) & (y <= told.upper)
+            covered[fold.test] = inside[fold.test]
+        else:
+            value = model.values(recording)
+        residual[fold.test] = (y - value)[fold.test]
+    return residual, covered
+
+
+def _row(fold: Fold, y, residual, covered, own) -> dict[str, Any]:
+    judged = fold.test & np.isfinite(residual)
+    if not judged.any():
+        raise DataError(f"seasons: no row of {fold.label} can be judged")
+    left, told = residual[judged], covered[judged]
+    out = rms(left)
+    within = rms(own[judged & np.isfinite(own)]) if own is not None else None
+    return {
+        "left_out": fold.label,
+        "rows": int(np.count_nonzero(judged)),
+        "rows_fitted": int(np.count_nonzero(fold.train)),
+        "uncompensated": rms(y[judged]),
+        "in_season": within,
+        "out_of_season": out,
+        "ratio": out / within if within else None,
+        "bias": float(np.mean(left)),
+        "scatter": float(np.std(left)),
+        "worst": float(np.abs(left).max()),
+        "coverage": float(np.nanmean(told)) if np.isfinite(told).any() else None,
+    }
+
+
+def text(document: dict[str, Any]) -> str:
+    """The table for a terminal."""
+    names = ("left_out", "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage")
+    lines = ["  ".join(f"{n:>13}" for n in names)]
+    for row in document["groups"]:
+        cells = [row["left_out"], *(row[n] for n in names[1:])]
+        lines.append("  ".join(f"{_cell(c):>13}" for c in cells))
+    gap = document["optimism"]
+    if gap:
+        promised, kept = gap["random_rows"], gap["groups_left_out"]
+        lines.append(f"random rows promise {promised:.2f} um; groups left out keep {kept:.2f} um")
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return "-" if value is None else f"{value:.2f}"

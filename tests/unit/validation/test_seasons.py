@@ -1,0 +1,155 @@
+"""Hold-outs of a calendar, the seasonal table, champions and learning curves, on a machine whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.errors import DataError
+from errpipe.validation import champion, conformal, holdout, learning_curve, seasons
+
+COLUMNS = {
+    "run": Column(role="run"),
+    "date": Column(role="group", of="day"),
+    "season": Column(role="group", of="season"),
+    "t": Column(role="time", unit="s", epoch="2017-01-30T00:00:00Z"),
+    "T_a": Column(role="temperature", unit="degC", location="bed"),
+    "T_b": Column(role="temperature", unit="degC", location="column"),
+    "E_D": Column(role="error", component="E_D", unit="um"),
+}
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Deviation 3 um per K of T_a; T_b follows T_a in winter, and the other way in spring."""
+    rng = np.random.default_rng(4)
+    frames = []
+    for k, (day, season) in enumerate(
+        [("2017-01-30", "winter"), ("2017-01-31", "winter"), ("2017-02-01", "winter"), ("2017-02-02", "spring"),
+         ("2017-02-03", "spring")]
+    ):  # fmt: skip
+        t = np.arange(60) * 300.0
+        a = 20 + (4 + k) * (1 - np.exp(-t / 5000))
+        b = a + rng.normal(0, 0.02, 60) if season == "winter" else 40 - a
+        deviation = 50.0 + k + 3.0 * (a - a[0]) + rng.normal(0, 0.1, 60)
+        labels = {"run": f"r{k}", "date": day, "season": season}
+        frames.append(pd.DataFrame({**labels, "t": t + k * 86400.0, "T_a": a, "T_b": b, "E_D": deviation}))
+    return Recording(Manifest(recording=1, tables=("x",), columns=COLUMNS), pd.concat(frames, ignore_index=True))
+
+
+class Slope:
+    """A least-squares slope on the rise of one sensor."""
+
+    def __init__(self, recording: Recording, component: str, rows: np.ndarray, name: str = "T_a"):
+        self.name = name
+        x, y = self.rise(recording)[rows], champion.target(recording, component)[rows]
+        self.slope = float(x @ y / (x @ x))
+
+    def rise(self, recording: Recording) -> np.ndarray:
+        return champion.rises(recording)[:, recording.names("temperature").index(self.name)]
+
+    def values(self, recording: Recording) -> np.ndarray:
+        return self.slope * self.rise(recording)
+
+
+def on_b(recording, component, rows):
+    return Slope(recording, component, rows, "T_b")
+
+
+def test_months_come_from_days_or_from_the_epoch(recording):
+    folds = holdout.folds(recording, "forward:month")
+    assert [f.label for f in folds] == ["2017-02"]
+    assert recording.frame["date"][folds[0].train].max() == "2017-01-31"
+    undated = Recording(
+        recording.manifest.model_copy(update={"columns": {k: v for k, v in COLUMNS.items() if k != "date"}}),
+        recording.frame.drop(columns="date"),
+    )
+    assert [f.label for f in holdout.folds(undated, "leave-one-group-out:month")] == ["2017-01", "2017-02"]
+    days = [f.label for f in holdout.folds(undated, "forward:day")]
+    assert days == ["2017-01-31", "2017-02-01", "2017-02-02", "2017-02-03"]
+    timeless = {**undated.manifest.columns, "t": Column(role="time", unit="s")}
+    dateless = Recording(undated.manifest.model_copy(update={"columns": timeless}), undated.frame)
+    with pytest.raises(DataError, match="neither a column of days nor an epoch"):
+        holdout.folds(dateless, "forward:month")
+
+
+def test_no_row_both_fits_and_judges(recording):
+    for scheme in ("leave-one-group-out:season", "leave-one-group-out:day", "forward:day", "blocks:4"):
+        for fold in holdout.folds(recording, scheme):
+            assert not (fold.train & fold.test).any()
+
+
+def test_the_table_tells_a_season_that_fails(recording):
+    good = seasons.table(recording, "E_D", Slope)
+    assert good["never_worse"] and [r["left_out"] for r in good["groups"]] == ["winter", "spring"]
+    for row in good["groups"]:
+        assert row["out_of_season"] < 0.5 and row["ratio"] < 1.5
+        assert_allclose(row["bias"] ** 2 + row["scatter"] ** 2, row["out_of_season"] ** 2, rtol=1e-9)
+    bad = seasons.table(recording, "E_D", on_b)
+    spring = bad["groups"][1]
+    assert not bad["never_worse"] and spring["out_of_season"] > spring["uncompensated"]
+    assert bad["optimism"]["gap"] > 3.0
+    assert "spring" in seasons.text(bad)
+
+
+def test_nothing_wins_ties_and_a_model_that_hurts_one_season_never_wins():
+    entrants = (
+        champion.Candidate("do nothing", champion.nothing),
+        champion.Candidate("brave", champion.nothing),
+        champion.Candidate("learner", champion.nothing, compiled=False),
+    )
+    base = {"winter": 20.0, "spring": 8.0}
+    same = champion.decide(base, {"do nothing": base, "brave": base, "learner": base}, entrants)
+    assert same["champion"] == "do nothing"
+    hurts = {"do nothing": base, "brave": {"winter": 2.0, "spring": 8.1}, "learner": base}
+    told = champion.decide(base, hurts, entrants)
+    assert told["champion"] == "do nothing" and "spring" in told["verdict"]["brave"]
+    learns = {"do nothing": base, "brave": {"winter": 9.0, "spring": 7.0}, "learner": {"winter": 1.0, "spring": 1.0}}
+    told = champion.decide(base, learns, entrants)
+    assert told["champion"] == "brave" and "refused" in told["verdict"]["learner"]
+
+
+def test_compare_runs_everyone_on_left_out_groups(recording):
+    folds = holdout.folds(recording, "leave-one-group-out:season")
+    told = champion.compare(
+        recording, "E_D", folds,
+        (
+            champion.Candidate("do nothing", champion.nothing),
+            champion.Candidate("a", Slope),
+            champion.Candidate("b", on_b),
+        ),
+    )  # fmt: skip
+    assert told["champion"] == "a" and told["rms"]["do nothing"] == told["groups"]
+    with pytest.raises(DataError):
+        champion.compare(recording, "E_D", [], ())
+
+
+@pytest.mark.slow
+def test_the_learners_take_part(recording):
+    folds = holdout.folds(recording, "leave-one-group-out:season")
+    told = champion.compare(recording, "E_D", folds, champion.candidates())
+    assert set(told["rms"]) == {c.name for c in champion.candidates()}
+    assert told["champion"] in ("season physics", "season physics and correction", "season physics, half gain")
+
+
+def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):
+    found = learning_curve.curve(recording, "E_D", Slope, sizes=(1, 2), orders=1)
+    spring = [e for e in found if e["left_out"] == "spring" and e["order"] == 0]
+    assert [e["runs"] for e in spring] == [1, 2, 3]
+    assert_allclose([e["hours"] for e in spring], np.array([1, 2, 3]) * 59 * 300 / 3600)
+    assert all(e["rms"] < e["rms_before"] for e in found)
+    with pytest.raises(DataError):
+        learning_curve.curve(recording, "E_D", Slope, sizes=(0,))
+
+
+def test_coverage_is_judged_by_other_seasons():
+    rng = np.random.default_rng(2)
+    error = np.r_[rng.normal(0, 1, 4000), rng.normal(0, 1, 4000), rng.normal(0, 3, 4000)]
+    environment = np.repeat(["a", "b", "c"], 4000)
+    told = conformal.cross_coverage(error, np.arange(error.size) // 100, environment)
+    assert told[2]["coverage"] < 0.6 < 0.9 < told[0]["coverage"]
+    assert conformal.cross_coverage(error[:4000], np.zeros(4000), environment[:4000]) == []
+    assert conformal.coverage(np.array([1.0, 3.0]), 2.0, np.array(["x", "y"])) == {"x": 1.0, "y": 0.0}
