@@ -18,6 +18,7 @@ MOVE, TURN, ERROR = 0, 1, 2
 UM = 1e-3  # mm per um; also um per (mm urad)
 URAD = 1e-6
 DEG = np.pi / 180.0
+U = np.uintp
 
 
 @kernel
@@ -339,44 +340,49 @@ def curves(position, start, step, table):
 
 
 @kernel
-def linear_axes(q, tip, start, scale, tables, direction, arm0, follows, location, out):
+def linear_axes(q, tip, axes, facts, rows, nodes, out):
     """Tool-point deviation of a machine with three linear axes, one pass: 18 curves and the squareness.
 
-    q, tip (n, 3); start, scale = 1/step (3,); tables (3, nodes, 6): X Y Z A B C of each axis, um and urad;
-    arm (mm) of axis a = tip + arm0[a] + sum_b follows[a, b] q[b] direction[b]; location (3, 3): um per mm of
-    travel. out (n, 3), um. Beyond a table its end value holds.
+    q, tip, out: (n, 3) as flat arrays, mm, mm, um. axes: columns of q from tool to workpiece. facts: 16 numbers
+    for each axis in that order: table start, 1/step, motion (3), motion that lies between tool and errors (3),
+    reference point (3), squareness in um per mm of travel (3). rows: tables of `nodes` rows of 8 for each axis
+    in that order: X Y Z in um, 0, A B C in um/mm, 0. Beyond a table its end value holds.
+    Indices are unsigned so that no negative index has to be thought of.
     """
-    n = q.shape[0]
-    last = tables.shape[1] - 1
-    top = float(last)
-    for i in range(n):
-        px = tip[i, 0]
-        py = tip[i, 1]
-        pz = tip[i, 2]
-        q0, q1, q2 = q[i, 0], q[i, 1], q[i, 2]
-        sx = location[0, 0] * q0 + location[1, 0] * q1 + location[2, 0] * q2
-        sy = location[0, 1] * q0 + location[1, 1] * q1 + location[2, 1] * q2
-        sz = location[0, 2] * q0 + location[1, 2] * q1 + location[2, 2] * q2
+    last = nodes - 2
+    top = float(nodes - 1)
+    for i in range(q.size // 3):
+        p = U(3 * i)
+        px = tip[p]
+        py = tip[p + U(1)]
+        pz = tip[p + U(2)]
+        sx = 0.0
+        sy = 0.0
+        sz = 0.0
         for a in range(3):
-            s = min(max((q[i, a] - start[a]) * scale[a], 0.0), top)
-            j = min(int(s), last - 1)
+            k = U(16 * a)
+            x = q[p + axes[a]]
+            s = (x - facts[k]) * facts[k + U(1)]
+            s = 0.0 if s < 0.0 else (top if s > top else s)
+            j = min(int(s), last)
             f = s - j
-            g = 1.0 - f
-            low = tables[a, j]
-            high = tables[a, j + 1]
-            ea = (g * low[3] + f * high[3]) * UM
-            eb = (g * low[4] + f * high[4]) * UM
-            ec = (g * low[5] + f * high[5]) * UM
-            f0, f1, f2 = follows[a, 0] * q0, follows[a, 1] * q1, follows[a, 2] * q2
-            ax = px + arm0[a, 0] + f0 * direction[0, 0] + f1 * direction[1, 0] + f2 * direction[2, 0]
-            ay = py + arm0[a, 1] + f0 * direction[0, 1] + f1 * direction[1, 1] + f2 * direction[2, 1]
-            az = pz + arm0[a, 2] + f0 * direction[0, 2] + f1 * direction[1, 2] + f2 * direction[2, 2]
-            sx += g * low[0] + f * high[0] + eb * az - ec * ay
-            sy += g * low[1] + f * high[1] + ec * ax - ea * az
-            sz += g * low[2] + f * high[2] + ea * ay - eb * ax
-        out[i, 0] = sx
-        out[i, 1] = sy
-        out[i, 2] = sz
+            lo = U((a * nodes + j) * 8)
+            hi = lo + U(8)
+            ea = rows[lo + U(4)] + f * (rows[hi + U(4)] - rows[lo + U(4)])
+            eb = rows[lo + U(5)] + f * (rows[hi + U(5)] - rows[lo + U(5)])
+            ec = rows[lo + U(6)] + f * (rows[hi + U(6)] - rows[lo + U(6)])
+            ax = px + x * facts[k + U(5)] - facts[k + U(8)]
+            ay = py + x * facts[k + U(6)] - facts[k + U(9)]
+            az = pz + x * facts[k + U(7)] - facts[k + U(10)]
+            sx += rows[lo] + f * (rows[hi] - rows[lo]) + eb * az - ec * ay + x * facts[k + U(11)]
+            sy += rows[lo + U(1)] + f * (rows[hi + U(1)] - rows[lo + U(1)]) + ec * ax - ea * az + x * facts[k + U(12)]
+            sz += rows[lo + U(2)] + f * (rows[hi + U(2)] - rows[lo + U(2)]) + ea * ay - eb * ax + x * facts[k + U(13)]
+            px += x * facts[k + U(2)]
+            py += x * facts[k + U(3)]
+            pz += x * facts[k + U(4)]
+        out[p] = sx
+        out[p + U(1)] = sy
+        out[p + U(2)] = sz
 
 
 @kernel

@@ -64,7 +64,7 @@ class AxisBasis:
         return np.r_[0.0, b / b[0]]
 
     def __call__(self, position: np.ndarray) -> np.ndarray:
-        """Values at positions (mm, deg), shape (n, size); every function has mean 0 and mean square 1 over the travel."""
+        """Values at positions (mm, deg), shape (n, size); each has mean 0 and mean square 1 over the travel."""
         position = np.asarray(position, dtype=float)
         if self.closed:
             angle = np.radians(position)

@@ -83,13 +83,10 @@ class MachineErrors:
 class ThreeAxisVolume:
     """Tool-point deviation of a machine whose axes are all three linear, in one pass over the points."""
 
-    start: np.ndarray
-    scale: np.ndarray
-    tables: np.ndarray
-    direction: np.ndarray
-    arm0: np.ndarray
-    follows: np.ndarray
-    location: np.ndarray
+    axes: np.ndarray
+    facts: np.ndarray
+    rows: np.ndarray
+    nodes: int
 
     @classmethod
     def of(cls, errors: MachineErrors) -> ThreeAxisVolume:
@@ -99,35 +96,37 @@ class ThreeAxisVolume:
         if len(chain.axes) != 3 or (kind == k.TURN).any():
             raise ValueError("the one-pass form is for three linear axes")
         tables = np.stack(errors.tables)
-        direction, arm0 = np.zeros((3, 3)), np.zeros((3, 3))
-        follows, location = np.zeros((3, 3)), np.zeros((3, 3))
-        shift = np.zeros(3)
-        for f in np.flatnonzero(kind == k.MOVE):
-            direction[axis[f]] = vec[f]
+        direction, reference, location = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+        moves = np.flatnonzero(kind == k.MOVE)
+        direction[axis[moves]] = vec[moves]
+        own_first, shift = np.zeros(3, dtype=np.bool_), np.zeros(3)
         for f in np.flatnonzero(kind == k.ERROR):
             part = slice(entries[f], entries[f + 1])
             sign = -1.0 if inverse[f] else 1.0
             a = int(chain.drives[comp[part][0]])
-            later = [int(axis[g]) for g in np.flatnonzero(kind == k.MOVE) if g > f]
-            values = errors.constants[comp[part]]
             if a >= 0:
                 tables[a] *= sign
-                arm0[a] = -point[f]
-                follows[a, later] = 1.0
+                reference[a] = point[f]
+                own_first[a] = f < moves[axis[moves] == a][0]
                 continue
+            values = errors.constants[comp[part]]
             turn = (values * angle[part]) @ evec[part] * k.UM
-            if angle[part].any() and any(chain.components[c][2:] == "S" for c in comp[part]) and turn.any():
+            if turn.any() and any(chain.components[c][2:] == "S" for c in comp[part]):
                 raise ValueError("the one-pass form has no spindle tilt")
             shift += sign * (values * ~angle[part]) @ evec[part]
-            for b in later:
+            for b in axis[moves[moves > f]]:
                 location[b] += sign * np.cross(turn, direction[b])
         tables[0, :, :3] += shift
-        return cls(errors.start, 1.0 / errors.step, tables, direction, arm0, follows, location)
+        order = axis[moves][::-1]
+        facts, rows = np.zeros((3, 16)), np.zeros((3, tables.shape[1], 8))
+        for i, a in enumerate(order):
+            own = direction[a] * own_first[a]
+            facts[i, :14] = np.r_[errors.start[a], 1 / errors.step[a], direction[a], own, reference[a], location[a]]
+            rows[i, :, :3], rows[i, :, 4:7] = tables[a, :, :3], tables[a, :, 3:] * k.UM
+        return cls(order.astype(np.uintp), facts.ravel(), rows.ravel(), tables.shape[1])
 
     def __call__(self, q: np.ndarray, tip: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Deviation (n, 3), um, at q (n, 3) and tip (n, 3), both contiguous float64."""
         out = np.empty((len(q), 3)) if out is None else out
-        k.linear_axes(
-            q, tip, self.start, self.scale, self.tables, self.direction, self.arm0, self.follows, self.location, out
-        )
+        k.linear_axes(q.reshape(-1), tip.reshape(-1), self.axes, self.facts, self.rows, self.nodes, out.reshape(-1))
         return out

@@ -116,7 +116,7 @@ def angle(
     chain: Chain, q: np.ndarray, tip: np.ndarray, about: Sequence[float], value: np.ndarray | None = None,
     label: str = "1", seconds: float = 0.0, noise: float = 1.0,
 ) -> Observations:  # fmt: skip
-    """Turn of the tool's side against the workpiece about a direction (level, autocollimator), urad; its zero is set-up."""
+    """Turn of the tool's side against the workpiece about a direction (level), urad; its zero is set-up."""
     unit = np.asarray(about, dtype=float) / np.linalg.norm(about)
     weights = np.tile(np.r_[np.zeros(3), unit], (len(q), 1))
     return _build(

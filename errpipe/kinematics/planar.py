@@ -44,7 +44,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Functions:
-    """Columns of the common map: which output (0 X, 1 Y), function of x, function of y (0 constant, 1 line, 2.. modes)."""
+    """Columns of the common map: output (0 X, 1 Y), function of x and of y (0 constant, 1 line, 2.. modes)."""
 
     box: Box
     modes: int

@@ -1,0 +1,169 @@
+"""A machine's errors in the form a controller runs: component profiles and a synthesis, or a lattice of points.
+
+The synthesis costs the same every cycle whatever the curves look like, and tool length and offset stay inputs.
+The lattice is for controllers that know nothing else; its error bound holds everywhere inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain.synthesis import SynthesisOutput, SynthesisTerm
+from errpipe.kinematics import polynomials, synthesis
+from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.errors import MachineErrors
+from errpipe.terms._base import Lowered
+
+SINE_STEP = 0.5  # deg; straight lines between are then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
+
+
+def outputs(
+    chain: Chain,
+    *,
+    orientation: bool = False,
+    inputs: Mapping[str, str] | None = None,
+    used: tuple[str, ...] | None = None,
+) -> tuple[SynthesisOutput, ...]:
+    """One output per linear axis: the deviation that moving this axis back undoes (correction = minus it).
+
+    inputs: names of the controller's inputs by axis letter or tool dimension (the letter itself where left
+    out). orientation: E_A E_B E_C (urad) besides. used: components to keep. Coordinates are those the machine
+    file counts in, tool length and offset from the spindle nose, mm.
+    """
+    names = dict(inputs or {})
+    found: dict[str, list[SynthesisTerm]] = {}
+    for (output, component), letters in polynomials.jacobian(chain, "axes").items():
+        if (used is not None and component not in used) or (not orientation and output.startswith("E_")):
+            continue
+        found.setdefault(output, []).append(_term(chain, component, letters, names))
+    return tuple(
+        SynthesisOutput(
+            name=n if n.startswith("E_") else f"E_{n}", axis="" if n.startswith("E_") else n, terms=tuple(t),
+            unit="urad" if n.startswith("E_") else "um",
+        )
+        for n, t in found.items()
+    )  # fmt: skip
+
+
+def _term(chain: Chain, component: str, letters: polynomials.Polynomial, names: Mapping[str, str]) -> SynthesisTerm:
+    if list(letters) == [()]:
+        return SynthesisTerm(weight=letters[()], component=component)
+    moving = {key: v for key, v in letters.items() if key}
+    if len(letters) == 1:
+        ((key, weight),) = moving.items()
+        return SynthesisTerm(weight=weight, component=component, factors=(_product(chain, key, names),))
+    arm = d.Affine(
+        offset=letters.get((), 0.0), weights=tuple(moving.values()), of=tuple(_product(chain, k, names) for k in moving)
+    )
+    return SynthesisTerm(weight=1.0, component=component, factors=(arm,))
+
+
+def _product(chain: Chain, key: tuple[str, ...], names: Mapping[str, str]) -> d.Driver:
+    parts = tuple(_variable(chain, n, names) for n in key)
+    return parts[0] if len(parts) == 1 else d.Product(of=parts)
+
+
+def _variable(chain: Chain, name: str, names: Mapping[str, str]) -> d.Driver:
+    if name[:4] not in ("sin ", "cos "):
+        return d.Input(name=names.get(name, name))
+    function, axis = name.split(" ")
+    low, high = chain.machine.axes[axis].travel
+    count = max(2, int(np.ceil((high - low) / SINE_STEP)) + 1)
+    angle = np.radians(np.linspace(low, high, count))
+    values = np.sin(angle) if function == "sin" else np.cos(angle)
+    step = (high - low) / (count - 1)
+    return d.Lookup(of=d.Input(name=names.get(axis, axis)), start=low, step=step, values=tuple(map(float, values)))
+
+
+def lowered(errors: MachineErrors) -> dict[str, tuple[Lowered, ...]]:
+    """Component -> its compiled pairs (one profile each, driver 1), for components that are not zero everywhere."""
+    chain, out = errors.chain, {}
+    for c, name in enumerate(chain.components):
+        if chain.drives[c] < 0:
+            size = float(errors.constants[c])
+            if size != 0.0:
+                out[name] = (Lowered(d.ONE, None, lambda x, size=size: np.full(np.shape(x), size)),)
+            continue
+        grid, values = errors.curve(name)
+        if values.any():
+            axis = chain.axes[chain.drives[c]]
+            profile = lambda x, grid=grid, values=values: np.interp(x, grid, values)  # noqa: E731
+            out[name] = (Lowered(d.ONE, axis, profile),)
+    return out
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Deviation on a lattice over the linear axes for one tool.
+
+    axes: names; grids: mm per axis; values (n1, n2, n3, 3): um along E_X E_Y E_Z; bound: no deviation inside is
+    further than this from straight-line interpolation, um; largest_seen: of 4000 random places, um.
+    """
+
+    axes: tuple[str, ...]
+    grids: tuple[np.ndarray, ...]
+    values: np.ndarray
+    bound: float
+    largest_seen: float
+
+
+def lattice(errors: MachineErrors, counts: tuple[int, ...], tip: np.ndarray | None = None) -> Lattice:
+    """Sample the first-order deviation on a lattice over all axes. Raises ValueError for rotary axes."""
+    chain = errors.chain
+    if chain.machine.rotary_axes():
+        raise ValueError("a lattice over rotary axes would have to turn with them; use the synthesis")
+    if len(counts) != len(chain.axes) or min(counts) < 2:
+        raise ValueError(f"counts needs a number of at least 2 for each of {', '.join(chain.axes)}")
+    grids = tuple(np.linspace(*t, n) for t, n in zip(chain.travel, counts, strict=True))
+    q = np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
+    values = synthesis.first_order(chain, q, errors.at(q), tip)[:, :3].reshape(*counts, 3)
+    rng = np.random.default_rng(0)
+    places = rng.uniform(chain.travel[:, 0], chain.travel[:, 1], (4000, len(chain.axes)))
+    true = synthesis.first_order(chain, places, errors.at(places), tip)[:, :3]
+    seen = np.linalg.norm(true - interpolate(grids, values, places), axis=1).max()
+    return Lattice(chain.axes, grids, values, _lattice_bound(errors, grids, tip), float(seen))
+
+
+def interpolate(grids: tuple[np.ndarray, ...], values: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Multilinear interpolation as a controller does it, shape (n, 3)."""
+    out = np.zeros((len(q), values.shape[-1]))
+    index, share = [], []
+    for a, g in enumerate(grids):
+        s = np.clip((q[:, a] - g[0]) / (g[1] - g[0]), 0, len(g) - 1)
+        i = np.minimum(s.astype(int), len(g) - 2)
+        index.append(i)
+        share.append(s - i)
+    for corner in np.ndindex(*(2,) * len(grids)):
+        weight = np.prod([f if c else 1 - f for c, f in zip(corner, share, strict=True)], axis=0)
+        out += weight[:, None] * values[tuple(i + c for i, c in zip(index, corner, strict=True))]
+    return out
+
+
+def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np.ndarray | None) -> float:
+    """Sum over components of the largest gap between curve and chord times its largest arm.
+
+    Arms are linear in each coordinate, and an axis' own coordinate is in its own arm only where the error is
+    defined on the guideway; the product is then bent by at most gap x arm + h^2/4 x slope.
+    """
+    chain = errors.chain
+    corners = np.stack([g.ravel() for g in np.meshgrid(*chain.travel, indexing="ij")], axis=1)
+    arms = np.abs(synthesis.jacobian(chain, corners, tip)[:, :3]).max(axis=0)
+    total = np.zeros(3)
+    for c, name in enumerate(chain.components):
+        a = int(chain.drives[c])
+        if a < 0:
+            continue
+        grid, values = errors.curve(name)
+        fine = np.union1d(grid, grids[a])
+        curve = np.interp(fine, grid, values)
+        chord = np.interp(fine, grids[a], np.interp(grids[a], grid, values))
+        total += np.abs(curve - chord).max() * arms[:, c]
+        if chain.angular[c] and chain.machine.axes[chain.axes[a]].reference_on == "guideway":
+            step = grids[a][1] - grids[a][0]
+            slope = np.abs(np.diff(values)).max() / (grid[1] - grid[0])
+            total += 1e-3 * step**2 / 4 * slope
+    return float(np.linalg.norm(total))

@@ -1,0 +1,297 @@
+"""Direct identification: laser and level records of one axis to its curves EXX ... ECX, both directions apart.
+
+What stands between a reading and the axis is taken out first, each with its own sign in words:
+
+* air       displayed - true = displacement x (n / n_used - 1): warmer air, shorter reading.
+* dead path displayed - true = dead path x (n / n_reset - 1): an offset that drifts with the weather, also where
+            the laser corrects the wavelength over the displacement.
+* cosine    a beam off by t reads displacement x cos t: always short.
+* Abbe      the beam runs beside the functional line; the angle of the carriage times that offset is added.
+* material  the scale's own expansion is left in: it is the machine's, not the laser's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from errpipe.domain.components import parse
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.errors import MachineErrors
+
+# Change of the refractive index of air near 20 degC, 1013 hPa, 50 % (linearised Edlen formula).
+PER_KELVIN, PER_HPA, PER_PERCENT = -0.93e-6, 0.27e-6, -0.0085e-6
+SAME_PLACE = 1e-3  # mm or deg: readings closer than this are of one target
+
+
+@dataclass(frozen=True)
+class Laser:
+    """Set-up of a laser along an axis.
+
+    dead_path: mm from the interferometer to where it was reset; misalignment: urad of the beam against the axis;
+    offset: mm from the beam to the functional point (X, Y, Z); wavelength_corrected: whether the laser's own
+    weather station corrected the displacement (then the dead path alone remains).
+    """
+
+    dead_path: float = 0.0
+    misalignment: float = 0.0
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wavelength_corrected: bool = True
+
+
+def index_change(temperature=None, pressure=None, humidity=None) -> np.ndarray | float:
+    """n / n_first - 1 of the air along a record (degC, hPa, %), against its first reading."""
+    total: np.ndarray | float = 0.0
+    for values, slope in ((temperature, PER_KELVIN), (pressure, PER_HPA), (humidity, PER_PERCENT)):
+        if values is not None:
+            values = np.asarray(values, dtype=float)
+            total = total + slope * (values - values[np.isfinite(values)][0])
+    return total
+
+
+def corrected(
+    position: np.ndarray, deviation: np.ndarray, laser: Laser, *, air: np.ndarray | float = 0.0,
+    reset: float | None = None, turn: np.ndarray | None = None, direction: Sequence[float] = (1.0, 0.0, 0.0),
+) -> np.ndarray:  # fmt: skip
+    """Deviation of the functional point, um, from the displayed one.
+
+    position (mm), deviation (um): as displayed; air: n / n_used - 1; reset: position at which the laser was set
+    to zero (first one where left out); turn (n, 3): angular motion of the axis there, urad, about X, Y, Z;
+    direction: of the axis.
+    """
+    position = np.asarray(position, dtype=float)
+    travelled = position - (position[0] if reset is None else reset)
+    shown = travelled * 1e3 + np.asarray(deviation, dtype=float)  # um
+    air = np.asarray(air, dtype=float)
+    true = shown - laser.dead_path * 1e3 * air
+    if not laser.wavelength_corrected:
+        true = true / (1.0 + air)
+    true = true / np.cos(laser.misalignment * 1e-6)
+    out = true - travelled * 1e3
+    if turn is not None:
+        out = out + np.cross(turn, np.asarray(laser.offset)) @ np.asarray(direction, dtype=float) * 1e-3
+    return out
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One component along its axis: position (n,), means by direction (NaN where not measured), counts, scatter.
+
+    mean: of both directions; reversal: up minus down; error: standard error of the mean. um or urad. slope:
+    straight part taken out of a straightness (urad): it belongs to squareness.
+    """
+
+    component: str
+    position: np.ndarray
+    up: np.ndarray
+    down: np.ndarray
+    error: np.ndarray
+    slope: float = 0.0
+    slope_error: float = 0.0
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean of the directions that were measured, shape (n,)."""
+        both = np.vstack([self.up, self.down])
+        seen = np.isfinite(both)
+        return np.where(seen, both, 0.0).sum(axis=0) / seen.sum(axis=0)
+
+    @property
+    def reversal(self) -> np.ndarray:
+        """Up minus down, NaN where one is missing."""
+        return self.up - self.down
+
+    @property
+    def reversal_mean(self) -> float:
+        """Mean of `reversal`; 0 where the record has one direction."""
+        gap = self.reversal[np.isfinite(self.reversal)]
+        return float(gap.mean()) if gap.size else 0.0
+
+
+@dataclass(frozen=True)
+class Direct:
+    """Curves of all measured components, and the squareness that their slopes and other records give."""
+
+    curves: dict[str, Curve]
+    squareness: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def errors(self, chain: Chain, nodes: int = 201) -> MachineErrors:
+        """The measured components as a machine's errors; what was not measured is zero."""
+        values: dict = {n: (lambda p, c=c: np.interp(p, c.position, c.mean)) for n, c in self.curves.items()}
+        values |= {n: v for n, (v, _) in self.squareness.items()}
+        return MachineErrors.of(chain, values, nodes)
+
+
+def identify(
+    recording: Recording, *, lasers: Mapping[str, Laser] | None = None, chain: Chain | None = None,
+    zero: Mapping[str, float] | None = None,
+) -> Direct:  # fmt: skip
+    """Curves of every error-motion column of a recording (EXX, EYX, EBX ...), laser corrections included.
+
+    lasers: set-up by component; zero: position at which positioning is zero, by axis (the machine's datum where
+    a chain is given, else the first target). Raises DataError where a component's axis has no position.
+    """
+    lasers = lasers or {}
+    motions = [c for c in recording.components() if _is_motion(c)]
+    if not motions:
+        raise DataError("the recording has no error column of an error motion such as EXX, EYX or EBX")
+    curves: dict[str, Curve] = {}
+    ordered = sorted(motions, key=lambda c: parse(c).unit != "urad")  # angles first: Abbe needs them
+    for component in ordered:
+        curves[component] = _curve(recording, component, lasers.get(component), curves, chain, zero or {})
+    squares = {}
+    if chain is not None:
+        squares = {n: _squareness(n, curves) for n in chain.components if _slopes_of(n, curves)}
+    return Direct({c: curves[c] for c in motions}, squares)
+
+
+def _is_motion(component: str) -> bool:
+    return parse(component).kind not in ("tool point", "tool orientation", "circular", "diameter", "force",
+                                         "squareness", "axis offset")  # fmt: skip
+
+
+def _curve(recording: Recording, component: str, laser: Laser | None, known, chain, zero) -> Curve:
+    c = parse(component)
+    axis = str(c.axis)
+    name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+    if name is None:
+        raise DataError(f"{component}: the recording has no position of axis {axis}")
+    p, value = recording.array(name), recording.array(recording.name("error", component=component))
+    rows = np.isfinite(p) & np.isfinite(value)
+    if rows.sum() < 3:
+        raise DataError(f"{component}: at least 3 readings are needed (found {int(rows.sum())})")
+    if laser is not None:
+        value = value.copy()
+        value[rows] = corrected(
+            p[rows], value[rows], laser, air=_air(recording, rows), turn=_turn(axis, p[rows], known),
+            direction=chain.machine.direction(axis) if chain is not None else np.eye(3)["XYZ".index(c.direction)],
+        )  # fmt: skip
+    side = _side(recording, axis, p)
+    targets, number = _targets(p[rows])
+    up, down = (_means(number, value[rows], side[rows] == s, len(targets)) for s in (1, -1))
+    error = _scatter(number, value[rows], side[rows], len(targets))
+    return _conventions(Curve(component, targets, up, down, error), zero.get(axis, _zero(chain, axis, targets)))
+
+
+def _air(recording: Recording, rows: np.ndarray) -> np.ndarray | float:
+    """Index change from air sensors: those whose location says air, or the only one there is."""
+    found = []
+    for role in ("temperature", "pressure", "humidity"):
+        names = recording.names(role)
+        in_air = [n for n in names if "air" in (recording.manifest.columns[n].location or "").lower()]
+        if role != "temperature" and not in_air:
+            in_air = [n for n in names if recording.manifest.columns[n].location is None]
+        found.append(recording.array(in_air[0])[rows] if in_air else None)
+    return index_change(*found)
+
+
+def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | None:
+    curves = [known.get(f"E{d}{axis}") for d in "ABC"]
+    if not any(curves):
+        return None
+    return np.column_stack([np.zeros(len(p)) if c is None else np.interp(p, c.position, c.mean) for c in curves])
+
+
+def _side(recording: Recording, axis: str, p: np.ndarray) -> np.ndarray:
+    name = recording.name("direction", axis=axis)
+    if name is not None:
+        return np.sign(recording.array(name))
+    step = np.diff(p, prepend=p[0])
+    step[0] = step[1] if len(step) > 1 else 1.0
+    side = np.sign(step)
+    for i in range(1, len(side)):
+        side[i] = side[i - 1] if side[i] == 0 else side[i]
+    return np.where(side == 0, 1.0, side)
+
+
+def _targets(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(p, kind="stable")
+    new = np.r_[True, np.diff(p[order]) > SAME_PLACE]
+    number = np.empty(len(p), dtype=int)
+    number[order] = np.cumsum(new) - 1
+    return np.array([p[number == i].mean() for i in range(number.max() + 1)]), number
+
+
+def _means(number: np.ndarray, value: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
+    total = np.bincount(number[rows], weights=value[rows], minlength=count)
+    found = np.bincount(number[rows], minlength=count)
+    return np.where(found > 0, total / np.maximum(found, 1), np.nan)
+
+
+def _scatter(number: np.ndarray, value: np.ndarray, side: np.ndarray, count: int) -> np.ndarray:
+    """Standard error of each target's mean from the pooled scatter of repeats; NaN without repeats."""
+    square, free = 0.0, 0
+    for s in (1, -1):
+        for i in range(count):
+            rows = (number == i) & (side == s)
+            if rows.sum() > 1:
+                square += float(np.var(value[rows]) * rows.sum())
+                free += int(rows.sum()) - 1
+    if free == 0:
+        return np.full(count, np.nan)
+    return np.sqrt(square / free / np.bincount(number, minlength=count))
+
+
+def _zero(chain: Chain | None, axis: str, targets: np.ndarray) -> float:
+    return float(targets[0]) if chain is None else chain.machine.axes[axis].zero
+
+
+def _conventions(curve: Curve, zero: float) -> Curve:
+    """Positioning zero at its datum, straightness without line, angles without offset."""
+    kind, p, mean = parse(curve.component).kind, curve.position, curve.mean
+    slope, error = 0.0, 0.0
+    if kind in ("positioning", "angular positioning"):
+        line = np.full(len(p), np.interp(zero, p, mean))
+    elif kind == "straightness":
+        line, slope, error = straight_part(p, mean)
+    else:
+        line = np.full(len(p), np.trapezoid(mean, p) / (p[-1] - p[0]))
+    return Curve(curve.component, p, curve.up - line, curve.down - line, curve.error, slope, error)
+
+
+def straight_part(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Least-squares line of a straightness (um over mm): its values, slope in urad, and standard error of the slope."""
+    p = np.asarray(position, dtype=float)
+    design = np.column_stack([np.ones(len(p)), p - p.mean()])
+    found, *_ = np.linalg.lstsq(design, deviation, rcond=None)
+    left = deviation - design @ found
+    free = max(1, len(p) - 2)
+    error = np.sqrt(left @ left / free / np.sum((p - p.mean()) ** 2))
+    return design @ found, float(found[1] * 1e3), float(error * 1e3)
+
+
+# Which slopes make a squareness: (component, sign) of the second axis, then of the datum axis. A turn t of the
+# +Y motion about Z moves it by -t per mm along X; the same turn of +X moves it by +t per mm along Y.
+_SLOPES = {
+    ("C", "Y"): (("EXY", -1), ("EYX", -1)), ("C", "X"): (("EYX", 1), ("EXY", 1)),
+    ("B", "Z"): (("EXZ", 1), ("EZX", 1)), ("B", "X"): (("EZX", -1), ("EXZ", -1)),
+    ("A", "Z"): (("EYZ", -1), ("EZY", -1)), ("A", "Y"): (("EZY", 1), ("EYZ", 1)),
+}  # fmt: skip
+
+
+def _slopes_of(component: str, curves: Mapping[str, Curve]) -> bool:
+    pair = _SLOPES.get((component[0], component[2:])) if component[1:2] == "0" else None
+    return pair is not None and all(name in curves for name, _ in pair)
+
+
+def _squareness(component: str, curves: Mapping[str, Curve]) -> tuple[float, float]:
+    """Squareness and its standard error, urad, from two straightness records against one square."""
+    pair = _SLOPES[component[0], component[2:]]
+    value = sum(sign * curves[name].slope for name, sign in pair)
+    return value, float(np.hypot(*(curves[name].slope_error for name, _ in pair)))
+
+
+def straightness_from_angles(position: np.ndarray, angle: np.ndarray, base: float) -> np.ndarray:
+    """Profile of a guideway from a level or autocollimator stepped by its base length, um, less its line.
+
+    position (mm) of the front foot, angle (urad) there; each step rises by base x angle.
+    """
+    if base <= 0 or not np.allclose(np.diff(position), base, rtol=0.02):
+        raise DataError(f"positions must step by the base length {base:g} mm")
+    height = np.r_[0.0, np.cumsum(np.asarray(angle, dtype=float)) * base * 1e-3]
+    place = np.r_[position[0] - base, position]
+    return height - straight_part(place, height)[0]

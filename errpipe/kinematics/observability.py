@@ -1,0 +1,206 @@
+"""What a test cannot see, in names, and the smallest extra measurement that would make it visible.
+
+Parameters are scaled by how large they usually are and readings by their noise. In these units a direction of
+the parameter space that keeps more than half its spread after the test is not seen: its components are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from errpipe.domain.components import describe
+from errpipe.kinematics import identify as ident
+from errpipe.kinematics import observations as o
+from errpipe.kinematics import synthesis
+from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.observations import Observations
+
+UNSEEN = 0.5  # share of the prior variance that is left
+NAMED = 0.3  # a component belongs to an unseen direction from this weight on
+BENDS = 2  # straight part and first bend stand for a curve: finer detail is a matter of more points
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A combination of components that a test leaves open. left: share of its prior variance that remains."""
+
+    components: tuple[str, ...]
+    weights: tuple[float, ...]
+    left: float
+
+    def says(self) -> str:
+        """One sentence for a person."""
+        if len(self.components) == 1:
+            return f"{self.components[0]} ({describe(self.components[0])}) is not seen"
+        return "only combinations are seen of " + ", ".join(self.components)
+
+
+@dataclass(frozen=True)
+class Observability:
+    """rank of the scaled design, parameters in all, how much of each component is seen (0..1), what is not."""
+
+    rank: int
+    parameters: int
+    singular_values: np.ndarray
+    seen: dict[str, float]
+    unseen: tuple[Unseen, ...]
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A measurement to add: what it is, what it makes visible, readings and minutes it takes."""
+
+    name: str
+    resolves: tuple[str, ...]
+    readings: int
+    minutes: float
+
+
+def coarse(chain: Chain, without: tuple[str, ...] = ()) -> ident.Parametrisation:
+    """Few functions per curve: what can be told apart at all."""
+    return ident.Parametrisation.of(chain, modes=BENDS, without=without)
+
+
+def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()) -> Observability:
+    """Rank and unseen combinations of a test (readings may be missing; poses and set-up decide). noise: um."""
+    model = coarse(chain, without)
+    information, spread = _information(model, obs, noise)
+    left = np.linalg.inv(information + np.eye(len(spread)))
+    values, vectors = np.linalg.eigh(left)
+    singular = np.sqrt(np.maximum(np.linalg.eigvalsh(information)[::-1], 0.0))
+    rank = int((singular**2 > 1.0).sum())
+    unseen = tuple(_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)[::-1])
+    seen = {}
+    for c, name in enumerate(chain.components):
+        rows = model.prior.component == c
+        if rows.any():
+            seen[name] = float(1.0 - np.mean(np.diag(left)[rows]))
+    return Observability(rank, len(spread), singular, seen, _merged(unseen))
+
+
+def _information(model: ident.Parametrisation, obs: Observations, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Information on the scaled components with set-up eliminated."""
+    spread = model.prior.spreads(np.zeros(0)).of(np.r_[ident.TYPICAL, ident.SMOOTHNESS, 1.0])
+    scale = (obs.noise * noise)[:, None]
+    a = model.design(obs) * spread / scale
+    if obs.nuisance.shape[1] == 0:
+        return a.T @ a, spread
+    n = obs.nuisance * obs.nuisance_spread / scale
+    inner = cho_factor(n.T @ n + np.eye(n.shape[1]))
+    cross = n.T @ a
+    return a.T @ a - cross.T @ cho_solve(inner, cross), spread
+
+
+def _name(chain: Chain, model: ident.Parametrisation, vector: np.ndarray, left: float) -> Unseen:
+    weight = np.sqrt(np.bincount(model.prior.component, weights=vector**2, minlength=len(chain.components)))
+    order = [int(i) for i in np.argsort(-weight, kind="stable") if weight[i] > NAMED] or [int(np.argmax(weight))]
+    return Unseen(
+        tuple(chain.components[i] for i in order), tuple(round(float(weight[i]), 3) for i in order), float(left)
+    )
+
+
+def _merged(unseen: tuple[Unseen, ...]) -> tuple[Unseen, ...]:
+    """One line for each set of components."""
+    found: dict[tuple[str, ...], Unseen] = {}
+    for u in unseen:
+        found.setdefault(tuple(sorted(u.components)), u)
+    return tuple(found.values())
+
+
+def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
+    """Small measurements that could be added to a test, by name."""
+    low, high = chain.travel.T
+    middle = (low + high) / 2
+    tip = obs.tip[:1]
+    machine = chain.machine
+    tool = np.asarray(machine.tool.direction)
+    side = np.linalg.svd(tool[None])[2][1]
+    found: dict[str, Observations] = {}
+    for a, axis in enumerate(chain.axes):
+        q = np.tile(middle, (9, 1))
+        q[:, a] = np.linspace(low[a], high[a], 9)
+        for i, about in enumerate("ABC"):
+            unit = np.eye(3)[i]
+            found[f"level or autocollimator along {axis}, about {about} (9 readings)"] = o.angle(
+                chain, q, tip, unit, label=f"{axis}{about}", seconds=300
+            )
+        if machine.axes[axis].kind == "linear":
+            found[f"laser along {axis} (9 readings)"] = o.along(
+                chain, q, tip, machine.direction(axis), label=f"laser {axis}", seconds=900
+            )
+    for name, shift in (("a tool 100 mm longer", 100.0 * tool), ("a ball 80 mm beside the spindle axis", 80.0 * side)):
+        rows = np.linspace(0, len(obs) - 1, min(len(obs), 60)).astype(int)
+        again = obs.take(rows)
+        moved = o.Observations(**{**again.__dict__, "tip": again.tip + shift})
+        found[f"the same test with {name} ({len(rows)} readings)"] = _refresh(chain, moved)
+    for i, first in enumerate(chain.axes):
+        for j, second in enumerate(chain.axes):
+            both = {machine.axes[first].kind, machine.axes[second].kind} == {"linear"}
+            if j <= i or not both:
+                continue
+            angle = np.arange(24) * 2 * np.pi / 24
+            radius = 0.3 * min(high[i] - low[i], high[j] - low[j])
+            q = np.tile(middle, (24, 1))
+            q[:, i] += radius * np.cos(angle)
+            q[:, j] += radius * np.sin(angle)
+            socket = synthesis.ideal_pose(chain, middle, tip)[0, 0]
+            found[f"ball-bar circle {first}{second} (24 readings)"] = o.distance(
+                chain, q, tip, socket, label=f"circle {first}{second}", seconds=240
+            )
+    return found
+
+
+def _refresh(chain: Chain, obs: Observations) -> Observations:
+    """The same readings from another tool: bar directions follow the tool's place."""
+    rows = ~np.isnan(obs.socket[:, 0])
+    weights = obs.weights.copy()
+    if rows.any():
+        ray = synthesis.ideal_pose(chain, obs.q[rows], obs.tip[rows])[:, 0] - obs.socket[rows]
+        weights[rows, :3] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    return o.Observations(**{**obs.__dict__, "weights": weights, "seconds": 600.0})
+
+
+def smallest_extra(
+    chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = (),
+    offered: Mapping[str, Observations] | None = None, most: int = 12,
+) -> tuple[Extra, ...]:  # fmt: skip
+    """Measurements to add, one after the other, each the one that resolves most per minute, until all is seen.
+
+    Stops early where nothing offered helps any more.
+    """
+    model = coarse(chain, without)
+    information, spread = _information(model, obs, noise)
+    offered = dict(candidates(chain, obs) if offered is None else offered)
+    gains = {name: _information(model, extra, noise)[0] for name, extra in offered.items()}
+    chosen: list[Extra] = []
+    one = np.eye(len(spread))
+    for _ in range(most):
+        values, vectors = np.linalg.eigh(np.linalg.inv(information + one))
+        open_ = vectors[:, values > UNSEEN]
+        if open_.shape[1] == 0:
+            break
+        best, score = "", 0.0
+        for name, gain in gains.items():
+            left = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (information + gain) @ open_ + np.eye(open_.shape[1])))
+            resolved = float((left <= UNSEEN).sum()) + 1e-3 * float(open_.shape[1] - left.sum())
+            rate = resolved / max(offered[name].seconds, 60.0)
+            if resolved > 0.05 and rate > score:
+                best, score = name, rate
+        if not best:
+            break
+        before = _unseen_names(chain, model, information)
+        information = information + gains.pop(best)
+        after = _unseen_names(chain, model, information)
+        extra = offered[best]
+        chosen.append(Extra(best, tuple(sorted(before - after)), len(extra), max(extra.seconds, 60.0) / 60.0))
+    return tuple(chosen)
+
+
+def _unseen_names(chain: Chain, model: ident.Parametrisation, information: np.ndarray) -> set[str]:
+    values, vectors = np.linalg.eigh(np.linalg.inv(information + np.eye(len(information))))
+    found: Sequence[Unseen] = [_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)]
+    return {c for u in found for c in u.components}

@@ -1,0 +1,105 @@
+"""Volumetric evaluation with 21 components: against vectorised numpy and against the memory floor.
+
+    python tests/bench/bench_kinematics.py
+
+Prints ratios; the same points, curves and answer on both sides (checked to 1e-9 um). Best of several rounds.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "kinematics"))
+from machines import ready
+
+from errpipe.kernels import volumetric as k
+from errpipe.kinematics.errors import MachineErrors, ThreeAxisVolume
+from errpipe.simulation.metrology import smooth_machine
+
+POINTS = 400_000
+WANTED = 10.0
+
+
+def with_numpy(errors: MachineErrors, q: np.ndarray, tip: np.ndarray, gather: bool, chunk: int = 8192) -> np.ndarray:
+    """The same evaluation as a numpy user writes it, in chunks that stay in the cache.
+
+    gather False: np.interp for each of the 18 curves. True: one index per axis and its six curves at once.
+    """
+    chain, out = errors.chain, np.empty((len(q), 3))
+    square = {n: errors.constants[chain.index(n)] * 1e-3 for n in ("C0Y", "A0Z", "B0Z")}
+    links = [n for n in chain.machine.order()][::-1]
+    for first in range(0, len(q), chunk):
+        x, p = q[first : first + chunk], tip[first : first + chunk].copy()
+        total = np.zeros_like(p)
+        total[:, 0] = square["B0Z"] * x[:, 2] - square["C0Y"] * x[:, 1]
+        total[:, 1] = -square["A0Z"] * x[:, 2]
+        for name in links:
+            a = chain.axes.index(name)
+            table, start, step = errors.tables[a], errors.start[a], errors.step[a]
+            if gather:
+                s = np.clip((x[:, a] - start) / step, 0.0, len(table) - 1.0)
+                j = np.minimum(s.astype(np.int64), len(table) - 2)
+                curve = table[j] + (s - j)[:, None] * (table[j + 1] - table[j])
+                curve = curve.T
+            else:
+                grid = start + step * np.arange(len(table))
+                curve = [np.interp(x[:, a], grid, table[:, c]) for c in range(6)]
+            arm = p - np.array(chain.machine.axes[name].reference)
+            ea, eb, ec = (c * 1e-3 for c in curve[3:])
+            total[:, 0] += curve[0] + eb * arm[:, 2] - ec * arm[:, 1]
+            total[:, 1] += curve[1] + ec * arm[:, 0] - ea * arm[:, 2]
+            total[:, 2] += curve[2] + ea * arm[:, 1] - eb * arm[:, 0]
+            p[:, "XYZ".index(name)] += x[:, a]
+        out[first : first + chunk] = total
+    return out
+
+
+def best(rounds: int, *works) -> list[float]:
+    """Shortest of several rounds of each, taken in turn so that a busy machine hurts all alike, s."""
+    times = [[] for _ in works]
+    for _ in range(rounds):
+        for work, found in zip(works, times, strict=True):
+            start = perf_counter()
+            work()
+            found.append(perf_counter() - start)
+    return [min(found) for found in times]
+
+
+def measure() -> dict[str, float]:
+    """ns per point of each way."""
+    chain = ready("cmm")
+    errors = MachineErrors.of(chain, smooth_machine(chain, 1), nodes=257)
+    volume = ThreeAxisVolume.of(errors)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(chain.travel[:, 0], chain.travel[:, 1], (POINTS, 3))
+    tip = np.ascontiguousarray(np.broadcast_to(chain.tip(120.0), (POINTS, 3)))
+    for gather in (False, True):
+        gap = np.abs(volume(q, tip) - with_numpy(errors, q, tip, gather)).max()
+        if gap > 1e-9:
+            raise SystemExit(f"the two differ by {gap} um")
+    out = np.empty((POINTS, 3))
+    k.touch(q, tip, out)
+    times = best(
+        5, lambda: volume(q, tip, out), lambda: k.touch(q, tip, out),
+        lambda: with_numpy(errors, q, tip, False), lambda: with_numpy(errors, q, tip, True),
+    )  # fmt: skip
+    names = ("errpipe", "memory floor", "numpy, np.interp per curve", "numpy, six curves gathered at once")
+    return dict(zip(names, (t / POINTS * 1e9 for t in times), strict=True))
+
+
+def main() -> int:
+    found = measure()
+    print(f"volumetric error, 21 components, {POINTS} points, one core")
+    for name, ns in found.items():
+        print(f"  {name:36} {ns:8.1f} ns/point  {ns / found['errpipe']:6.2f} x errpipe")
+    ratio = found["numpy, np.interp per curve"] / found["errpipe"]
+    print(f"  vectorised numpy (np.interp) takes {ratio:.1f} times as long; wanted: at least {WANTED:.0f}")
+    return 0 if ratio >= WANTED else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
