@@ -52,7 +52,7 @@ def check(
     values, vectors = np.linalg.eigh(gram)
     spread = _spread(scaled) if level else np.ones(design.shape[1])
     if values[0] <= 1e-13 * values[-1]:
-        raise NotIdentifiable(_words(vectors[:, 0], scaled, names, recording, component))
+        raise NotIdentifiable(_words(_without_level(vectors[:, 0], level, scaled), scaled, names, recording, component))
     inflation = np.diag(vectors / values @ vectors.T) * spread**2
     inflation[level] = 1.0
     worst = int(np.argmax(inflation))
@@ -67,6 +67,15 @@ def check(
 def _spread(scaled: np.ndarray) -> np.ndarray:
     """Share of each unit-length column that is not its mean."""
     return np.sqrt(np.maximum(1.0 - scaled.shape[0] * scaled.mean(axis=0) ** 2, 1e-12))
+
+
+def _without_level(direction: np.ndarray, level: list[int], scaled: np.ndarray) -> np.ndarray:
+    """The same direction about the level, where two other columns already stand in for each other there."""
+    about = direction.copy()
+    about[level] = 0.0
+    one, two = np.argsort(-np.abs(about), kind="stable")[:2] if direction.size > 1 else (0, 0)
+    alike = one != two and abs(about[two]) > 0.0 and abs(_correlation(scaled[:, one], scaled[:, two])) > 0.95
+    return about if alike else direction
 
 
 def _words(direction, scaled, names, recording, component) -> str:
