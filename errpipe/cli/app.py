@@ -127,7 +127,7 @@ def _refusal(name: str, err: Exception, as_json: bool) -> int:
     if isinstance(err, ErrpipeError):
         return complain(name, str(err), err.exit_code, as_json, err)
     if isinstance(err, _CLICK_USAGE):
-        text = err.format_message()  # type: ignore[attr-defined]
+        text = _usage(err)
         line = f"errpipe {name}".strip()
         text = f"{line}: {text[0].lower()}{text[1:]}\n({line} --help shows what is possible)"
         return complain(name, text, 2, as_json)
@@ -135,6 +135,14 @@ def _refusal(name: str, err: Exception, as_json: bool) -> int:
         return complain(name, f"{err.filename}: {err.strerror.lower()}", 2, as_json)
     text = f"internal error, please report it: {type(err).__name__}: {err}\n(--debug shows where it happened)"
     return complain(name, text, 1, as_json)
+
+
+def _usage(err: Any) -> str:
+    """What click says of a command line; of an unknown option in our words, which do not change with click."""
+    if type(err).__name__ == "NoSuchOption":
+        known = [name for parameter in err.ctx.command.params for name in parameter.opts] if err.ctx else []
+        return f"no option {err.option_name}.{did_you_mean(err.option_name, known)}"
+    return str(err.format_message())
 
 
 def _closed_pipe() -> int:

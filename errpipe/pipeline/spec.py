@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal, Union
 from pydantic import Field, create_model
 
 from errpipe import yamlfile
-from errpipe.errors import Problem, UsageError, did_you_mean
+from errpipe.errors import ConfigError, Problem, UsageError, did_you_mean
 from errpipe.pipeline.graph import Links, link
 from errpipe.pipeline.stage import Stage
 from errpipe.yamlfile import Document, Options
@@ -114,7 +114,7 @@ def assign(document: Document, text: str) -> None:
     steps: list[str | int] = [int(step) if step.isdigit() else step for step in left.strip().split(".")]
     if not equals or "" in steps:
         raise UsageError(f"{origin}: not of the form STAGE.key=value")
-    value = yamlfile.parse(right, origin).value if right.strip() else ""
+    value = _value_of(right, origin)
     if not isinstance(document.value, dict):
         return  # said better when the file is validated
     names = _names(document)
@@ -125,6 +125,17 @@ def assign(document: Document, text: str) -> None:
     else:
         near = did_you_mean(str(steps[0]), names)
         raise UsageError(f"{origin}: no stage {steps[0]!r} (stages: {', '.join(names)}).{near}")
+
+
+def _value_of(text: str, origin: str) -> Any:
+    if not text.strip():
+        return ""
+    try:
+        document = yamlfile.parse(text)
+        document.raise_problems()
+    except ConfigError as err:
+        raise UsageError(f"{origin}: {err.problems[0].message}") from None
+    return document.value
 
 
 def _names(document: Document) -> list[str]:

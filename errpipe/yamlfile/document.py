@@ -64,7 +64,10 @@ class Document:
             return None if wrong else found
         except ValidationError as err:
             explained = explain(self.problem, value, model, err.errors(include_url=False))
-            self.problems.extend(problem for place, problem in explained if place not in places)
+            told = {(problem.line, problem.column) for problem in self.problems if problem.line}
+            self.problems.extend(
+                one for place, one in explained if place not in places and (one.line, one.column) not in told
+            )
             return None
 
     def assign(self, place: Place, value: Any, origin: str) -> None:

@@ -74,7 +74,10 @@ class Builder:
             pass
         except MarkedYAMLError as err:
             what = ", ".join(part.split("\n")[0] for part in (err.problem, err.context) if part)
-            self._note(err.problem_mark or err.context_mark, (), f"not YAML: {what}")
+            mark, start = err.problem_mark or err.context_mark, err.context_mark
+            if start is not None and start.line != mark.line:
+                what += f" that starts in line {start.line + 1}"
+            self._note(mark, (), f"not YAML: {what}")
         except ReaderError as err:
             line, column = text.count("\n", 0, err.position) + 1, err.position - text.rfind("\n", 0, err.position)
             what = f"not YAML: the character U+{ord(text[err.position]):04X} is not allowed"

@@ -6,6 +6,7 @@ pointed at itself, a missing one at the mapping that lacks it, everything else a
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin
 
@@ -30,6 +31,7 @@ _BOUNDS = {
     "greater_than": ("gt", "above"), "greater_than_equal": ("ge", "at least"),
     "less_than": ("lt", "below"), "less_than_equal": ("le", "at most"), "multiple_of": ("multiple_of", "a multiple of"),
 }  # fmt: skip
+MOST_CHOICES = 16  # more than that no one reads in an error message
 _TRUTH = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
 
@@ -69,7 +71,7 @@ def _words(kind: str, error: Mapping[str, Any], trail: _Trail, value: Any) -> tu
     place, extra = trail.place, error.get("ctx", {})
     if kind == "extra_forbidden":
         allowed = trail.allowed_keys
-        return place, f"unknown key{_allowed(allowed)}{_near(place[-1], allowed)}", "key"
+        return place, f"unknown key{_allowed(allowed, place[-1])}{_near(place[-1], allowed)}", "key"
     if kind == "missing":
         return place, f"is missing{trail.meaning}", "parent"
     if kind == "union_tag_not_found":
@@ -77,7 +79,7 @@ def _words(kind: str, error: Mapping[str, Any], trail: _Trail, value: Any) -> tu
         return (*place, key), f"is missing{_allowed(trail.tags(key))}", "parent"
     if kind == "union_tag_invalid":
         key, tag = extra["discriminator"].strip("'"), extra["tag"]
-        return (*place, key), f"found {tag!r}{_allowed(trail.tags(key))}{_near(tag, trail.tags(key))}", "value"
+        return (*place, key), f"found {tag!r}{_allowed(trail.tags(key), tag)}{_near(tag, trail.tags(key))}", "value"
     if kind in _BOUNDS:
         name, word = _BOUNDS[kind]
         return place, f"{value} is not {word} {extra[name]:g}{trail.unit}", "value"
@@ -103,7 +105,7 @@ def _rest(kind: str, error: Mapping[str, Any], place: Place, value: Any) -> tupl
 def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> str:
     """What to say where a value is of the wrong kind, or none of the choices, or both."""
     if not wanted:
-        return f"found {_short(value)}{_allowed(choices)}{_near(value, choices)}"
+        return f"found {_short(value)}{_allowed(choices, value)}{_near(value, choices)}"
     wanted = [*wanted, f"one of {', '.join(choices)}"] if choices else wanted
     message = f"found {describe(value)} ({' or '.join(wanted)} is needed)"
     if not isinstance(value, str):
@@ -120,9 +122,13 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
     return message
 
 
-def _allowed(words: Iterable[Any]) -> str:
-    text = ", ".join(map(str, words))
-    return f" (allowed: {text})." if text else "."
+def _allowed(words: Iterable[Any], found: Any = "") -> str:
+    """' (allowed: a, b, c).'; of a long list only what is nearest to what was found."""
+    names = list(map(str, words))
+    if len(names) > MOST_CHOICES:
+        near = difflib.get_close_matches(str(found), names, n=5, cutoff=0.3) or names[:5]
+        return f" (allowed: {', '.join(near)} and {len(names) - len(near)} others)."
+    return f" (allowed: {', '.join(names)})." if names else "."
 
 
 def _near(word: Any, allowed: Iterable[Any]) -> str:

@@ -127,7 +127,7 @@ def test_every_error_has_its_code_and_one_document(
         (["rum"], "no verb 'rum' (errpipe --help lists them). Did you mean run?"),
         (["run"], "errpipe run: missing argument 'PIPELINE'.\n(errpipe run --help shows what is possible)"),
         (["run", "p.yaml", "--jobs", "0"], "errpipe run: invalid value for '--jobs'"),
-        (["--nope"], "errpipe: no such option: --nope"),
+        (["--nope"], "errpipe: no option --nope."),
         (["eval", "t.ect", "--at", "x"], "--at x: not of the form INPUT=VALUE, such as x=100"),
     ],
 )
