@@ -95,7 +95,7 @@ class TableInput(Part):
 
     A reading is believed if it is finite, fresh, within [low, high], and has not moved faster than
     `max_rate` since the last believed one. Else: the substitute (if its sources are believed), else the last
-    believed reading for at most `hold_s`, else `default`. The result is always within [low, high].
+    believed reading for less than `hold_s`, else `default`. The result is always within [low, high].
     """
 
     name: Name

@@ -1,7 +1,9 @@
 """One cycle of a compensation table, and the replay of a recording, on plain arrays.
 
 The operations and their order are those of the reference evaluator (`errpipe/tables/reference.py`), to the bit.
-Nothing is allocated in a cycle. `Program` and `State` are made by `errpipe/tables/pack.py`.
+Nothing is allocated in a cycle. A `Program` is the sections of an `.ect` file as record arrays, as they lie in
+the file; `errpipe/tables/pack.py` makes it and a `State`. Loops stand in few functions with few arguments:
+what is called per node takes numbers, not arrays, else the calls cost more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -12,11 +14,60 @@ import numpy as np
 
 from errpipe.kernels import kernel
 
+INPUT_RECORD = np.dtype({
+    "names": ["flags", "first", "count", "low", "high", "max_rate", "stale", "hold", "default", "offset",
+              "valid_low", "valid_high", "margin"],
+    "formats": ["<u2", "<u4", "<u4"] + ["<f8"] * 10,
+    "offsets": [58, 60, 64, *range(72, 152, 8)],
+    "itemsize": 152,
+})  # fmt: skip
+WEIGHTED = np.dtype({"names": ["number", "weight"], "formats": ["<u4", "<f8"], "offsets": [0, 8], "itemsize": 16})
+NODE_RECORD = np.dtype({
+    "names": ["op", "flags", "first", "count", "other", "others", "a", "b", "c", "d"],
+    "formats": ["<u2", "<u2"] + ["<u4"] * 4 + ["<f8"] * 4,
+    "offsets": [0, 2, 4, 8, 12, 16, 24, 32, 40, 48],
+    "itemsize": 56,
+})  # fmt: skip
+PROFILE_RECORD = np.dtype({
+    "names": ["input", "flags", "first", "count", "start", "step", "inverse_step", "inverse_turn", "scale"],
+    "formats": ["<i4"] + ["<u4"] * 3 + ["<f8"] * 5,
+    "offsets": [0, 4, 8, 12, 16, 24, 32, 40, 48],
+    "itemsize": 72,
+})  # fmt: skip
+PAIR_RECORD = np.dtype({
+    "names": ["component", "profile", "node", "flags"],
+    "formats": ["<u4"] * 4,
+    "offsets": [0, 4, 8, 12],
+    "itemsize": 16,
+})  # fmt: skip
+OUTPUT_RECORD = np.dtype({
+    "names": ["flags", "first", "count", "factor", "magnitude", "slew", "acceleration"],
+    "formats": ["<u4"] * 3 + ["<f8"] * 4,
+    "offsets": [44, 48, 52, 56, 64, 72, 80],
+    "itemsize": 88,
+})  # fmt: skip
+TERM_RECORD = np.dtype({
+    "names": ["component", "count", "n0", "n1", "n2", "n3", "weight"],
+    "formats": ["<u4"] * 6 + ["<f8"],
+    "offsets": [0, 4, 8, 12, 16, 20, 24],
+    "itemsize": 32,
+})  # fmt: skip
+
+INPUT_STATE = np.dtype([(n, "f8") for n in ("raw", "wait", "good", "age", "value")]
+                       + [(n, "i8") for n in ("seen", "usable", "fault", "source")])  # fmt: skip
+NODE_STATE = np.dtype([("value", "f8"), ("memory", "f8"), ("ready", "i8")])
+OUTPUT_STATE = np.dtype([(n, "f8") for n in ("deviation", "correction", "limited", "rate", "target")])
+COMMON_STATE = np.dtype([("fade", "f8"), ("ramp", "f8")]
+                        + [(n, "i8") for n in ("until_slow", "heartbeat", "status", "unready")])  # fmt: skip
+
 CONSTANT, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DIRECTION, APPROACH, LOOKUP = range(1, 13)
 OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 4, 8, 16, 32
+SLOW, START_ZERO = 1, 2
 HAS_MAGNITUDE, HAS_SLEW, HAS_ACCELERATION = 1, 2, 4
 RUNNING, ACTIVE, RAMPING, SUBSTITUTED, HELD, DEFAULTED, FADING, FADED = 1, 2, 4, 8, 16, 32, 64, 128
 AT_MAGNITUDE, AT_RATE, BEYOND_PROFILE, WAITING, NOT_FINITE = 256, 512, 1024, 2048, 4096
+LOST = 1 << 31  # internal: an input that matters is down to its default
+PERIODIC = KEEP = 1
 LARGEST = 1e30
 
 LOG2_E = 1.4426950408889634
@@ -35,65 +86,36 @@ LN = np.array([
 
 
 class Program(NamedTuple):
-    """A table as arrays. Numbers in *_first arrays have one more entry: the end of the last."""
+    """A table: cycles and times, and its sections as record arrays."""
 
     slow_every: int
     cycle_s: float
     ramp_s: float
     fade_s: float
-    in_flags: np.ndarray  # (inputs,)
-    in_real: np.ndarray  # (inputs, 10): low high max_rate stale hold default offset valid_low valid_high margin
-    sub_first: np.ndarray  # (inputs + 1,)
-    sub_input: np.ndarray
-    sub_weight: np.ndarray
-    op: np.ndarray  # (nodes,)
-    slow: np.ndarray
-    other: np.ndarray  # input number, or 1 for a lag that starts at zero, or first lookup value
-    others: np.ndarray  # count of lookup values
-    par: np.ndarray  # (nodes, 4)
-    of_first: np.ndarray  # (nodes + 1,)
-    of: np.ndarray
-    weight: np.ndarray
-    reals: np.ndarray
+    inputs: np.ndarray
+    substitutes: np.ndarray
+    nodes: np.ndarray
+    operands: np.ndarray
+    lookups: np.ndarray
+    profiles: np.ndarray
+    values: np.ndarray
+    pairs: np.ndarray
+    outputs: np.ndarray
+    terms: np.ndarray
+    every: np.ndarray  # numbers of all nodes
     fast: np.ndarray  # numbers of the nodes that are not slow
-    p_input: np.ndarray  # (profiles,), -1: constant
-    p_periodic: np.ndarray
-    p_first: np.ndarray
-    p_last: np.ndarray
-    p_real: np.ndarray  # (profiles, 4): start, 1 / step, scale, 1 / intervals
-    values: np.ndarray  # int32
-    pair: np.ndarray  # (pairs, 4): component, profile, node, keep
-    o_flags: np.ndarray  # (outputs,)
-    o_real: np.ndarray  # (outputs, 4): factor, magnitude, slew, acceleration
-    term_first: np.ndarray  # (outputs + 1,)
-    term: np.ndarray  # (terms, 6): component, count, four nodes
-    term_weight: np.ndarray
+    same_grid: np.ndarray  # 1 where a profile lies on the grid of the one before it
 
 
 class State(NamedTuple):
     """Everything that lasts from one cycle to the next, and the results of the last one."""
 
-    raw: np.ndarray
-    wait: np.ndarray
-    good: np.ndarray
-    age: np.ndarray
-    seen: np.ndarray
-    usable: np.ndarray
-    value: np.ndarray
-    fault: np.ndarray
-    source: np.ndarray
-    node: np.ndarray
-    a: np.ndarray
-    ready: np.ndarray
-    profile: np.ndarray
-    component: np.ndarray
-    deviation: np.ndarray
-    correction: np.ndarray  # in correction_unit
-    limited: np.ndarray  # in the deviation's unit
-    rate: np.ndarray
-    target: np.ndarray
-    real: np.ndarray  # fade, ramp
-    count: np.ndarray  # until_slow, heartbeat, status, nodes that are not ready
+    inputs: np.ndarray
+    nodes: np.ndarray
+    profiles: np.ndarray
+    components: np.ndarray
+    outputs: np.ndarray
+    common: np.ndarray  # one record
 
 
 @kernel
@@ -191,172 +213,130 @@ def towards(value, target, dt, whole):
 @kernel
 def reset(program, state):
     """The next cycle is the first of a run."""
-    state.raw[:] = np.nan
-    state.wait[:] = 0.0
-    state.good[:] = 0.0
-    state.age[:] = 0.0
-    state.seen[:] = 0
-    for i in range(state.usable.size):
-        state.usable[i] = 1 if program.in_flags[i] & OPTIONAL else 0
-    state.value[:] = 0.0
-    state.node[:] = 0.0
-    state.a[:] = 0.0
-    state.ready[:] = 0
-    state.limited[:] = 0.0
-    state.rate[:] = 0.0
-    state.target[:] = 0.0
-    state.real[0] = -1.0
-    state.real[1] = 0.0
-    state.count[0] = 0
-    state.count[1] = 0
-    state.count[2] = 0
-    state.count[3] = program.op.size
+    for i in range(state.inputs.size):
+        own = state.inputs[i]
+        own.raw = np.nan
+        own.wait = own.good = own.age = own.value = 0.0
+        own.seen = own.fault = own.source = 0
+        own.usable = 1 if program.inputs[i].flags & OPTIONAL else 0
+    for n in range(state.nodes.size):
+        own = state.nodes[n]
+        own.value = own.memory = 0.0
+        own.ready = 0
+    for o in range(state.outputs.size):
+        own = state.outputs[o]
+        own.deviation = own.correction = own.limited = own.rate = own.target = 0.0
+    own = state.common[0]
+    own.fade, own.ramp = -1.0, 0.0
+    own.until_slow = own.heartbeat = own.status = 0
+    own.unready = state.nodes.size
 
 
 @kernel
-def judge(program, state, i, fresh, reading, dt):
-    """Fault code of one input: 0 believed, 1 missing, 2 stale, 3 out of range, 4 too fast."""
-    flags = program.in_flags[i]
-    real = program.in_real[i]
-    state.age[i] = state.age[i] + dt
-    state.wait[i] = state.wait[i] + dt
-    if fresh:
-        state.raw[i] = reading
-        state.wait[i] = 0.0
-    v = state.raw[i]
-    if not (v >= -LARGEST and v <= LARGEST):
-        return 1
-    if flags & HAS_STALE and state.wait[i] > real[3]:
-        return 2
-    if v < real[0] or v > real[1]:
-        return 3
-    if flags & HAS_MAX_RATE and state.seen[i]:
-        moved = v - state.good[i]
-        if moved < 0.0:
-            moved = -moved
-        if moved > real[2] * state.age[i]:
-            return 4
-    state.good[i] = v
-    state.value[i] = v
-    state.age[i] = 0.0
-    state.seen[i] = 1
-    state.usable[i] = 1
-    return 0
+def condition(inputs, substitutes, state, readings, fresh, dt):
+    """Judge all readings, then let something stand in for those not believed.
+
+    Returns the status bits, bit 31 set where an input that matters is down to its default.
+    """
+    doubtful = 0
+    for i in range(inputs.size):
+        channel = inputs[i]
+        own = state[i]
+        own.age = own.age + dt
+        own.wait = own.wait + dt
+        if fresh[i]:
+            own.raw = readings[i]
+            own.wait = 0.0
+        v = own.raw
+        fault = 0
+        if not (v >= -LARGEST and v <= LARGEST):
+            fault = 1
+        elif channel.flags & HAS_STALE and own.wait > channel.stale:
+            fault = 2
+        elif v < channel.low or v > channel.high:
+            fault = 3
+        elif channel.flags & HAS_MAX_RATE and own.seen:
+            moved = v - own.good
+            if moved < 0.0:
+                moved = -moved
+            if moved > channel.max_rate * own.age:
+                fault = 4
+        own.fault = fault
+        own.source = 0
+        if fault == 0:
+            own.good = own.value = v
+            own.age = 0.0
+            own.seen = own.usable = 1
+        else:
+            doubtful += 1
+    return stand_in(inputs, substitutes, state) if doubtful else 0
 
 
 @kernel
-def stand_in(program, state, i):
-    """What replaces a reading that is not believed: 1 substitute, 2 held, 3 default."""
-    flags = program.in_flags[i]
-    real = program.in_real[i]
-    if flags & OPTIONAL:
-        state.value[i] = real[5]
-        return 3
-    first, end = program.sub_first[i], program.sub_first[i + 1]
-    whole = end > first
-    for s in range(first, end):
-        if state.fault[program.sub_input[s]] != 0:
-            whole = False
-    if whole:
-        v = real[6]
-        for s in range(first, end):
-            v = v + program.sub_weight[s] * state.good[program.sub_input[s]]
-        if v < real[0]:
-            v = real[0]
-        if v > real[1]:
-            v = real[1]
-        state.value[i] = v
-        state.usable[i] = 1
-        return 1
-    if state.seen[i] and (not flags & HAS_HOLD or state.age[i] <= real[4]):
-        state.value[i] = state.good[i]
-        return 2
-    state.value[i] = real[5]
-    return 3
+def stand_in(inputs, substitutes, state):
+    """What replaces the readings that are not believed; status bits as in `condition`."""
+    status = 0
+    for i in range(inputs.size):
+        channel = inputs[i]
+        own = state[i]
+        if own.fault == 0:
+            continue
+        own.source = 3
+        if channel.flags & OPTIONAL:
+            own.value = channel.default
+            continue
+        begin = np.int64(channel.first)
+        whole = channel.count > 0
+        for s in range(begin, begin + channel.count):
+            if state[substitutes[s].number].fault != 0:
+                whole = False
+        if whole:
+            v = channel.offset
+            for s in range(begin, begin + channel.count):
+                v = v + substitutes[s].weight * state[substitutes[s].number].good
+            if v < channel.low:
+                v = channel.low
+            if v > channel.high:
+                v = channel.high
+            own.value = v
+            own.usable = 1
+            own.source = 1
+            status |= SUBSTITUTED
+        elif own.seen and (not channel.flags & HAS_HOLD or own.age < channel.hold):
+            own.value = own.good
+            own.source = 2
+            status |= HELD
+        else:
+            own.value = channel.default
+            status |= DEFAULTED
+            if channel.flags & FADE_ON_DEFAULT:
+                status |= LOST
+    return status
 
 
 @kernel
-def condition(program, state, readings, fresh, dt):
-    """Condition all inputs; returns whether one that matters is down to its default."""
-    for i in range(state.value.size):
-        state.fault[i] = judge(program, state, i, fresh[i] != 0, readings[i], dt)
-    lost = False
-    for i in range(state.value.size):
-        state.source[i] = 0
-        if state.fault[i] != 0:
-            source = stand_in(program, state, i)
-            state.source[i] = source
-            if not program.in_flags[i] & OPTIONAL:
-                state.count[2] |= SUBSTITUTED if source == 1 else HELD if source == 2 else DEFAULTED
-                if source == 3 and program.in_flags[i] & FADE_ON_DEFAULT:
-                    lost = True
-    return lost
-
-
-@kernel
-def direction(program, state, n, started):
-    """Side an axis was last moved from."""
-    first = program.of_first[n]
-    x = state.node[program.of[first]]
-    known = 0.0
-    if program.of_first[n + 1] - first > 1:
-        known = state.node[program.of[first + 1]]
-    side = state.node[n]
-    if not started:
-        side = program.par[n, 1]
-        state.a[n] = x
+def moved_side(x, known, side, memory, threshold):
+    """(side, turning point) of an axis that moved to x."""
     if known > 0.0:
-        side = 1.0
-        state.a[n] = x
-    elif known < 0.0:
-        side = -1.0
-        state.a[n] = x
-    elif side > 0.0:
-        if x >= state.a[n]:
-            state.a[n] = x
-        elif state.a[n] - x > program.par[n, 0]:
-            side = -1.0
-            state.a[n] = x
-    elif x <= state.a[n]:
-        state.a[n] = x
-    elif x - state.a[n] > program.par[n, 0]:
-        side = 1.0
-        state.a[n] = x
-    return side
-
-
-@kernel
-def lag(program, state, n, u, started, dt, replay):
-    """First-order lag, exact for an operand held over the cycle."""
-    before, y = state.a[n], state.node[n]
-    state.a[n] = u
-    if not started:
-        return 0.0 if program.other[n] == 1 else u
-    if replay:
-        alpha = exp(-(dt / (program.par[n, 0] if before >= y else program.par[n, 1])))
+        return 1.0, x
+    if known < 0.0:
+        return -1.0, x
+    if side > 0.0:
+        if x >= memory:
+            return side, x
+        if memory - x > threshold:
+            return -1.0, x
     else:
-        alpha = program.par[n, 2] if before >= y else program.par[n, 3]
-    return before + (y - before) * alpha
+        if x <= memory:
+            return side, x
+        if x - memory > threshold:
+            return 1.0, x
+    return side, memory
 
 
 @kernel
-def approach(program, state, n, x, side, started):
-    """Exponential approach to the side over travelled length."""
-    way = x - state.a[n]
-    state.a[n] = x
-    if not started:
-        return side
-    if way < 0.0:
-        way = -way
-    z = state.node[n]
-    return side - (side - z) * exp(-(way / program.par[n, 0])) if way > 0.0 else z
-
-
-@kernel
-def lookup(program, n, u):
-    """Straight lines between uniform values, held at the ends."""
-    first, last = program.other[n], program.others[n] - 1
-    s = (u - program.par[n, 0]) * program.par[n, 2]
+def lookup(lookups, first, last, s):
+    """Straight lines between uniform values, held at the ends; s counts steps."""
     if s < 0.0:
         s = 0.0
     if s > last:
@@ -364,149 +344,183 @@ def lookup(program, n, u):
     j = int(s)
     if j > last - 1:
         j = last - 1
-    f = s - j
-    left = program.reals[first + j]
-    return left + f * (program.reals[first + j + 1] - left)
+    left = lookups[first + j]
+    return left + (s - j) * (lookups[first + j + 1] - left)
 
 
 @kernel
-def node_value(program, state, n, started, dt, replay):
-    """Value of one node."""
-    op = program.op[n]
-    first, end = program.of_first[n], program.of_first[n + 1]
-    if op == INPUT:
-        return state.value[program.other[n]]
-    if op == CONSTANT:
-        return program.par[n, 0]
-    if op == AFFINE:
-        total = program.par[n, 0]
-        for k in range(first, end):
-            total = total + program.weight[k] * state.node[program.of[k]]
-        return total
-    u = state.node[program.of[first]]
-    if op == PRODUCT:
-        for k in range(first + 1, end):
-            u = u * state.node[program.of[k]]
-        return u
-    if op == FIRST:
-        return state.node[n] if started else u
-    if op == LAG:
-        return lag(program, state, n, u, started, dt, replay)
-    if op == POWER:
-        return power(u, program.par[n, 0])
-    if op == CLIP:
-        low, high = program.par[n, 0], program.par[n, 1]
-        return low if u < low else high if u > high else u
-    if op == SWITCH:
-        return 1.0 if u >= program.par[n, 0] else 0.0 if u <= program.par[n, 1] else state.node[n]
-    if op == DIRECTION:
-        return direction(program, state, n, started)
-    if op == APPROACH:
-        return approach(program, state, n, u, state.node[program.of[first + 1]], started)
-    return lookup(program, n, u)
+def is_ready(node, operands, state, inputs):
+    """Whether everything below a node has had a believed reading."""
+    if node.op == INPUT:
+        return inputs[node.other].usable != 0
+    below = True
+    begin = np.int64(node.first)
+    for k in range(begin, begin + node.count):
+        below = below and state[operands[k].number].ready != 0
+    return below
 
 
 @kernel
-def run_node(program, state, n, dt, replay):
-    """Run one node; what is not finite counts as 0."""
-    started = state.ready[n] != 0
-    if not started:
-        ready = True
-        if program.op[n] == INPUT:
-            ready = state.usable[program.other[n]] != 0
-        for k in range(program.of_first[n], program.of_first[n + 1]):
-            if state.ready[program.of[k]] == 0:
-                ready = False
-        if ready:
-            state.ready[n] = 1
-            state.count[3] -= 1
-    value = node_value(program, state, n, started, dt, replay)
-    if not (value >= -LARGEST and value <= LARGEST):
-        value = 0.0
-        state.count[2] |= NOT_FINITE
-    state.node[n] = value
+def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay):
+    """Run nodes in order; what is not finite counts as 0. Returns status bits."""
+    status = 0
+    for w in range(which.size):
+        n = which[w]
+        node = nodes[n]
+        own = state[n]
+        op = node.op
+        begin = np.int64(node.first)
+        started = own.ready != 0
+        if not started and is_ready(node, operands, state, inputs):
+            own.ready = 1
+            common[0].unready -= 1
+        u = 0.0
+        if node.count > 0:
+            u = state[operands[begin].number].value
+        if op == INPUT:
+            u = inputs[node.other].value
+        elif op == AFFINE:
+            u = node.a
+            for k in range(begin, begin + node.count):
+                u = u + operands[k].weight * state[operands[k].number].value
+        elif op == PRODUCT:
+            for k in range(begin + 1, begin + node.count):
+                u = u * state[operands[k].number].value
+        elif op == LAG:
+            before, y = own.memory, own.value
+            own.memory = u
+            if not started:
+                u = 0.0 if node.flags & START_ZERO else u
+            else:
+                if replay:
+                    alpha = exp(-(dt / (node.a if before >= y else node.b)))
+                else:
+                    alpha = node.c if before >= y else node.d
+                u = before + (y - before) * alpha
+        elif op == FIRST:
+            u = own.value if started else u
+        elif op == CONSTANT:
+            u = node.a
+        elif op == POWER:
+            u = power(u, node.a)
+        elif op == CLIP:
+            u = node.a if u < node.a else node.b if u > node.b else u
+        elif op == SWITCH:
+            u = 1.0 if u >= node.a else 0.0 if u <= node.b else own.value
+        elif op == DIRECTION:
+            known = 0.0
+            if node.count > 1:
+                known = state[operands[begin + 1].number].value
+            side, memory = (own.value, own.memory) if started else (node.b, u)
+            u, own.memory = moved_side(u, known, side, memory, node.a)
+        elif op == APPROACH:
+            side = state[operands[begin + 1].number].value
+            way = u - own.memory
+            own.memory = u
+            if way < 0.0:
+                way = -way
+            if not started:
+                u = side
+            else:
+                u = side - (side - own.value) * exp(-(way / node.a)) if way > 0.0 else own.value
+        else:
+            u = lookup(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)
+        if not (u >= -LARGEST and u <= LARGEST):
+            u = 0.0
+            status |= NOT_FINITE
+        own.value = u
+    return status
 
 
 @kernel
-def run_nodes(program, state, slow, dt, replay):
-    """Run the nodes of this cycle in order."""
-    if slow:
-        for n in range(program.op.size):
-            run_node(program, state, n, dt, replay)
-    else:
-        for k in range(program.fast.size):
-            run_node(program, state, program.fast[k], dt, replay)
-    if state.count[3] > 0:
-        state.count[2] |= WAITING
-
-
-@kernel
-def fade_target(program, state, lost):
+def fade_target(inputs, state, lost):
     """1 inside the validity box, falling to 0 over the margin outside it."""
     if lost:
         return 0.0
     target = 1.0
-    for i in range(state.value.size):
-        if program.in_flags[i] & HAS_VALID:
-            v = state.value[i]
-            low, high = program.in_real[i, 7], program.in_real[i, 8]
-            outside = low - v if v < low else v - high
+    for i in range(inputs.size):
+        channel = inputs[i]
+        if channel.flags & HAS_VALID:
+            v = state[i].value
+            outside = channel.valid_low - v if v < channel.valid_low else v - channel.valid_high
             if outside > 0.0:
-                left = 1.0 - outside / program.in_real[i, 9]
+                left = 1.0 - outside / channel.margin
                 if left < target:
                     target = left
     return target if target > 0.0 else 0.0
 
 
 @kernel
-def run_profiles(program, state):
-    """Values of all profiles."""
-    for p in range(program.p_input.size):
-        first, last = program.p_first[p], program.p_last[p]
-        if program.p_input[p] < 0:
-            state.profile[p] = program.values[first] * program.p_real[p, 2]
+def run_profiles(profiles, values, same_grid, inputs, out):
+    """Values of all profiles; returns status bits. Neighbours on one grid share their place on it."""
+    status = 0
+    j, f = 0, 0.0
+    for p in range(profiles.size):
+        profile = profiles[p]
+        first = np.int64(profile.first)
+        if profile.input < 0:
+            out[p] = values[first] * profile.scale
             continue
-        s = (state.value[program.p_input[p]] - program.p_real[p, 0]) * program.p_real[p, 1]
-        if program.p_periodic[p]:
-            turns = s * program.p_real[p, 3]
-            whole = int(turns)
-            if turns < whole:
-                whole -= 1
-            s = s - float(whole) * last
-        elif s < 0.0 or s > last:
-            state.count[2] |= BEYOND_PROFILE
-        if s < 0.0:
-            s = 0.0
-        if s > last:
-            s = float(last)
-        j = int(s)
-        if j > last - 1:
-            j = last - 1
-        f = s - j
-        left, right = program.values[first + j], program.values[first + j + 1]
-        state.profile[p] = (left + f * (right - left)) * program.p_real[p, 2]
+        if not same_grid[p]:
+            last = np.int64(profile.count) - 1
+            s = (inputs[profile.input].value - profile.start) * profile.inverse_step
+            if profile.flags & PERIODIC:
+                turns = s * profile.inverse_turn
+                whole = int(turns)
+                if turns < whole:
+                    whole -= 1
+                s = s - float(whole) * last
+            elif s < 0.0 or s > last:
+                status |= BEYOND_PROFILE
+            if s < 0.0:
+                s = 0.0
+            if s > last:
+                s = float(last)
+            j = int(s)
+            if j > last - 1:
+                j = last - 1
+            f = s - j
+        left, right = values[first + j], values[first + j + 1]
+        out[p] = (left + f * (right - left)) * profile.scale
+    return status
 
 
 @kernel
-def synthesis(program, state):
-    """Components from pairs, outputs from components."""
-    state.component[:] = 0.0
-    for k in range(program.pair.shape[0]):
-        part = state.profile[program.pair[k, 1]] * state.node[program.pair[k, 2]]
-        if program.pair[k, 3] == 0:
-            part = part * state.real[0]
-        state.component[program.pair[k, 0]] += part
-    for o in range(state.deviation.size):
+def sum_components(pairs, profiles, nodes, fade, out):
+    """Components from pairs."""
+    out[:] = 0.0
+    for k in range(pairs.size):
+        pair = pairs[k]
+        part = profiles[pair.profile] * nodes[pair.node].value
+        if not pair.flags & KEEP:
+            part = part * fade
+        out[pair.component] += part
+
+
+@kernel
+def sum_outputs(outputs, terms, components, nodes, state):
+    """Deviations of the outputs from components; returns status bits."""
+    status = 0
+    for o in range(outputs.size):
         total = 0.0
-        for k in range(program.term_first[o], program.term_first[o + 1]):
-            part = program.term_weight[k] * state.component[program.term[k, 0]]
-            for f in range(program.term[k, 1]):
-                part = part * state.node[program.term[k, 2 + f]]
+        begin = np.int64(outputs[o].first)
+        for k in range(begin, begin + outputs[o].count):
+            term = terms[k]
+            part = term.weight * components[term.component]
+            if term.count > 0:
+                part = part * nodes[term.n0].value
+            if term.count > 1:
+                part = part * nodes[term.n1].value
+            if term.count > 2:
+                part = part * nodes[term.n2].value
+            if term.count > 3:
+                part = part * nodes[term.n3].value
             total = total + part
         if not (total >= -LARGEST and total <= LARGEST):
             total = 0.0
-            state.count[2] |= NOT_FINITE
-        state.deviation[o] = total
+            status |= NOT_FINITE
+        state[o].deviation = total
+    return status
 
 
 @kernel
@@ -514,12 +528,12 @@ def can_stop(closing, left, brake):
     """Whether a closing speed can be braked within what is left of the way (per cycle)."""
     if closing <= 0.0:
         return True
-    return closing * closing + closing * brake <= 2.0 * brake * left
+    return closing * (closing - brake) <= 2.0 * brake * left
 
 
 @kernel
 def closing_rate(keep, way, drift, slowest, fastest, brake):
-    """Of full towards, keep, full away: the fastest that can still be braked before the target."""
+    """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way."""
     if keep > fastest:
         keep = fastest
     if keep < slowest:
@@ -532,86 +546,98 @@ def closing_rate(keep, way, drift, slowest, fastest, brake):
         return forward
     if can_stop(sign * (forward - drift), sign * (way - forward), brake):
         return forward
-    if can_stop(sign * (keep - drift), sign * (way - keep), brake):
+    if sign * (keep - drift) > 0.0 and can_stop(sign * (keep - drift), sign * (way - keep), brake):
         return keep
-    return away
+    if sign * (away - drift) > 0.0:
+        return away
+    half = drift + 0.5 * (way - drift)
+    return slowest if half < slowest else fastest if half > fastest else half
 
 
 @kernel
-def approach_target(program, state, o, target, dt):
-    """Move a correction to its target within slew and acceleration."""
-    way = target - state.limited[o]
-    drift = target - state.target[o]
-    state.target[o] = target
+def approach_target(output, own, target, dt):
+    """Move a correction to its target within slew and acceleration; True where they held it back."""
+    way = target - own.limited
+    drift = target - own.target
+    own.target = target
     slowest, fastest = -LARGEST, LARGEST
     brake = 0.0
-    if program.o_flags[o] & HAS_SLEW:
-        fastest = program.o_real[o, 2] * dt
+    if output.flags & HAS_SLEW:
+        fastest = output.slew * dt
         slowest = -fastest
-    if program.o_flags[o] & HAS_ACCELERATION:
-        brake = program.o_real[o, 3] * dt * dt
-        if state.rate[o] + brake < fastest:
-            fastest = state.rate[o] + brake
-        if state.rate[o] - brake > slowest:
-            slowest = state.rate[o] - brake
+    if output.flags & HAS_ACCELERATION:
+        brake = output.acceleration * dt * dt
+        if own.rate + brake < fastest:
+            fastest = own.rate + brake
+        if own.rate - brake > slowest:
+            slowest = own.rate - brake
     arrives = slowest <= way and way <= fastest
     if arrives and brake > 0.0:
         landing = way - drift
         arrives = -brake <= landing and landing <= brake
     if arrives:
-        state.rate[o] = way
-        state.limited[o] = target
-        return
-    state.count[2] |= AT_RATE
-    rate = closing_rate(state.rate[o], way, drift, slowest, fastest, brake)
-    state.rate[o] = rate
-    state.limited[o] = state.limited[o] + rate
+        own.rate = way
+        own.limited = target
+        return False
+    rate = closing_rate(own.rate, way, drift, slowest, fastest, brake)
+    own.rate = rate
+    own.limited = own.limited + rate
+    return True
 
 
 @kernel
-def limit(program, state, dt, replay, enable):
-    """Corrections from deviations: ramp, magnitude, slew and acceleration."""
-    state.real[1] = towards(state.real[1], 1.0 if enable else 0.0, dt, 0.0 if replay else program.ramp_s)
-    ramp = state.real[1]
-    if ramp >= 1.0:
-        state.count[2] |= ACTIVE
-    elif ramp > 0.0:
-        state.count[2] |= RAMPING
-    for o in range(state.deviation.size):
-        target = -state.deviation[o] * ramp
-        if program.o_flags[o] & HAS_MAGNITUDE:
-            if target > program.o_real[o, 1]:
-                target = program.o_real[o, 1]
-                state.count[2] |= AT_MAGNITUDE
-            if target < -program.o_real[o, 1]:
-                target = -program.o_real[o, 1]
-                state.count[2] |= AT_MAGNITUDE
-        if replay or not program.o_flags[o] & (HAS_SLEW | HAS_ACCELERATION):
-            state.limited[o] = target
-        else:
-            approach_target(program, state, o, target, dt)
-        state.correction[o] = state.limited[o] * program.o_real[o, 0]
+def limit(outputs, state, ramp, dt, replay):
+    """Corrections from deviations: magnitude, slew and acceleration; returns status bits."""
+    status = 0
+    for o in range(outputs.size):
+        output = outputs[o]
+        own = state[o]
+        target = -own.deviation * ramp
+        if output.flags & HAS_MAGNITUDE:
+            if target > output.magnitude:
+                target = output.magnitude
+                status |= AT_MAGNITUDE
+            if target < -output.magnitude:
+                target = -output.magnitude
+                status |= AT_MAGNITUDE
+        if replay or not output.flags & (HAS_SLEW | HAS_ACCELERATION):
+            own.limited = target
+        elif approach_target(output, own, target, dt):
+            status |= AT_RATE
+        own.correction = own.limited * output.factor
+    return status
 
 
 @kernel
 def cycle(program, state, readings, fresh, dt, replay, enable):
-    """One cycle. fresh: non-zero where readings holds a new one; dt in s (of the row before, when replaying)."""
-    state.count[2] = RUNNING
-    slow = replay or state.count[0] == 0
-    state.count[0] = (program.slow_every if slow else state.count[0]) - 1
-    lost = condition(program, state, readings, fresh, dt)
-    run_nodes(program, state, slow, dt, replay)
-    target = fade_target(program, state, lost)
-    whole = 0.0 if replay or state.real[0] < 0.0 else program.fade_s
-    state.real[0] = towards(state.real[0], target, dt, whole)
-    if state.real[0] < 1.0:
-        state.count[2] |= FADING
-    if state.real[0] <= 0.0:
-        state.count[2] |= FADED
-    run_profiles(program, state)
-    synthesis(program, state)
-    limit(program, state, dt, replay, enable)
-    state.count[1] = (state.count[1] + 1) & 0xFFFFFFFF
+    """One cycle. fresh: non-zero where readings holds a new one; dt in s (since the row before, when replaying)."""
+    common = state.common[0]
+    slow = replay or common.until_slow == 0
+    common.until_slow = (program.slow_every if slow else common.until_slow) - 1
+    status = RUNNING | condition(program.inputs, program.substitutes, state.inputs, readings, fresh, dt)
+    status |= run_nodes(
+        program.every if slow else program.fast, program.nodes, program.operands, program.lookups,
+        state.nodes, state.inputs, state.common, dt, replay,
+    )  # fmt: skip
+    if common.unready > 0:
+        status |= WAITING
+    target = fade_target(program.inputs, state.inputs, status & LOST)
+    common.fade = towards(common.fade, target, dt, 0.0 if replay or common.fade < 0.0 else program.fade_s)
+    if common.fade < 1.0:
+        status |= FADING
+    if common.fade <= 0.0:
+        status |= FADED
+    status |= run_profiles(program.profiles, program.values, program.same_grid, state.inputs, state.profiles)
+    sum_components(program.pairs, state.profiles, state.nodes, common.fade, state.components)
+    status |= sum_outputs(program.outputs, program.terms, state.components, state.nodes, state.outputs)
+    common.ramp = towards(common.ramp, 1.0 if enable else 0.0, dt, 0.0 if replay else program.ramp_s)
+    if common.ramp >= 1.0:
+        status |= ACTIVE
+    elif common.ramp > 0.0:
+        status |= RAMPING
+    status |= limit(program.outputs, state.outputs, common.ramp, dt, replay)
+    common.status = status & ~LOST
+    common.heartbeat = (common.heartbeat + 1) & 0xFFFFFFFF
 
 
 @kernel
@@ -628,9 +654,10 @@ def replay(program, state, columns, fresh, t, run, deviation, correction, status
         elif t[k] > t[k - 1]:
             dt = t[k] - t[k - 1]
         cycle(program, state, columns[k], fresh, dt, True, True)
-        deviation[k] = state.deviation
-        correction[k] = state.correction
-        status[k] = state.count[2]
+        for o in range(state.outputs.size):
+            deviation[k, o] = state.outputs[o].deviation
+            correction[k, o] = state.outputs[o].correction
+        status[k] = state.common[0].status
 
 
 @kernel
@@ -638,6 +665,7 @@ def stream(program, state, columns, fresh, enable, deviation, correction, status
     """Many cycles at the controller's rate: columns and fresh (cycles, inputs), enable (cycles,)."""
     for k in range(columns.shape[0]):
         cycle(program, state, columns[k], fresh[k], program.cycle_s, False, enable[k] != 0)
-        deviation[k] = state.deviation
-        correction[k] = state.correction
-        status[k] = state.count[2]
+        for o in range(state.outputs.size):
+            deviation[k, o] = state.outputs[o].deviation
+            correction[k, o] = state.outputs[o].correction
+        status[k] = state.common[0].status

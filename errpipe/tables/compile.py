@@ -16,12 +16,15 @@ from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.errors import GateError
 from errpipe.tables import bounds
-from errpipe.tables.gridding import grid
+from errpipe.tables.gridding import grid, interpolation_error, quantise
 from errpipe.terms._base import Lowered
 
 # A lag this many thermal cycles long runs in thermal cycles: a single-precision controller would lose it in a
 # position cycle, where it moves by less than a rounding.
 SLOW_LAG_CYCLES = 20.0
+# Up to this many intervals all profiles of an axis take the finest grid among them: 2 KB each buys one place on
+# the grid for all of them (half the cycle of a machine of 21 components).
+COMMON_GRID_INTERVALS = 512
 
 
 @dataclass(frozen=True)
@@ -187,12 +190,14 @@ def compile_table(
     groups = [_groups(build, c) for c in components]
     monomials = [_monomials(build, o) for o in (_plain_outputs(components) if outputs is None else outputs)]
     spans = bounds.node_spans(build.nodes, inputs)
-    profiles: dict[t.Profile, int] = {}
+    flat = [g for found in groups for g in found]
+    made = [g.profile(build, spans, travel or {}, error_bound, most_intervals) for g in flat]
+    made = _on_common_grids(flat, made)
+    profiles = {p: n for n, p in enumerate(sorted(dict.fromkeys(made), key=_grid_order(made)))}
     pairs = []
     for component, found in zip(components, groups, strict=True):
         for group in found:
-            profile = group.profile(build, spans, travel or {}, error_bound, most_intervals)
-            number = profiles.setdefault(profile, len(profiles))
+            number = profiles[made[len(pairs)]]
             keep = group.keeps(build) if component.keep is None else component.keep
             pairs.append(t.Pair(component=component.name, profile=number, driver=group.driver, keep=keep))
     used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in profiles}
@@ -266,6 +271,35 @@ def _groups(build: _Nodes, component: ComponentSource) -> list[_Group]:
         key = (driver, axis, pair.period if axis else None)
         found.setdefault(key, _Group(driver, axis, key[2], [])).curves.append(pair.profile)
     return list(found.values())
+
+
+def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Profile]:
+    """Profiles of one axis and range on the finest of their grids: neighbours then share their place on it."""
+    finest: dict[tuple, int] = {}
+    for p in made:
+        finest[_range(p)] = max(finest.get(_range(p), 0), len(p.values) - 1)
+    out = []
+    for group, p in zip(groups, made, strict=True):
+        intervals = finest[_range(p)]
+        if p.input is not None and len(p.values) - 1 < intervals <= COMMON_GRID_INTERVALS:
+            end = p.start + p.step * (len(p.values) - 1)
+            error = interpolation_error(group.curve, p.start, end, intervals)
+            finer = quantise(group.curve, p.start, end, intervals, error, p.scale, p.periodic)
+            p = t.Profile.model_validate(finer.model_dump() | {"input": p.input})
+        out.append(p)
+    return out
+
+
+def _range(p: t.Profile) -> tuple:
+    return p.input, p.periodic, p.start, round(p.step * (len(p.values) - 1), 9)
+
+
+def _grid_order(made: list[t.Profile]) -> Callable[[t.Profile], int]:
+    """Profiles of one grid side by side, grids in order of first use."""
+    grids: dict[tuple, int] = {}
+    for p in made:
+        grids.setdefault((p.input, p.periodic, p.start, p.step, len(p.values)), len(grids))
+    return lambda p: grids[p.input, p.periodic, p.start, p.step, len(p.values)]
 
 
 def _constant(value: float) -> t.Profile:

@@ -164,9 +164,10 @@ def lag_factors(node: t.LagNode, table: t.CompensationTable) -> list[float]:
 
 def _profile_record(p: t.Profile, first: int, inputs: dict[str, int]) -> bytes:
     number = -1 if p.input is None else inputs[p.input]
+    inverse_turn = 1.0 / (len(p.values) - 1) if p.periodic else 0.0
     return lay.PROFILE.pack(
         number, lay.PERIODIC if p.periodic else 0, first, len(p.values),
-        p.start, p.step, 1.0 / p.step, p.scale, p.interpolation_error, p.rounding_error,
+        p.start, p.step, 1.0 / p.step, inverse_turn, p.scale, p.interpolation_error, p.rounding_error,
     )  # fmt: skip
 
 
@@ -216,6 +217,12 @@ def _check_header(data: bytes) -> tuple[Any, ...]:
     if fixed[4] != found:
         raise VerifyError(f"damaged: checksum {found:08x} (the file says {fixed[4]:08x})")
     return fixed
+
+
+def section(data: bytes, number: int) -> bytes:
+    """The records of one section of sound data, as bytes."""
+    count, offset = _section_index(data)[number]
+    return data[offset : offset + count * lay.RECORDS[number][1].size]
 
 
 def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
@@ -322,7 +329,7 @@ def _node(number: int, row: tuple, operands: list[tuple], reals: list[tuple], in
 
 
 def _profile(number: int, row: tuple, values: list[tuple], inputs: list[str]) -> dict[str, Any]:
-    source, flags, first, count, start, step, _, scale, interpolation, rounding = row
+    source, flags, first, count, start, step, _, _, scale, interpolation, rounding = row
     return {
         "input": None if source == -1 else _pick(inputs, source, f"input of profile {number}"),
         "start": start,

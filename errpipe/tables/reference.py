@@ -108,6 +108,14 @@ class Evaluator:
         """Values of all nodes after the last cycle."""
         return tuple(self._node)
 
+    def profiles(self) -> tuple[float, ...]:
+        """Values of all profiles at the last cycle's inputs."""
+        return tuple(self._profile(n, p) for n, p in enumerate(self.table.profiles))
+
+    def fade_of(self, names: set[str]) -> float:
+        """What the validity boxes of some inputs leave of the table, 0..1, at the last cycle's values."""
+        return self._fade_target(False, names)
+
     # readings ---------------------------------------------------------------------------------------
 
     def _condition(self, readings: Mapping[str, float], dt: float) -> tuple[list[int], list[int], bool]:
@@ -167,7 +175,7 @@ class Evaluator:
             self._value[n] = v
             self._usable[n] = True
             return 1
-        if self._seen[n] and (channel.hold_s is None or self._age[n] <= channel.hold_s):
+        if self._seen[n] and (channel.hold_s is None or self._age[n] < channel.hold_s):
             self._value[n] = self._good[n]
             return 2
         self._value[n] = channel.default
@@ -291,12 +299,12 @@ class Evaluator:
 
     # profiles, synthesis, limits ---------------------------------------------------------------------
 
-    def _fade_target(self, lost: bool) -> float:
+    def _fade_target(self, lost: bool, names: set[str] | None = None) -> float:
         if lost:
             return 0.0
         target = 1.0
         for n, channel in enumerate(self.table.inputs):
-            if channel.valid is None:
+            if channel.valid is None or (names is not None and channel.name not in names):
                 continue
             v = self._value[n]
             outside = channel.valid[0] - v if v < channel.valid[0] else v - channel.valid[1]
@@ -422,7 +430,10 @@ class Evaluator:
     def _closing_rate(
         self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float
     ) -> float:
-        """The candidates: full away, keep, full towards; without an acceleration limit always full towards."""
+        """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way.
+
+        Without an acceleration limit always full towards.
+        """
         keep = self._rate[n]
         if keep > fastest:
             keep = fastest
@@ -436,16 +447,19 @@ class Evaluator:
             return towards
         if _can_stop(sign * (towards - drift), sign * (way - towards), brake):
             return towards
-        if _can_stop(sign * (keep - drift), sign * (way - keep), brake):
+        if sign * (keep - drift) > 0.0 and _can_stop(sign * (keep - drift), sign * (way - keep), brake):
             return keep
-        return away
+        if sign * (away - drift) > 0.0:
+            return away
+        half = drift + 0.5 * (way - drift)
+        return slowest if half < slowest else fastest if half > fastest else half
 
 
 def _can_stop(closing: float, left: float, brake: float) -> bool:
     """Whether a closing speed can be braked to nothing within what is left of the way (per cycle)."""
     if closing <= 0.0:
         return True
-    return closing * closing + closing * brake <= 2.0 * brake * left
+    return closing * (closing - brake) <= 2.0 * brake * left
 
 
 def _towards(value: float, target: float, dt: float, whole: float) -> float:

@@ -31,7 +31,7 @@ def with_numpy(errors: MachineErrors, q: np.ndarray, tip: np.ndarray, gather: bo
     """
     chain, out = errors.chain, np.empty((len(q), 3))
     square = {n: errors.constants[chain.index(n)] * 1e-3 for n in ("C0Y", "A0Z", "B0Z")}
-    links = [n for n in chain.machine.order()][::-1]
+    links = chain.machine.order()[::-1]
     for first in range(0, len(q), chunk):
         x, p = q[first : first + chunk], tip[first : first + chunk].copy()
         total = np.zeros_like(p)

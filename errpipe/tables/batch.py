@@ -1,0 +1,134 @@
+"""A table over whole recordings (causal replay) and over many points (no states), in Numba.
+
+Both agree with the reference evaluator to the bit. `evaluate` gives what the reference gives row by row;
+`position` what it gives in the first cycle of a run at each point, with missing coordinates giving NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain import table as t
+from errpipe.errors import DataError
+from errpipe.kernels import table_cycle, table_position
+from errpipe.tables import pack
+from errpipe.tables.reference import Evaluator
+
+_OUTSIDE = sum(1 << t.STATUS.index(bit) for bit in ("fading", "defaulted", "beyond_profile"))
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a table says about every row: by output name, shape (rows,), deviation um or urad."""
+
+    deviation: dict[str, np.ndarray]
+    correction: dict[str, np.ndarray]
+    status: np.ndarray
+
+    def outside(self) -> np.ndarray:
+        """True where a row lies outside validity, beyond a profile, or an input was down to its default."""
+        return (self.status & _OUTSIDE) != 0
+
+
+def evaluate(
+    table: t.CompensationTable, columns: Mapping[str, np.ndarray], time: np.ndarray, run: np.ndarray
+) -> Replay:
+    """Replay a recording: row k uses rows up to k of its own run only.
+
+    columns: input name -> values, shape (rows,), NaN where missing; time in s; run: an integer per row, states
+    start anew where it changes. Raises DataError where a required input has no column.
+    """
+    lacking = [i.name for i in table.inputs if not i.optional and i.name not in columns]
+    if lacking:
+        raise DataError(f"the recording has no column for the table's input {', '.join(lacking)}")
+    rows = len(run)
+    readings = np.full((rows, len(table.inputs)), np.nan)
+    for n, i in enumerate(table.inputs):
+        if i.name in columns:
+            readings[:, n] = columns[i.name]
+    program = pack.program(table)
+    state = pack.state(program)
+    fresh = np.ones(len(table.inputs), dtype=np.uint8)
+    deviation = np.empty((rows, len(table.outputs)))
+    correction = np.empty_like(deviation)
+    status = np.empty(rows, dtype=np.int64)
+    time, run = np.asarray(time, dtype=float), np.asarray(run, dtype=np.int64)
+    table_cycle.replay(program, state, readings, fresh, time, run, deviation, correction, status)
+    names = [o.name for o in table.outputs]
+    return Replay(
+        {name: deviation[:, n].copy() for n, name in enumerate(names)},
+        {name: correction[:, n].copy() for n, name in enumerate(names)},
+        status,
+    )
+
+
+class Positions:
+    """A table at fixed readings of all inputs but the moving ones: `evaluator(points)`.
+
+    moving: names of the inputs that `points` holds, in the order of its columns; readings: the other inputs
+    (those not named stand at their default). Every point is the first cycle of a run: lags stand at their
+    operand, directions at their start value unless an input knows better. Raises KeyError for an unknown input.
+    """
+
+    def __init__(
+        self, table: t.CompensationTable, moving: tuple[str, ...], readings: Mapping[str, float] | None = None
+    ):
+        self.table = table
+        self.program = pack.program(table)
+        start = {i.name: i.default for i in table.inputs} | dict(readings or {})
+        reference = Evaluator(table)
+        reference.cycle(start, dt=0.0)
+        self.moving = np.array([table.input_index(name) for name in moving], dtype=np.int64)
+        moves = set(moving)
+        node_moves: list[bool] = []
+        for node in table.nodes:
+            own = isinstance(node, t.InputNode) and node.input in moves
+            node_moves.append(own or any(node_moves[o] for o in node.of))
+        self._node_fixed = np.array(reference.nodes())
+        self._node_moves = np.array(node_moves, dtype=np.uint8)
+        self._profile_moves = np.array([p.input in moves for p in table.profiles], dtype=np.uint8)
+        self._profile_fixed = np.array(reference.profiles())
+        self._knots, self._knots_first = _knots(table)
+        fixed = [i for i in table.inputs if i.name not in moves]
+        self._fade = reference.fade_of({i.name for i in fixed})
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Deviations, shape (n, outputs), um or urad, at points (n, moving inputs) in mm or deg."""
+        columns = np.ascontiguousarray(np.asarray(points, dtype=float).T)
+        return self.rows(columns).T
+
+    def rows(self, columns: np.ndarray) -> np.ndarray:
+        """The same for points given by row: columns (moving inputs, n) in C order, result (outputs, n)."""
+        out = np.empty((len(self.table.outputs), columns.shape[1]))
+        table_position.evaluate(
+            self.program, self._knots, self._knots_first, columns, self.moving, self._node_fixed, self._node_moves,
+            self._profile_fixed, self._profile_moves, self._fade, out,
+        )  # fmt: skip
+        missing = np.isnan(columns.sum(axis=0))
+        if missing.any():
+            out[:, missing] = np.nan
+        return out
+
+
+def position(
+    table: t.CompensationTable,
+    points: np.ndarray,
+    moving: tuple[str, ...] | None = None,
+    readings: Mapping[str, float] | None = None,
+) -> np.ndarray:
+    """Deviations (n, outputs) at points (n, inputs that move); `moving` defaults to all position inputs in order."""
+    names = moving or tuple(i.name for i in table.inputs if i.kind == "position")
+    return Positions(table, names, readings)(points)
+
+
+
+def _knots(table: t.CompensationTable) -> tuple[np.ndarray, np.ndarray]:
+    """Value and rise to the next value, alternating, of all profiles one after another (integers, exact)."""
+    parts = []
+    for p in table.profiles:
+        values = np.array(p.values, dtype=float)
+        parts.append(np.stack([values, np.append(np.diff(values), 0.0)], axis=1).ravel())
+    return np.concatenate(parts), np.cumsum([0, *(part.size for part in parts)])

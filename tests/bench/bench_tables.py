@@ -1,0 +1,145 @@
+"""How fast tables are: python -m tests.bench.bench_tables. Every figure is a ratio of two runs side by side."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain import table as t
+from errpipe.tables import ComponentSource, MonomialSource, OutputSource, batch, compile_table
+from errpipe.terms._base import Lowered
+
+AXES = ("X", "Y", "Z")
+TRAVEL = 600.0
+
+
+def _curve(seed: int):
+    rng = np.random.default_rng(seed)
+    gains, phases = rng.normal(0, 3, 4), rng.uniform(0, 6.28, 4)
+    return lambda x: sum(g * np.sin((k + 1) * np.pi * x / TRAVEL + p) for k, (g, p) in enumerate(zip(gains, phases)))
+
+
+def machine(thermal: bool = False) -> t.CompensationTable:
+    """21 components of three axes, synthesised to the tool point; with `thermal`, eight lagged sensors besides."""
+    inputs = [
+        t.TableInput(name=a.lower(), kind="position", axis=a, unit="mm", low=-10, high=TRAVEL + 10, default=0)
+        for a in AXES
+    ]
+    components, terms = [], {a: [] for a in AXES}
+    for n, axis in enumerate(AXES):
+        for m, letter in enumerate("XYZABC"):
+            name = f"E{letter}{axis}"
+            curve = Lowered(d.ONE, axis, _curve(10 * n + m))
+            components.append(ComponentSource(name, "um" if m < 3 else "urad", (curve,)))
+            if m < 3:
+                terms[letter].append(MonomialSource(1.0, name))
+            else:
+                _lever(terms, name, letter)
+    for name, letter in (("C0Y", "C"), ("A0Z", "A"), ("B0Z", "B")):
+        components.append(ComponentSource(name, "urad", (Lowered(d.Constant(value=12.0)),)))
+        _lever(terms, name, letter)
+    if thermal:
+        for n in range(8):
+            name = f"T{n}"
+            inputs.append(
+                t.TableInput(name=name, kind="sensor", unit="degC", low=-20, high=120, default=20, max_rate=5.0,
+                             valid=(10, 50), margin=5)
+            )  # fmt: skip
+            lagged = d.Lag(of=d.above(name, 20.0), tau_up=900.0 + 100 * n, tau_down=1500.0)
+            slope = Lowered(lagged, AXES[n % 3], lambda x: 0.011 * x)
+            old = components[7 * (n % 3)]
+            components[7 * (n % 3)] = ComponentSource(old.name, old.unit, (*old.pairs, slope))
+    outputs = [OutputSource(f"E_{a}", tuple(terms[a]), a) for a in AXES]
+    return compile_table(
+        components, inputs=inputs, outputs=outputs, travel=dict.fromkeys(AXES, (0.0, TRAVEL)), error_bound=0.01
+    )
+
+
+def _lever(terms: dict, name: str, letter: str) -> None:
+    """An angle times its two arms, urad * mm = nm."""
+    for out, arm, sign in {"A": (("Y", "z", -1), ("Z", "y", 1)), "B": (("X", "z", 1), ("Z", "x", -1)),
+                           "C": (("X", "y", -1), ("Y", "x", 1))}[letter]:  # fmt: skip
+        terms[out].append(MonomialSource(sign * 1e-3, name, (d.Input(name=arm),)))
+
+
+def best(run, repeats: int = 5) -> float:
+    """Shortest processor time of several runs, s."""
+    times = []
+    for _ in range(repeats):
+        begin = time.thread_time()
+        run()
+        times.append(time.thread_time() - begin)
+    return min(times)
+
+
+def side_by_side(ours, theirs, repeats: int = 9) -> tuple[float, float]:
+    """Shortest of several runs of each, taken in turns so that a busy machine disturbs both alike, s."""
+    pairs = [(best(ours, 1), best(theirs, 1)) for _ in range(repeats)]
+    return min(p[0] for p in pairs), min(p[1] for p in pairs)
+
+
+def bench_lattice(points: int = 300_000) -> dict[str, float]:
+    """Volumetric deviation at scattered points: 21 curves in a table against a lattice of 3-vectors in scipy."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    table = machine()
+    evaluator = batch.Positions(table, ("x", "y", "z"))
+    nodes = np.linspace(0, TRAVEL, 31)
+    mesh = np.stack(np.meshgrid(nodes, nodes, nodes, indexing="ij"), -1).reshape(-1, 3)
+    lattice = RegularGridInterpolator((nodes,) * 3, evaluator(mesh).reshape(31, 31, 31, 3))
+    where = np.random.default_rng(0).uniform(0, TRAVEL, (points, 3))
+    columns = np.ascontiguousarray(where.T)
+    evaluator.rows(columns)
+    ours, theirs = side_by_side(lambda: evaluator.rows(columns), lambda: lattice(where))
+    return {"table_ns_per_point": 1e9 * ours / points, "regular_grid_interpolator_ns": 1e9 * theirs / points,
+            "times_faster": theirs / ours}  # fmt: skip
+
+
+def bench_curve(points: int = 1_000_000) -> dict[str, float]:
+    """One curve at scattered points against numpy.interp on the same nodes."""
+    source = ComponentSource("EXX", "um", (Lowered(d.ONE, "X", _curve(1)),))
+    x = t.TableInput(name="x", kind="position", axis="X", unit="mm", low=-10, high=TRAVEL + 10, default=0)
+    table = compile_table([source], inputs=[x], travel={"X": (0.0, TRAVEL)})
+    evaluator = batch.Positions(table, ("x",))
+    where = np.random.default_rng(0).uniform(0, TRAVEL, (1, points))
+    p = table.profiles[0]
+    nodes, values = p.start + p.step * np.arange(len(p.values)), np.array(p.values) * p.scale
+    evaluator.rows(where)
+    ours, theirs = side_by_side(lambda: evaluator.rows(where), lambda: np.interp(where[0], nodes, values))
+    return {"table_ns_per_point": 1e9 * ours / points, "numpy_interp_ns": 1e9 * theirs / points,
+            "times_faster": theirs / ours}  # fmt: skip
+
+
+def bench_cycle(cycles: int = 200_000) -> dict[str, float]:
+    """One controller cycle of 21 components and 8 lagged sensors in a Numba loop."""
+    from errpipe.kernels import table_cycle
+    from errpipe.tables import pack
+
+    table = machine(thermal=True)
+    program = pack.program(table)
+    state = pack.state(program)
+    rng = np.random.default_rng(0)
+    readings = np.tile(np.array([i.default for i in table.inputs]), (cycles, 1))
+    readings[:, :3] = rng.uniform(0, TRAVEL, (cycles, 3))
+    fresh = np.ones(readings.shape, dtype=np.uint8)
+    enable = np.ones(cycles, dtype=np.uint8)
+    deviation, correction = np.empty((cycles, 3)), np.empty((cycles, 3))
+    status = np.empty(cycles, dtype=np.int64)
+
+    def run():
+        table_cycle.stream(program, state, readings, fresh, enable, deviation, correction, status)
+
+    run()
+    each = best(run) / cycles
+    return {"cycle_ns": 1e9 * each, "share_of_1_ms": each / 1e-3, "share_of_125_us": each / 125e-6}
+
+
+BENCHES = (bench_lattice, bench_curve, bench_cycle)
+
+if __name__ == "__main__":
+    for bench in BENCHES:
+        print(bench.__doc__.split(":")[0].strip())
+        for what, value in bench().items():
+            print(f"    {what:32s} {value:.4g}")

@@ -1,0 +1,235 @@
+"""The evaluators against each other, to the bit, and against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import inspect
+import math
+
+import numpy as np
+import pytest
+from made import everything, position, sensor, stimulus, ten_um_too_long
+
+from errpipe.domain import driver as d
+from errpipe.domain import table as t
+from errpipe.kernels import table_cycle, table_position
+from errpipe.tables import ComponentSource, arithmetic, batch, compile_table, ect, pack
+from errpipe.tables.reference import Evaluator
+from errpipe.terms._base import Lowered
+
+pytest.importorskip("numba")
+
+
+def stream(table, readings, fresh, enable):
+    """Deviation, correction (cycles, outputs) and status of the Numba cycle."""
+    program = pack.program(table)
+    state = pack.state(program)
+    shape = (len(readings), len(table.outputs))
+    deviation, correction, status = np.empty(shape), np.empty(shape), np.empty(shape[0], dtype=np.int64)
+    table_cycle.stream(program, state, readings, fresh, enable, deviation, correction, status)
+    return deviation, correction, status
+
+
+def same(cycle, deviation, correction, status):
+    return (
+        list(cycle.deviation.values()) == list(deviation)
+        and list(cycle.correction.values()) == list(correction)
+        and cycle.status == status
+    )
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_numba_cycle_is_the_reference_to_the_bit(seed):
+    table = everything(seed)
+    readings, fresh, enable = stimulus(table, 400, seed)
+    results = stream(table, readings, fresh, enable)
+    evaluator = Evaluator(table)
+    for k in range(len(readings)):
+        given = {i.name: readings[k, n] for n, i in enumerate(table.inputs) if fresh[k, n]}
+        assert same(evaluator.cycle(given, enable=bool(enable[k])), *(r[k] for r in results)), k
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 110))
+def test_numba_cycle_is_the_reference_over_many_cycles(seed):
+    table = everything(seed)
+    readings, fresh, enable = stimulus(table, 20_000, seed)
+    results = stream(table, readings, fresh, enable)
+    evaluator = Evaluator(table)
+    for k in range(len(readings)):
+        given = {i.name: readings[k, n] for n, i in enumerate(table.inputs) if fresh[k, n]}
+        assert same(evaluator.cycle(given, enable=bool(enable[k])), *(r[k] for r in results)), k
+
+
+@pytest.mark.parametrize("seed", range(25, 40))
+def test_replay_is_the_reference_to_the_bit(seed):
+    table = everything(seed)
+    rows = 300
+    readings, _, _ = stimulus(table, rows, seed)
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.choice([0.0, 0.01, 5.0, -1.0], rows))
+    run = np.arange(rows) // 97
+    columns = {i.name: readings[:, n] for n, i in enumerate(table.inputs)}
+    replay = batch.evaluate(table, columns, time, run)
+    evaluator = Evaluator(table)
+    for k in range(rows):
+        dt = 0.0
+        if k == 0 or run[k] != run[k - 1]:
+            evaluator.reset()
+        else:
+            dt = max(time[k] - time[k - 1], 0.0)
+        cycle = evaluator.cycle({name: values[k] for name, values in columns.items()}, dt=dt)
+        assert list(cycle.deviation.values()) == [v[k] for v in replay.deviation.values()]
+        assert list(cycle.correction.values()) == [v[k] for v in replay.correction.values()]
+        assert cycle.status == replay.status[k]
+
+
+@pytest.mark.parametrize("seed", range(40, 60))
+def test_points_are_the_first_cycle_of_the_reference(seed):
+    table = everything(seed)
+    moving = tuple(i.name for i in table.inputs)[: 1 + seed % 3]
+    rng = np.random.default_rng(seed)
+    own = [table.inputs[table.input_index(m)] for m in moving]
+    points = np.column_stack([rng.uniform(i.low, i.high, 700) for i in own])
+    found = batch.Positions(table, moving)(points)
+    start = {i.name: i.default for i in table.inputs}
+    for k in range(0, 700, 13):
+        evaluator = Evaluator(table)
+        cycle = evaluator.cycle(start | dict(zip(moving, points[k], strict=True)), dt=0.0)
+        if "not_finite" not in cycle.says():
+            assert list(cycle.deviation.values()) == list(found[k])
+
+
+def test_points_hold_at_the_ends_and_pass_nan_on():
+    table = ten_um_too_long()
+    points = np.array([[-1e9], [-1.0], [0.0], [500.0], [1000.0], [1000.1], [1e9], [np.nan], [np.inf]])
+    found = batch.position(table, points)[:, 0]
+    assert np.array_equal(found, [0.0, 0.0, 0.0, 5.0, 10.0, 10.0, 10.0, np.nan, 10.0], equal_nan=True)
+
+
+def test_a_machine_ten_um_too_long_is_moved_back():
+    cycle = Evaluator(ten_um_too_long()).cycle({"x": 1000.0})
+    assert cycle.deviation == {"EXX": 10.0}
+    assert cycle.correction == {"EXX": -0.01}
+    assert ten_um_too_long().outputs[0].correction_unit == "mm"
+
+
+def every_knot(profile):
+    x = profile.start + profile.step * np.arange(len(profile.values))
+    return np.concatenate([x, np.nextafter(x, -np.inf), np.nextafter(x, np.inf)])
+
+
+@pytest.mark.parametrize("period", [None, 10.0])
+def test_every_knot_and_its_neighbours(period):
+    source = ComponentSource("EXX", "um", (Lowered(d.ONE, "X", lambda x: 5 * np.sin(x * np.pi / 5), period),))
+    table = compile_table([source], inputs=[position()], travel={"X": (0.0, 30.0)}, ramp_s=0.0)
+    (profile,) = table.profiles
+    x = every_knot(profile)
+    values = np.array(profile.values) * profile.scale
+    found = batch.position(table, x[:, None])[:, 0]
+    assert np.max(np.abs(found - np.tile(values, 3))) < 1e-9
+    evaluator = Evaluator(table)
+    for point, value in zip(x, found, strict=True):
+        assert evaluator.cycle({"x": point}).deviation["EXX"] == value
+
+
+@pytest.mark.slow
+def test_a_million_points_follow_the_curve_within_the_stated_bound():
+    curve = lambda x: 6 * np.sin(x / 90) + 1e-5 * (x - 400) ** 2  # noqa: E731
+    source = ComponentSource("EXX", "um", (Lowered(d.ONE, "X", curve),))
+    table = compile_table([source], inputs=[position()], travel={"X": (0.0, 1000.0)}, error_bound=0.01)
+    x = np.random.default_rng(1).uniform(0, 1000, 1_000_000)
+    (profile,) = table.profiles
+    error = np.abs(batch.position(table, x[:, None])[:, 0] - curve(x))
+    assert error.max() <= profile.interpolation_error + profile.rounding_error + 1e-9
+    assert error.max() <= 0.0105
+
+
+def test_lag_is_exact_for_a_held_input():
+    """A step of 10 K through 60 s: 10 (1 - e^-1) after 60 s, whether in 1 s or in 60 s strides."""
+    driver = d.Lag(of=d.above("T", 20.0), tau_up=60.0, tau_down=30.0)
+    source = ComponentSource("E_Z", "um", (Lowered(driver),))
+    table = compile_table([source], inputs=[sensor("T")], thermal_cycle_s=1.0, position_cycle_s=0.5, ramp_s=0.0)
+    for stride in (1.0, 4.0, 60.0):
+        evaluator = Evaluator(table)
+        evaluator.cycle({"T": 20.0}, dt=0.0)
+        evaluator.cycle({"T": 30.0}, dt=stride)
+        for _ in range(round(60.0 / stride)):
+            z = evaluator.cycle({"T": 30.0}, dt=stride).deviation["E_Z"]
+        assert z == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), abs=1e-12)
+    evaluator = Evaluator(table)
+    evaluator.cycle({"T": 20.0})
+    evaluator.cycle({"T": 30.0})
+    for _ in range(121):  # seen at the thermal cycle after 1 s, then 60 s of 0.5 s cycles
+        z = evaluator.cycle({"T": 30.0}).deviation["E_Z"]
+    assert z == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), abs=1e-12)
+
+
+def test_replay_at_the_controllers_rate_gives_the_controllers_bits():
+    driver = d.Lag(of=d.rise("T"), tau_up=50.0, tau_down=80.0)
+    source = ComponentSource("EXX", "um", (Lowered(driver, "X", lambda x: 0.011 * x),))
+    table = compile_table(
+        [source], inputs=[position(), sensor("T")], travel={"X": (0, 900)}, position_cycle_s=0.25, thermal_cycle_s=0.25
+    )
+    rng = np.random.default_rng(5)
+    x, temperature = rng.uniform(0, 900, 400), 20 + np.cumsum(rng.normal(0, 0.1, 400))
+    replay = batch.evaluate(table, {"x": x, "T": temperature}, 0.25 * np.arange(400), np.zeros(400))
+    readings = np.column_stack([{"x": x, "T": temperature}[i.name] for i in table.inputs])
+    ones = np.ones(readings.shape, dtype=np.uint8)
+    deviation, _, _ = stream(table, readings, ones, np.ones(400, dtype=np.uint8))
+    assert np.array_equal(replay.deviation["EXX"], deviation[:, 0])
+
+
+def test_the_kernels_arithmetic_is_the_documented_one():
+    rng = np.random.default_rng(0)
+    for y in [*rng.uniform(-705, 705, 3000), 0.0, -0.0, -700.0, 700.0, -1e-300, 1e5, -1e5]:
+        assert table_cycle.exp(y) == arithmetic.exp(y)
+    for a in [*np.exp(rng.uniform(-69, 69, 3000)), 1.0, 2.0, 0.5, 1e-30, math.sqrt(2)]:
+        assert table_cycle.ln(a) == arithmetic.ln(a)
+        assert table_cycle.power(-a, 1.3) == arithmetic.power(-a, 1.3) == -arithmetic.power(a, 1.3)
+
+
+def test_arithmetic_is_close_to_the_truth():
+    rng = np.random.default_rng(1)
+    for y in rng.uniform(-700, 700, 20_000):
+        assert abs(arithmetic.exp(y) - math.exp(y)) <= 1.01 * math.ulp(math.exp(y))
+    for a in [*np.exp(rng.uniform(-69, 69, 10_000)), *rng.uniform(0.5, 2, 10_000)]:
+        assert abs(arithmetic.ln(a) - math.log(a)) <= 3 * math.ulp(math.log(a))
+    for u, e in zip(np.exp(rng.uniform(-20, 20, 5000)), rng.uniform(0.1, 4, 5000), strict=True):
+        assert arithmetic.power(u, e) == pytest.approx(u**e, rel=1e-14)
+    assert arithmetic.power(-9.0, 2.0) == -81.0
+    assert arithmetic.power(0.0, 0.3) == arithmetic.power(1e-31, 0.1) == 0.0
+
+
+def test_both_kernel_files_hold_the_same_arithmetic():
+    for name in ("exp", "ln", "two_to", "power"):
+        texts = [inspect.getsource(getattr(module, name).py_func) for module in (table_cycle, table_position)]
+        assert texts[0] == texts[1], name
+    for name in ("EXP", "LN"):
+        assert list(getattr(table_cycle, name)) == list(getattr(table_position, name)) == list(getattr(arithmetic, name))
+
+
+def test_a_position_that_is_not_a_number_holds_the_last_one():
+    evaluator = Evaluator(ten_um_too_long())
+    evaluator.cycle({"x": 600.0})
+    for bad in (math.nan, math.inf, -math.inf, 1e300, 2000.0):
+        cycle = evaluator.cycle({"x": bad})
+        assert cycle.correction["EXX"] == pytest.approx(-0.006, abs=1e-12)
+        assert "held" in cycle.says()
+    assert "held" in evaluator.cycle({}).says()
+    assert evaluator.cycle({"x": 601.0}).says() == ("running", "active")
+
+
+def test_a_recording_without_a_required_column_is_refused():
+    from errpipe.errors import DataError
+
+    with pytest.raises(DataError, match="no column for the table's input x"):
+        batch.evaluate(ten_um_too_long(), {}, np.zeros(3), np.zeros(3))
+
+
+def test_status_bits_have_the_documented_values():
+    names = [n.upper() for n in t.STATUS]
+    assert [getattr(table_cycle, n) for n in names] == [1 << k for k in range(len(names))]
+
+
+def test_same_table_same_name():
+    assert ect.fingerprint(everything(3)) == ect.fingerprint(everything(3)) != ect.fingerprint(everything(4))
