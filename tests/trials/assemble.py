@@ -119,8 +119,11 @@ def choose(
     """Two to four effects that the simulation knows, those `near` first."""
     names = [n for n in response.effects if n not in without and n not in ("sensor_fault", "clock_offset")]
     rng.shuffle(names)
-    close = [n for n in names if n in near][: int(rng.integers(1, 3))]
+    close = [n for n in names if n in near][:2]
     rest = [n for n in names if n not in close]
+    if "moving_mass" in names:  # every simulation of a drive holds it
+        close = ["moving_mass", *[n for n in close if n != "moving_mass"]]
+        rest = [n for n in rest if n != "moving_mass"]
     n = min(int(rng.integers(2, 5)), len(names))
     return [response.effects[k] for k in (close + rest)[: max(n, len(close))]]
 
@@ -136,9 +139,9 @@ def _rms(values: Array) -> float:
     return float(np.std(values)) if values.size else 0.0
 
 
-def ratio(rng: np.random.Generator, faint: float = 0.35) -> float:
+def ratio(rng: np.random.Generator, faint: float = 0.6) -> float:
     """How many times the noise the hidden effect is: 2 to 5, the faint ones at the low end."""
-    return float(rng.uniform(2.0, 2.6) if rng.random() < faint else 2.0 + 3.0 * rng.beta(1.1, 1.5))
+    return float(rng.uniform(2.0, 2.7) if rng.random() < faint else 2.0 + 3.0 * rng.beta(1.1, 1.5))
 
 
 def quiet(rng: np.random.Generator, bench: Bench, response: Response, kind: str | None = None) -> Story:
@@ -185,7 +188,7 @@ def hide(rng: np.random.Generator, bench: Bench, response: Response, tier: str, 
     carriers = [c.carrier for c in hidden if c.carrier is not None]
     included = _late(hidden, response) if late else choose(rng, response, names | {c.effect for c in carriers}, near)
     everything = [*included[:2], *carriers] if carriers else included
-    gains = wrong_gains(rng, len(everything), 0.05 if tier == "concealed" else 0.02)
+    gains = wrong_gains(rng, len(everything), 0.08 if tier == "concealed" else 0.02)
     rest = _rms(off_by(everything, gains, n)[rows])
     low, high = usual_noise(bench, response)
     if tier == "concealed":
@@ -220,8 +223,8 @@ def _concealed(
     want = rest * rng.uniform(0.5, 1.0)
     if want > 2.5 * size:
         raise Unfit("cannot be scaled")
-    noise = max(want / rng.uniform(0.9, 3.0), least_noise)
-    if noise > 1.15 * want:
+    noise = max(want / rng.uniform(0.7, 2.4), least_noise)
+    if noise > 1.5 * want:
         raise Unfit("lost in the noise")
     return [one.scaled(want / size)], noise
 

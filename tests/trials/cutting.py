@@ -198,5 +198,4 @@ def _novel(rng, p, t) -> dict[str, Contribution]:
         heap[i] = state
     add("chip heap", 8.0 * (heap / limit) ** 1.5)
     add("bar ends", 5.0 * ((np.arange(n) % int(rng.integers(7, 23))) / 10.0))
-    add("turret index", rng.normal(0, 4, 8)[(np.arange(n) * int(rng.choice([3, 5]))) % 8])
     return out

@@ -209,9 +209,7 @@ def _novel(rng, w, size) -> dict[str, Contribution]:
         "crane in the next bay": 6 * crane,
         "clamp of the z axis": 4 * hops[run, layer],
         "lubrication pulses": 5 * np.exp(-(t % beat) / (0.25 * beat)),
-        "stylus lobing": 4
-        * np.sin(np.pi * np.arange(t.size) / 2 + 0.4)
-        * np.sign(np.diff(w["x"], prepend=w["x"][0]) + 1e-9),
+        "probe cable": 4 * np.tanh((w["y"] / size["y"] - 0.45) * 12) * (np.diff(w["x"], append=w["x"][-1]) < 0),
         "stop of the x carriage": 5 * (np.diff(w["x"], prepend=-1e3) > 0) * np.tanh((w["x"] / size["x"] - 0.5) * 6),
     }
     return {n: Contribution(f"outside the vocabulary: {n}", v, ()) for n, v in made.items()}

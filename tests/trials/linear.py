@@ -30,7 +30,7 @@ class Walk:
 
 def targets(rng: np.random.Generator, travel: float) -> Array:
     """Irregular targets, as ISO 230-2 asks, so that periodic errors are not sampled in step."""
-    n = int(rng.integers(19, 46))
+    n = int(rng.integers(18, 45))
     raw = np.linspace(0.0, travel, n) + rng.uniform(-0.3, 0.3, n) * travel / n
     edge = rng.uniform(0.002, 0.03) * travel
     return np.round(edge + (raw - raw.min()) / np.ptp(raw) * (travel - 2 * edge), 4)
@@ -41,8 +41,7 @@ def walk(
 ) -> tuple[Walk, list[tuple[float, float, float, float, float]]]:
     """Rows of all runs, and phases (start, end, feed, low, high) for the heat."""
     goal = targets(rng, travel)
-    n_runs, passes = int(rng.integers(6, 12)), int(rng.integers(2, 4))
-    passes = passes if goal.size * 2 * passes * n_runs < 1900 else 2
+    n_runs, passes = int(rng.integers(7, 12)), 3 if goal.size < 30 else 2
     feeds = rng.choice([1000.0, 2000.0, 3000.0, 5000.0, 8000.0, 10000.0], size=2)
     fastest = rng.uniform(9000, 33000)
     dwell = rng.uniform(2.6, 3.6)

@@ -224,8 +224,7 @@ def _process(bench: Bench, value: dict[str, Array], t: Array) -> Iterator[Form]:
                 facts = bench.constants[bench.columns[p].spec["axis"]]
                 yield Form("feed_heating", (p, "feed"), _col((value[p] - facts["drive_end"]) * heat), float(tau))
     if bench.protocol == "linear positioning":
-        side = value["dir"]
-        yield Form("friction_hysteresis", ("dir",), _col(side))
+        yield Form("friction_hysteresis", ("dir", *places), _col(value["dir"]))
     speeds, pushes = by_role(bench, "velocity"), by_role(bench, "acceleration")
     if bench.protocol == "circular test":
         yield from _servo_circle(value)
@@ -235,7 +234,7 @@ def _process(bench: Bench, value: dict[str, Array], t: Array) -> Iterator[Form]:
             yield Form("viscous_friction", (v,), _col(value[v]))
             yield Form("following_error", (v,), _col(value[v]))
             yield Form("coulomb_friction", (v,), _col(s))
-            yield Form("friction_hysteresis", (v,), _col(s))
+            yield Form("friction_hysteresis", (v, *places), _col(s))
             for knee in (1.0, 2.0, 4.0, 8.0, 14.0):
                 yield Form("stribeck_friction", (v,), _col(s * np.exp(-((value[v] / knee) ** 2))))
         for a in pushes:

@@ -103,6 +103,8 @@ def make(rng: np.random.Generator) -> Bench:
     two = bool(rng.random() < 0.75)
     while hours * 3600 / dt > 2700:
         dt *= 2
+    while hours * 3600 / dt < 480:
+        dt /= 2
     gap = rng.uniform(25000, 50000) if two else 0.0
     n_run = int(rng.uniform(0.96, 1.0) * hours * 3600 / dt / (2 if two else 1))
     n_gap = int(gap / dt)
