@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import typer
 
@@ -52,7 +52,7 @@ def _check(path: Path) -> str:
     if "recording" in keys:
         from errpipe.domain.written_manifest import WrittenManifest as Manifest
 
-        manifest = document.validate(Manifest)
+        manifest: Any = document.validate(Manifest)
         gone = [n for n, table in enumerate(manifest.tables) if not (path.parent / table).is_file()]
         document.problems += [document.problem(("tables", n), "no such file beside the manifest") for n in gone]
         document.raise_problems()
@@ -69,7 +69,8 @@ def _check_pipeline(path: Path) -> str:
     from errpipe.cli._arguments import load
     from errpipe.pipeline.spec import missing_inputs
 
-    missing = missing_inputs(path, load(path, []))
+    pipeline = load(path, [])
+    missing = missing_inputs(pipeline, pipeline.stages)
     if missing:
         raise ConfigError(missing)
     return "pipeline"

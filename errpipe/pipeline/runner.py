@@ -173,7 +173,7 @@ class _Work:
         self.records = read_lock(self.out)
 
     def _look_at_inputs(self) -> None:
-        missing = missing_inputs(self.pipeline.file, replace(self.pipeline, stages=tuple(self.selected)))
+        missing = missing_inputs(self.pipeline, self.selected)
         if missing:
             raise ConfigError(missing)
         here = self.out.resolve()

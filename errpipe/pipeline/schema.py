@@ -60,7 +60,7 @@ def _draft7(node: Any) -> Any:
     node = {key: value for key, value in node.items() if key != "title" or not isinstance(value, str)}
     if "discriminator" in node:
         return _choice(node)
-    new = {}
+    new: dict[str, Any] = {}
     for key, value in node.items():
         if key in ("properties", "definitions", "patternProperties"):
             new[key] = {name: _draft7(part) for name, part in value.items()}

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
@@ -31,7 +31,8 @@ from errpipe.yamlfile import Document, Options
 class Pipeline:
     """A pipeline that was read and checked.
 
-    links: for every stage name, slot -> names of the earlier stages behind it.
+    links: for every stage name, slot -> names of the earlier stages behind it. document: the file as it was
+    read, for messages that point into it.
     """
 
     file: Path
@@ -39,6 +40,7 @@ class Pipeline:
     title: str
     stages: tuple[Stage, ...]
     links: Links
+    document: Document = field(repr=False, compare=False)
 
     def stage(self, name: str) -> Stage:
         """The stage of a name. Raises UsageError with the nearest name."""
@@ -92,18 +94,17 @@ def load_pipeline(
     links, problems = link(found.stages)
     document.problems.extend(document.problem(("stages", *place), text) for place, text in problems)
     document.raise_problems()
-    return Pipeline(path, root, found.title, found.stages, links)
+    return Pipeline(path, root, found.title, found.stages, links, document)
 
 
-def missing_inputs(path: Path, pipeline: Pipeline) -> list[Problem]:
-    """Inputs of the stages that are not there, each pointed at where the file names it."""
-    document = yamlfile.read(path, environment=os.environ)
+def missing_inputs(pipeline: Pipeline, stages: Sequence[Stage]) -> list[Problem]:
+    """Inputs of these stages that are not there, each pointed at where the file names it."""
     problems = []
     for number, stage in enumerate(pipeline.stages):
-        for wanted in stage.inputs():
+        for wanted in stage.inputs() if stage in stages else ():
             if not wanted.exists():
-                place = _place_of(document, number, pipeline.root, wanted)
-                problems.append(document.problem(place, f"{wanted} is not there"))
+                place = _place_of(pipeline.document, number, pipeline.root, wanted)
+                problems.append(pipeline.document.problem(place, f"{wanted} is not there"))
     return problems
 
 

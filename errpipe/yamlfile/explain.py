@@ -56,8 +56,8 @@ def explain(
     for place in dict.fromkeys([*needed, *choices]):
         # a union of a number and a mapping: where a mapping was written, only the mapping's own faults matter
         if not any(other[: len(place)] == place for other, _ in found):
-            words = list(dict.fromkeys(needed.get(place, []))), list(dict.fromkeys(choices.get(place, [])))
-            found.append((place, problem(place, _wrong_kind(_at(data, place), *words))))
+            kinds, allowed = (list(dict.fromkeys(part.get(place, []))) for part in (needed, choices))
+            found.append((place, problem(place, _wrong_kind(_at(data, place), kinds, allowed))))
     return list(dict.fromkeys(found))
 
 

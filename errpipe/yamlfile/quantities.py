@@ -16,30 +16,31 @@ from errpipe.yamlfile.places import Place
 
 _PI = Fraction(math.pi)
 # dimension -> {unit: (zero, factor)}: value in the dimension's base = (number - zero) * factor, exactly.
-_UNITS: dict[str, dict[str, tuple[Fraction, Fraction]]] = {
-    dimension: {unit: (Fraction(zero), Fraction(factor)) for unit, (zero, factor) in units.items()}
-    for dimension, units in {
-        "length": {
-            "nm": (0, "1e-9"), "um": (0, "1e-6"), "mm": (0, "1e-3"), "cm": (0, "1e-2"), "m": (0, 1), "km": (0, 1000),
-            "inch": (0, "0.0254"),
-        },
-        "angle": {
-            "rad": (0, 1), "mrad": (0, "1e-3"), "urad": (0, "1e-6"), "nrad": (0, "1e-9"), "deg": (0, _PI / 180),
-            "arcmin": (0, _PI / 10800), "arcsec": (0, _PI / 648000), "rev": (0, 2 * _PI),
-        },
-        "time": {"us": (0, "1e-6"), "ms": (0, "1e-3"), "s": (0, 1), "min": (0, 60), "h": (0, 3600), "d": (0, 86400)},
-        "speed": {"mm/s": (0, "1e-3"), "m/s": (0, 1), "mm/min": (0, Fraction(1, 60000)), "m/min": (0, Fraction(1, 60))},
-        "angular speed": {"deg/s": (0, 1), "deg/min": (0, Fraction(1, 60))},
-        "acceleration": {"mm/s2": (0, "1e-3"), "m/s2": (0, 1)},
-        "rotational speed": {"rpm": (0, 1), "1/s": (0, 60)},
-        "temperature": {"degC": (0, 1), "K": ("273.15", 1), "degF": (32, Fraction(5, 9))},
-        "temperature difference": {"K": (0, 1), "delta_degC": (0, 1), "delta_degF": (0, Fraction(5, 9))},
-        "pressure": {"Pa": (0, 1), "hPa": (0, 100), "mbar": (0, 100), "kPa": (0, 1000), "bar": (0, 100000)},
-        "ratio": {"1": (0, 1), "%": (0, "0.01")},
-        "force": {"N": (0, 1), "kN": (0, 1000)},
-        "mass": {"kg": (0, 1), "g": (0, "1e-3"), "t": (0, 1000)},
-    }.items()
+_AS_WRITTEN: dict[str, dict[str, tuple[int | str, int | str | Fraction]]] = {
+    "length": {
+        "nm": (0, "1e-9"), "um": (0, "1e-6"), "mm": (0, "1e-3"), "cm": (0, "1e-2"), "m": (0, 1), "km": (0, 1000),
+        "inch": (0, "0.0254"),
+    },
+    "angle": {
+        "rad": (0, 1), "mrad": (0, "1e-3"), "urad": (0, "1e-6"), "nrad": (0, "1e-9"), "deg": (0, _PI / 180),
+        "arcmin": (0, _PI / 10800), "arcsec": (0, _PI / 648000), "rev": (0, 2 * _PI),
+    },
+    "time": {"us": (0, "1e-6"), "ms": (0, "1e-3"), "s": (0, 1), "min": (0, 60), "h": (0, 3600), "d": (0, 86400)},
+    "speed": {"mm/s": (0, "1e-3"), "m/s": (0, 1), "mm/min": (0, Fraction(1, 60000)), "m/min": (0, Fraction(1, 60))},
+    "angular speed": {"deg/s": (0, 1), "deg/min": (0, Fraction(1, 60))},
+    "acceleration": {"mm/s2": (0, "1e-3"), "m/s2": (0, 1)},
+    "rotational speed": {"rpm": (0, 1), "1/s": (0, 60)},
+    "temperature": {"degC": (0, 1), "K": ("273.15", 1), "degF": (32, Fraction(5, 9))},
+    "temperature difference": {"K": (0, 1), "delta_degC": (0, 1), "delta_degF": (0, Fraction(5, 9))},
+    "pressure": {"Pa": (0, 1), "hPa": (0, 100), "mbar": (0, 100), "kPa": (0, 1000), "bar": (0, 100000)},
+    "ratio": {"1": (0, 1), "%": (0, "0.01")},
+    "force": {"N": (0, 1), "kN": (0, 1000)},
+    "mass": {"kg": (0, 1), "g": (0, "1e-3"), "t": (0, 1000)},
 }  # fmt: skip
+_UNITS = {
+    dimension: {unit: (Fraction(zero), Fraction(factor)) for unit, (zero, factor) in units.items()}
+    for dimension, units in _AS_WRITTEN.items()
+}
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*([^\s\d].*?)\s*$")
 
 
@@ -55,12 +56,15 @@ def convert(text: str, unit: str) -> float:
     if found is None:
         raise ValueError(f"found {text!r} (a number or a number with its unit, such as '1 {unit}', is needed)")
     number, written = Fraction(found[1]), found[2]
-    if written == unit:
-        return float(number)
-    if written not in allowed:
+    if written != unit and written not in allowed:
         raise ValueError(f"found unit {written!r} (allowed: {', '.join(allowed)}).{did_you_mean(written, allowed)}")
-    (zero, factor), (own_zero, own_factor) = tables[0][written], tables[0][unit]
-    return float((number - zero) * factor / own_factor + own_zero)
+    if written != unit:
+        (zero, factor), (own_zero, own_factor) = tables[0][written], tables[0][unit]
+        number = (number - zero) * factor / own_factor + own_zero
+    try:
+        return float(number)
+    except OverflowError:
+        raise ValueError(f"{text!r} is not a finite number of {unit}") from None
 
 
 class Options(BaseModel):

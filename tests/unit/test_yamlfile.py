@@ -206,6 +206,7 @@ def test_quantities_are_rounded_once(text: str, unit: str, value: float) -> None
         ("5 degC", "K", "found unit 'degC' .allowed: K, delta_degC"),
         ("5 N", "um/m/K", "found unit 'N' .allowed: um/m/K"),
         ("five um", "um", "a number with its unit"),
+        ("1e308 m", "um", "is not a finite number of um"),
     ],
 )
 def test_a_unit_of_another_dimension_is_refused(text: str, unit: str, message: str) -> None:

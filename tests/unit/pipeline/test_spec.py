@@ -108,7 +108,8 @@ def test_a_name_that_is_no_folder_name_is_refused(tmp_path: Path) -> None:
 def test_inputs_that_are_not_there_are_pointed_at(tmp_path: Path) -> None:
     text = "pipeline: 1\nstages:\n  - kind: take\n    files: ${D:-dat}\n"
     path = lay_out(tmp_path, text)
-    (problem,) = missing_inputs(path, load_pipeline(path, STAGES))
+    pipeline = load_pipeline(path, STAGES)
+    (problem,) = missing_inputs(pipeline, pipeline.stages)
     assert str(problem) == f"{path}:4:12  stages[0].files: {tmp_path}/dat is not there"
 
 
