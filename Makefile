@@ -50,10 +50,10 @@ schemas: $(SETUP) ## write schemas/*.schema.json again from the code
 	@$(BIN)/errpipe schema --write schemas
 
 bench: $(SETUP) ## speed, as ratios to other libraries in the same run
-	@$(BIN)/python -m tests.bench
+	@$(BIN)/python -m tests.bench $(ARGS)
 
 trials: $(SETUP) ## diagnosis on machines whose faults are known
-	@$(BIN)/python -m tests.trials
+	@$(BIN)/python -m tests.trials.run --jobs 2 $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
