@@ -126,8 +126,8 @@ class Machine(Frozen):
         for name, axis in self.axes.items():
             if axis.direction is None and name[0] not in LETTERS and name[0] not in _LIKE:
                 raise ValueError(f"axis {name} has no letter of ISO 841; give its direction")
-        linear = set(self.linear_axes())
-        if self.datum_axes and set(self.datum_axes) != linear:
+        linear = {n for n, a in self.axes.items() if a.kind == "linear"}
+        if self.datum_axes and (set(self.datum_axes) != linear or len(self.datum_axes) != len(linear)):
             raise ValueError(f"datum_axes lists every linear axis once ({', '.join(sorted(linear))})")
         return self
 

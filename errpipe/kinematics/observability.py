@@ -68,10 +68,10 @@ def coarse(chain: Chain, without: tuple[str, ...] = ()) -> ident.Parametrisation
 def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()) -> Observability:
     """Rank and unseen combinations of a test (readings may be missing; poses and set-up decide). noise: um."""
     model = coarse(chain, without)
-    information, spread = _information(model, obs, noise)
-    left = np.linalg.inv(information + np.eye(len(spread)))
+    known, spread = information(model, obs, noise)
+    left = np.linalg.inv(known + np.eye(len(spread)))
     values, vectors = np.linalg.eigh(left)
-    singular = np.sqrt(np.maximum(np.linalg.eigvalsh(information)[::-1], 0.0))
+    singular = np.sqrt(np.maximum(np.linalg.eigvalsh(known)[::-1], 0.0))
     rank = int((singular**2 > 1.0).sum())
     unseen = tuple(_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)[::-1])
     seen = {}
@@ -82,7 +82,7 @@ def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tup
     return Observability(rank, len(spread), singular, seen, _merged(unseen))
 
 
-def _information(model: ident.Parametrisation, obs: Observations, noise: float) -> tuple[np.ndarray, np.ndarray]:
+def information(model: ident.Parametrisation, obs: Observations, noise: float) -> tuple[np.ndarray, np.ndarray]:
     """Information on the scaled components with set-up eliminated."""
     spread = model.prior.spreads(np.zeros(0)).of(np.r_[ident.TYPICAL, ident.SMOOTHNESS, 1.0])
     scale = (obs.noise * noise)[:, None]
@@ -173,34 +173,34 @@ def smallest_extra(
     Stops early where nothing offered helps any more.
     """
     model = coarse(chain, without)
-    information, spread = _information(model, obs, noise)
+    known, spread = information(model, obs, noise)
     offered = dict(candidates(chain, obs) if offered is None else offered)
-    gains = {name: _information(model, extra, noise)[0] for name, extra in offered.items()}
+    gains = {name: information(model, extra, noise)[0] for name, extra in offered.items()}
     chosen: list[Extra] = []
     one = np.eye(len(spread))
     for _ in range(most):
-        values, vectors = np.linalg.eigh(np.linalg.inv(information + one))
+        values, vectors = np.linalg.eigh(np.linalg.inv(known + one))
         open_ = vectors[:, values > UNSEEN]
         if open_.shape[1] == 0:
             break
         best, score = "", 0.0
         for name, gain in gains.items():
-            left = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (information + gain) @ open_ + np.eye(open_.shape[1])))
+            left = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (known + gain) @ open_ + np.eye(open_.shape[1])))
             resolved = float((left <= UNSEEN).sum()) + 1e-3 * float(open_.shape[1] - left.sum())
             rate = resolved / max(offered[name].seconds, 60.0)
             if resolved > 0.05 and rate > score:
                 best, score = name, rate
         if not best:
             break
-        before = _unseen_names(chain, model, information)
-        information = information + gains.pop(best)
-        after = _unseen_names(chain, model, information)
+        before = _unseen_names(chain, model, known)
+        known = known + gains.pop(best)
+        after = _unseen_names(chain, model, known)
         extra = offered[best]
         chosen.append(Extra(best, tuple(sorted(before - after)), len(extra), max(extra.seconds, 60.0) / 60.0))
     return tuple(chosen)
 
 
-def _unseen_names(chain: Chain, model: ident.Parametrisation, information: np.ndarray) -> set[str]:
-    values, vectors = np.linalg.eigh(np.linalg.inv(information + np.eye(len(information))))
+def _unseen_names(chain: Chain, model: ident.Parametrisation, known: np.ndarray) -> set[str]:
+    values, vectors = np.linalg.eigh(np.linalg.inv(known + np.eye(len(known))))
     found: Sequence[Unseen] = [_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)]
     return {c for u in found for c in u.components}

@@ -47,7 +47,7 @@ def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynom
     Variables: axis letters (mm), "sin C", "cos C", and `TOOL`. Raises ValueError for "axes" where a rotary axis
     turns a linear one.
     """
-    kind, axis, vec, point, inverse, entries, comp, angle, evec = chain.factors
+    kind, _, _, point, inverse, entries, comp, angle, evec = chain.factors
     arms, turns = _arms(chain), _turns(chain, frame)
     rows: dict[tuple[int, int], Polynomial] = {}
     for f in np.flatnonzero(kind == k.ERROR):

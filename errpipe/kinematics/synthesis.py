@@ -86,7 +86,8 @@ def correct(
 ) -> np.ndarray:
     """Commanded axes that undo a deviation (n, 6) at commanded q: q - d, shape (n, axes).
 
-    Position alone moves the linear axes; with `orientation` all axes share in (least squares over the six).
+    Position alone moves the linear axes; with `orientation` all axes keep the point and the tool's direction (its
+    turn about itself is free).
     The correction is minus the deviation, turned into axis motions.
     """
     q, _, tip = _rows(chain, q, None, tip)
@@ -97,8 +98,12 @@ def correct(
         out = q.copy()
         out[:, linear] -= step
         return out
-    wanted = np.concatenate([deviation[:, :3] * k.UM, np.degrees(deviation[:, 3:] * k.URAD)], axis=1)
-    return q - np.einsum("nai,ni->na", np.linalg.pinv(jac, rcond=1e-9), wanted)
+    pose = ideal_pose(chain, q, tip)
+    tool = np.einsum("k,nkj->nj", np.asarray(chain.machine.tool.direction), pose[:, 1:])
+    swing = np.cross(np.moveaxis(jac[:, 3:], 1, 2), tool[:, None, :])  # how each axis moves the tool's direction, deg
+    wanted = np.concatenate([deviation[:, :3] * k.UM, np.degrees(np.cross(deviation[:, 3:] * k.URAD, tool))], axis=1)
+    solve = np.linalg.pinv(np.concatenate([jac[:, :3], np.moveaxis(swing, 1, 2)], axis=1), rcond=1e-6)
+    return q - np.einsum("nai,ni->na", solve, wanted)
 
 
 def _rows(chain: Chain, q: np.ndarray, comps: np.ndarray | None, tip: np.ndarray | None):

@@ -1,0 +1,240 @@
+"""Test design: bar sockets, tools and positions that show every component in the least time, as an NC program.
+
+Blocks of measurement (one socket and one tool, a short path of ball positions) are added one after the other,
+each the one that brings most knowledge per minute, set-up times counted, until every combination of components
+is seen. What no block can show is left in the plan's `open`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.kinematics import observability, synthesis
+from errpipe.kinematics import observations as o
+from errpipe.kinematics.chain import Chain
+
+
+@dataclass(frozen=True)
+class Means:
+    """What the workshop has: a telescoping bar's reach (mm), tools, and how long things take (s; mm/min)."""
+
+    reach: tuple[float, float] = (150.0, 1200.0)
+    tools: tuple[tuple[float, tuple[float, float, float]], ...] = ((100.0, (0.0, 0.0, 0.0)), (200.0, (0.0, 0.0, 0.0)))
+    noise: float = 0.7
+    socket_change: float = 180.0
+    tool_change: float = 120.0
+    dwell: float = 1.5
+    feed: float = 5000.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """One socket, one tool, positions in measuring order q (n, axes)."""
+
+    socket: tuple[float, float, float]
+    length: float
+    offset: tuple[float, float, float]
+    q: np.ndarray
+    observations: o.Observations
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Blocks in order, minutes in all, and what stays unseen."""
+
+    chain: Chain
+    blocks: tuple[Block, ...]
+    minutes: float
+    open: tuple[observability.Unseen, ...]
+    means: Means
+
+    def observations(self) -> o.Observations:
+        """All blocks as one test without readings."""
+        return o.concatenate([b.observations for b in self.blocks])
+
+    def says(self) -> str:
+        """The plan in a few lines."""
+        lines = [
+            f"{len(self.blocks)} blocks, {sum(len(b.q) for b in self.blocks)} positions, {self.minutes:.0f} minutes"
+        ]
+        for i, b in enumerate(self.blocks, start=1):
+            place = ", ".join(f"{v:.0f}" for v in b.socket)
+            aside = "" if not any(b.offset) else f", ball offset {b.offset[0]:g} {b.offset[1]:g} {b.offset[2]:g} mm"
+            lines.append(f"{i}. socket at {place} mm; tool {b.length:g} mm{aside}; {len(b.q)} positions")
+        lines += [f"open: {u.says()}" for u in self.open]
+        return "\n".join(lines)
+
+
+def propose(
+    chain: Chain, *, means: Means | None = None, sockets: Sequence[Sequence[float]] | None = None,
+    without: tuple[str, ...] = (), positions: int = 40, most: int = 24, seed: int = 0,
+) -> Plan:  # fmt: skip
+    """A measuring plan for a telescoping bar. sockets: places in the workpiece frame, mm (chosen where left out).
+
+    without: components not to be identified (growth). Raises DataError where the bar reaches no position.
+    """
+    means = means or Means(tools=default_tools(chain))
+    rng = np.random.default_rng(seed)
+    sockets = default_sockets(chain) if sockets is None else sockets
+    blocks = []
+    for socket in sockets:
+        for length, offset in means.tools:
+            blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, means, positions, rng)
+    if not blocks:
+        raise DataError(f"a bar of {means.reach[0]:g}..{means.reach[1]:g} mm reaches no position from these sockets")
+    model = observability.coarse(chain, without)
+    gains = [observability.information(model, b.observations, means.noise)[0] for b in blocks]
+    chosen = _greedy(gains, blocks, means, most)
+    order = sorted(chosen, key=lambda i: (blocks[i].socket, blocks[i].length, blocks[i].offset, i))
+    picked = tuple(blocks[i] for i in order)
+    minutes = _seconds(picked, means) / 60.0
+    test = o.concatenate([b.observations for b in picked])
+    found = observability.examine(chain, test, noise=means.noise, without=without)
+    return Plan(chain, picked, minutes, found.unseen, means)
+
+
+def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
+    """Two lengths along the spindle and one ball beside it: three points that do not lie on one line."""
+    direction = np.asarray(chain.machine.tool.direction)
+    side = np.linalg.svd(direction[None])[2][1] * 80.0
+    first = max(60.0, chain.machine.tool.length)
+    return ((first, (0.0, 0.0, 0.0)), (first + 120.0, (0.0, 0.0, 0.0)), (first + 50.0, tuple(float(v) for v in side)))
+
+
+def default_sockets(chain: Chain) -> list[np.ndarray]:
+    """Three sockets well apart on the workpiece's side, just outside the reach of the tool."""
+    corners = np.stack([g.ravel() for g in np.meshgrid(*_box(chain), indexing="ij")], axis=1)
+    pose = synthesis.ideal_pose(chain, corners)[:, 0]
+    low, high = pose.min(axis=0), pose.max(axis=0)
+    tool = np.asarray(chain.machine.tool.direction)
+    down = (low + high) / 2 + 0.62 * (high - low) * tool
+    size = high - low
+    across = np.linalg.svd(tool[None])[2][1:]
+    steps = [(-0.4, -0.4), (0.4, -0.35), (0.05, 0.42)]
+    return [down + size * (a * across[0] + b * across[1]) for a, b in steps]
+
+
+def _box(chain: Chain) -> np.ndarray:
+    """Travel to be used: whole linear axes; rotary axes at most a turn."""
+    travel = chain.travel.copy()
+    for i, a in enumerate(chain.axes):
+        if chain.machine.axes[a].kind == "rotary":
+            middle = travel[i].mean()
+            half = min(np.ptp(travel[i]) / 2, 180.0)
+            travel[i] = middle - half, middle + half
+    return travel
+
+
+def _blocks(chain, socket, length, offset, means: Means, positions: int, rng) -> list[Block]:
+    """Blocks within the bar's reach of one socket with one tool: two independent scatters over the volume."""
+    box, tip = _box(chain), chain.tip(length, offset)
+    q = rng.uniform(box[:, 0], box[:, 1], (positions * 60, len(chain.axes)))
+    edge = rng.random(q.shape) < 0.25
+    q = np.where(edge, np.where(rng.random(q.shape) < 0.5, box[:, 0], box[:, 1]), q)
+    span = np.linalg.norm(synthesis.ideal_pose(chain, q, tip)[:, 0] - socket, axis=1)
+    q = q[(span >= means.reach[0]) & (span <= means.reach[1])]
+    found = []
+    for _ in range(2):
+        if len(q) < positions:
+            break
+        path = _short_path(q[:positions], box)
+        q = q[positions:]
+        name = f"socket {'/'.join(f'{v:.0f}' for v in socket)} tool {length:g}"
+        test = o.distance(chain, path, tip, socket, label=name)
+        found.append(Block(tuple(float(v) for v in socket), length, tuple(map(float, offset)), path, test))
+    return found
+
+
+def _short_path(q: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Nearest neighbour next, from the lowest corner."""
+    scaled = (q - box[:, 0]) / np.ptp(box, axis=1)
+    left, order = set(range(len(q))), [int(np.argmin(scaled.sum(axis=1)))]
+    left.discard(order[0])
+    while left:
+        rest = sorted(left)
+        away = np.linalg.norm(scaled[rest] - scaled[order[-1]], axis=1)
+        order.append(rest[int(np.argmin(away))])
+        left.discard(order[-1])
+    return q[order]
+
+
+def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: int) -> list[int]:
+    """Blocks by knowledge per second until nothing is unseen or nothing helps."""
+    p = len(gains[0])
+    known = np.eye(p)
+    chosen: list[int] = []
+    while len(chosen) < most:
+        left = np.linalg.eigvalsh(np.linalg.inv(known))
+        if left.max() <= observability.UNSEEN:
+            break
+        before = np.linalg.slogdet(known)[1]
+        best, rate = -1, 1e-3
+        for i, gain in enumerate(gains):
+            if i in chosen:
+                continue
+            after = np.linalg.eigvalsh(np.linalg.inv(known + gain))
+            won = (np.linalg.slogdet(known + gain)[1] - before) + 20.0 * float((left > 0.5).sum() - (after > 0.5).sum())
+            per = won / _more_seconds(blocks, chosen, i, means)
+            if per > rate:
+                best, rate = i, per
+        if best < 0:
+            break
+        chosen.append(best)
+        known = known + gains[best]
+    return chosen
+
+
+def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Means) -> float:
+    new = blocks[i]
+    socket = not any(blocks[j].socket == new.socket for j in chosen)
+    tool = not any(
+        blocks[j].socket == new.socket and (blocks[j].length, blocks[j].offset) == (new.length, new.offset)
+        for j in chosen
+    )
+    return _path_seconds(new, means) + socket * means.socket_change + tool * means.tool_change
+
+
+def _path_seconds(block: Block, means: Means) -> float:
+    step = np.abs(np.diff(block.q, axis=0))
+    return float(step.max(axis=1).sum()) / means.feed * 60.0 + means.dwell * len(block.q)
+
+
+def _seconds(blocks: Sequence[Block], means: Means) -> float:
+    total = sum(_path_seconds(b, means) for b in blocks)
+    before = None
+    for b in blocks:
+        if before is None or b.socket != before.socket:
+            total += means.socket_change
+        if before is None or (b.socket, b.length, b.offset) != (before.socket, before.length, before.offset):
+            total += means.tool_change
+        before = b
+    return total
+
+
+def program(plan: Plan) -> str:
+    """The plan as an NC program (RS-274): M0 to place socket and tool, moves, dwells to read the bar."""
+    names = plan.chain.axes
+    lines = [
+        "%",
+        f"(measuring plan for {plan.chain.machine.name}: {len(plan.blocks)} blocks, {plan.minutes:.0f} min)",
+        "G21 G90 G94",
+    ]
+    before = None
+    for number, b in enumerate(plan.blocks, start=1):
+        if before is None or b.socket != before.socket:
+            lines += [f"(socket at X{b.socket[0]:.3f} Y{b.socket[1]:.3f} Z{b.socket[2]:.3f} of the workpiece)", "M0"]
+        if before is None or (b.length, b.offset) != (before.length, before.offset) or b.socket != before.socket:
+            lines += [
+                f"(ball at length {b.length:.3f}, offset {b.offset[0]:.3f} {b.offset[1]:.3f} {b.offset[2]:.3f})",
+                "M0",
+            ]
+        lines.append(f"(block {number})")
+        for row in b.q:
+            words = " ".join(f"{a}{v:.4f}" for a, v in zip(names, row, strict=True))
+            lines += [f"G1 {words} F{plan.means.feed:.0f}", f"G4 P{plan.means.dwell:.1f}"]
+        before = b
+    return "\n".join([*lines, "M2", "%"]) + "\n"

@@ -1,0 +1,263 @@
+"""Circular tests after ISO 230-4: the figures G, G(b), H, F, and what a metrologist reads off the plot.
+
+A run is one circle in a plane of two axes in one sense; positions count from the circle's centre (mm), the
+reading is the radial deviation E_R (um, actual minus nominal radius). With theta the angle from the first axis
+towards the second, s = +1 counter-clockwise, R the radius, v the path speed:
+
+    set-up            r0 + a cos(theta) + b sin(theta)            radius and centre, of each run
+    scale mismatch    (k1 - k2) R/2 cos(2 theta)                  same both ways round; oval along an axis
+    squareness        -S R/2 sin(2 theta)                         same both ways round; oval at 45 degrees
+    servo mismatch    s v (t1 - t2)/2 sin(2 theta)                turns with the sense; t: delay of each axis
+    backlash          -B/2 sign(velocity) cos or sin(theta)       steps where an axis turns round
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+
+FULL_CIRCLE = 300.0  # deg of arc from which circle figures are given
+NORMAL = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
+# Sign that turns "second axis leans to minus the first" into the ISO component: +B turns +Z towards +X.
+LEAN = {"XY": 1.0, "XZ": -1.0, "YZ": 1.0}
+
+
+@dataclass(frozen=True)
+class Circle:
+    """One run. sense: +1 counter-clockwise; angle (n,) rad; deviation (n,) um; radius mm; speed mm/s."""
+
+    label: str
+    plane: tuple[str, str]
+    sense: int
+    angle: np.ndarray
+    deviation: np.ndarray
+    radius: float
+    speed: float | None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """ISO 230-4 figures of one plane, um. G by sense; both: G(b); hysteresis H; F: largest and smallest deviation.
+
+    G is the smallest distance of two concentric circles that enclose the path (centre free), F counts from the
+    programmed centre and radius.
+    """
+
+    plane: str
+    circular: dict[str, float]
+    both: float | None
+    hysteresis: float | None
+    radial: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One thing read off the circles: effect id, axis or plane, value with 95 % interval, its part of the plot."""
+
+    effect: str
+    where: str
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+    peak_to_peak: float
+    says: str
+
+
+@dataclass(frozen=True)
+class CircularTest:
+    """Figures and reading of one plane. noise: rms of what the reading leaves, um."""
+
+    figures: Figures
+    effects: tuple[Effect, ...]
+    noise: float
+
+
+def circles(recording: Recording) -> tuple[Circle, ...]:
+    """The circular runs of a recording. Raises DataError where a run is no circle of two axes."""
+    name = recording.name("error", component="E_R")
+    if name is None:
+        raise DataError("a circular test needs an error column of component E_R (radial deviation)")
+    letters = [str(recording.manifest.columns[n].axis) for n in recording.names("position")]
+    columns = {a: recording.array(recording.name("position", axis=a)) for a in letters}
+    value, codes, out = recording.array(name), recording.run_codes(), []
+    for number, label in enumerate(recording.run_labels()):
+        rows = (codes == number) & np.isfinite(value)
+        if not rows.any():
+            continue
+        moving = sorted(a for a in columns if np.ptp(columns[a][rows]) > 1e-3)
+        if len(moving) != 2:
+            raise DataError(f"run {label}: a circle moves two axes (found {', '.join(moving) or 'none'})")
+        first, second = (columns[a][rows] for a in moving)
+        out.append(_circle(recording, label, (moving[0], moving[1]), first, second, value[rows], rows))
+    return tuple(out)
+
+
+def _circle(recording, label, plane, first, second, value, rows) -> Circle:
+    angle = np.arctan2(second, first)
+    turned = np.unwrap(angle)
+    sense = 1 if turned[-1] >= turned[0] else -1
+    radius = float(np.hypot(first, second).mean())
+    speed = None
+    feed = recording.name("feed")
+    if feed is not None:
+        speed = float(np.nanmean(recording.array(feed)[rows])) / 60.0
+    return Circle(label, plane, sense, angle, value, radius, speed)
+
+
+def evaluate(recording: Recording) -> tuple[CircularTest, ...]:
+    """Figures and reading of every plane of a recording. Raises DataError for runs that are no circles."""
+    runs = circles(recording)
+    planes = sorted({c.plane for c in runs})
+    return tuple(_plane([c for c in runs if c.plane == plane]) for plane in planes)
+
+
+def _plane(runs: list[Circle]) -> CircularTest:
+    name = "".join(runs[0].plane)
+    whole = [c for c in runs if _arc(c) >= FULL_CIRCLE]
+    figures = Figures(
+        name,
+        {c.label: minimum_zone(c.angle, c.deviation, c.radius) for c in whole},
+        _bidirectional(whole),
+        _hysteresis(whole),
+        {c.label: (float(c.deviation.max()), float(c.deviation.min())) for c in runs},
+    )
+    effects, noise = read(runs)
+    return CircularTest(figures, effects, noise)
+
+
+def _arc(circle: Circle) -> float:
+    turned = np.unwrap(circle.angle)
+    return float(np.degrees(np.ptp(turned))) + 360.0 / max(len(turned), 1)
+
+
+def minimum_zone(angle: np.ndarray, deviation: np.ndarray, radius: float) -> float:
+    """Circular deviation G: width of the narrowest ring round the path, centre free, um.
+
+    A linear programme in the centre (a, b) and the two radii; exact to second order in centre/radius.
+    """
+    points = np.column_stack([(radius + deviation * 1e-3) * np.cos(angle), (radius + deviation * 1e-3) * np.sin(angle)])
+    centre = np.zeros(2)
+    for _ in range(3):
+        ray = points - centre
+        size = np.linalg.norm(ray, axis=1)
+        unit = ray / size[:, None]
+        far = (size - radius) * 1e3
+        one = np.ones(len(far))
+        upper = np.column_stack([-unit, -one, 0 * one])
+        lower = np.column_stack([unit, 0 * one, one])
+        found = linprog(
+            [0, 0, 1, -1],
+            A_ub=np.vstack([upper, lower]),
+            b_ub=np.r_[-far, far],
+            bounds=[(None, None)] * 4,
+            method="highs",
+        )
+        centre = centre + found.x[:2] * 1e-3
+    size = np.linalg.norm(points - centre, axis=1)
+    return float(np.ptp(size) * 1e3)
+
+
+def _bidirectional(runs: list[Circle]) -> float | None:
+    if {c.sense for c in runs} != {1, -1}:
+        return None
+    angle = np.concatenate([c.angle for c in runs])
+    centred = [c.deviation - _setup(c)[1] for c in runs]
+    return minimum_zone(angle, np.concatenate(centred), runs[0].radius)
+
+
+def _setup(circle: Circle) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares centre of a run, and what it does to the deviation, um."""
+    one = np.column_stack([np.cos(circle.angle), np.sin(circle.angle), np.ones(len(circle.angle))])
+    found, *_ = np.linalg.lstsq(one, circle.deviation, rcond=None)
+    return found, one[:, :2] @ found[:2]
+
+
+def _hysteresis(runs: list[Circle]) -> float | None:
+    """Largest difference of the two senses at one angle, each about its own centre, um."""
+    ways = {s: [c for c in runs if c.sense == s] for s in (1, -1)}
+    if not ways[1] or not ways[-1]:
+        return None
+    grid = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    mean = {}
+    for s, own in ways.items():
+        curves = []
+        for c in own:
+            order = np.argsort(c.angle)
+            curves.append(np.interp(grid, c.angle[order], (c.deviation - _setup(c)[1])[order], period=2 * np.pi))
+        mean[s] = np.mean(curves, axis=0)
+    return float(np.abs(mean[1] - mean[-1]).max())
+
+
+def read(runs: list[Circle]) -> tuple[tuple[Effect, ...], float]:
+    """Squareness, scale mismatch, backlash of both axes, servo mismatch; largest first; and the noise left, um."""
+    angle = np.concatenate([c.angle for c in runs])
+    sense = np.concatenate([np.full(len(c.angle), c.sense) for c in runs])
+    radius = np.concatenate([np.full(len(c.angle), c.radius) for c in runs])
+    y = np.concatenate([c.deviation for c in runs])
+    columns = [
+        -radius / 2 * np.sin(2 * angle) * 1e-3,
+        radius / 2 * np.cos(2 * angle) * 1e-3,
+        0.5 * sense * np.sign(np.sin(angle)) * np.cos(angle),
+        -0.5 * sense * np.sign(np.cos(angle)) * np.sin(angle),
+    ]
+    speeds = [c.speed for c in runs]
+    if len({c.sense for c in runs}) == 2:
+        v = np.concatenate([np.full(len(c.angle), 1.0 if c.speed is None else c.speed) for c in runs])
+        columns.append(0.5 * sense * v * np.sin(2 * angle))
+    own = []
+    for c in runs:
+        mask = np.concatenate([np.full(len(d.angle), float(d is c)) for d in runs])
+        own += [mask, mask * np.cos(angle), mask * np.sin(angle)]
+    design = np.column_stack(columns + own)
+    found, *_ = np.linalg.lstsq(design, y, rcond=None)
+    left = y - design @ found
+    noise = float(np.sqrt(left @ left / max(1, len(y) - design.shape[1])))
+    error = noise * np.sqrt(np.maximum(np.diag(np.linalg.pinv(design.T @ design)), 0.0) * _fewer(runs, left))
+    plane, known = runs[0].plane, None not in speeds
+    effects = [
+        _effect(kind, plane, float(found[i]), float(error[i]), float(np.ptp(columns[i] * found[i])), known)
+        for i, kind in enumerate(("squareness", "scale", "first", "second", "servo")[: len(columns)])
+    ]
+    return tuple(sorted(effects, key=lambda e: -e.peak_to_peak)), noise
+
+
+def _fewer(runs: list[Circle], left: np.ndarray) -> float:
+    """By how much the variance grows because neighbours on a circle are alike (first-order autocorrelation)."""
+    together, alone, row = 0.0, 1e-300, 0
+    for c in runs:
+        own = left[row : row + len(c.angle)]
+        together += float(own[1:] @ own[:-1])
+        alone += float(own @ own)
+        row += len(c.angle)
+    rho = min(max(together / alone, 0.0), 0.98)
+    return (1.0 + rho) / (1.0 - rho)
+
+
+def _effect(kind: str, plane: tuple[str, str], value: float, error: float, size: float, speed_known: bool) -> Effect:
+    a, b = plane
+    name = a + b
+    if kind == "squareness":
+        value *= LEAN.get(name, 1.0)
+        lean = "minus" if value * LEAN.get(name, 1.0) > 0 else "plus"
+        told = f"{NORMAL.get(name, 'squareness')} = {value:.1f} urad: +{b} leans towards {lean} {a}"
+        effect, where, unit = "squareness", NORMAL.get(name, name), "urad"
+    elif kind == "scale":
+        longer, shorter = (a, b) if value > 0 else (b, a)
+        told = f"scale of {longer} is {abs(value):.1f} um/m longer than that of {shorter}"
+        effect, where, unit = "scale_error", f"{a}-{b}", "um/m"
+    elif kind in ("first", "second"):
+        axis = a if kind == "first" else b
+        told = f"backlash of {axis} is {value:.1f} um" + ("" if value >= 0 else " (over-compensated)")
+        effect, where, unit = "backlash", axis, "um"
+    else:
+        unit = "ms" if speed_known else "um"
+        behind = a if value > 0 else b
+        told = f"{behind} lags the other axis by {abs(value):.2f} {unit}"
+        effect, where = "servo_mismatch", name
+    half = 1.96 * error
+    return Effect(effect, where, value, (value - half, value + half), unit, size, f"{told} ({size:.1f} um of the plot)")
