@@ -1,4 +1,4 @@
-"""All benches, one after the other, each in a process of its own: `make bench`, or `python -m tests.bench [NAME...]`."""
+"""All benches one after the other, each in its own process: `make bench`, or `python -m tests.bench [NAME...]`."""
 
 from __future__ import annotations
 
