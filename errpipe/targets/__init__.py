@@ -1,0 +1,28 @@
+"""Controller formats. A new one is one file here and one entry in TARGETS.
+
+A target sees a `CompensationTable`, never a recording or a model: what cannot be said in the table cannot leave.
+"""
+
+from __future__ import annotations
+
+from errpipe.targets._base import Target
+from errpipe.targets.beckhoff_crosscomp import BeckhoffCrosscomp
+from errpipe.targets.beckhoff_ssfk import BeckhoffSsfk
+from errpipe.targets.beckhoff_temperature import BeckhoffTemperature
+from errpipe.targets.beckhoff_volumetric import BeckhoffVolumetric
+from errpipe.targets.fanuc_pitch import FanucPitch
+from errpipe.targets.heidenhain_com import HeidenhainCom
+from errpipe.targets.klipper_sections import KlipperSections
+from errpipe.targets.linuxcnc_screw import LinuxcncScrew
+from errpipe.targets.mach4_screw_map import Mach4ScrewMap
+from errpipe.targets.sinumerik_cec import SinumerikCec
+from errpipe.targets.sinumerik_lec import SinumerikLec
+from errpipe.targets.sinumerik_temperature import SinumerikTemperature
+from errpipe.targets.smoothie_pitch import SmoothiePitch
+from errpipe.targets.twincat_nc_table import TwincatNcTable
+
+TARGETS: tuple[type[Target], ...] = (
+    BeckhoffCrosscomp, BeckhoffSsfk, BeckhoffTemperature, BeckhoffVolumetric, FanucPitch, HeidenhainCom,
+    KlipperSections, LinuxcncScrew, Mach4ScrewMap, SinumerikCec, SinumerikLec, SinumerikTemperature, SmoothiePitch,
+    TwincatNcTable,
+)  # fmt: skip

@@ -1,0 +1,166 @@
+"""What a target is: a controller's file format, its sign in words, its limits, and a reader like the controller's own.
+
+A target sees a `CompensationTable` and nothing else. `write` gives the files; `read_back` parses them the way
+the controller would and says what that controller would *add to the command*. The difference to the table is
+the loss of the format, in micrometres, and is always reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError, VerifyError
+
+Confidence = Literal["verified", "documented", "experimental"]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Correction added to `axis` over the position of `over`, mm (deg): up and down are the directions of travel.
+
+    positions: ascending, shape (n,); straight between them, held beyond them.
+    """
+
+    axis: str
+    over: str
+    positions: np.ndarray
+    up: np.ndarray
+    down: np.ndarray
+
+    def at(self, position: np.ndarray, side: np.ndarray) -> np.ndarray:
+        """Correction at positions, approached from below (+1) or above (-1)."""
+        rising = np.interp(position, self.positions, self.up)
+        return np.where(side > 0, rising, np.interp(position, self.positions, self.down))
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Correction added to `axis` over two axes: values[i, j] at (first[i], second[j]), bilinear, held beyond."""
+
+    axis: str
+    over: tuple[str, str]
+    first: np.ndarray
+    second: np.ndarray
+    values: np.ndarray
+
+    def at(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Correction at points of the plane, mm."""
+        i, f = _cell(self.first, a)
+        j, g = _cell(self.second, b)
+        v = self.values
+        low = v[i, j] * (1 - f) + v[i + 1, j] * f
+        high = v[i, j + 1] * (1 - f) + v[i + 1, j + 1] * f
+        return low * (1 - g) + high * g
+
+
+def _cell(grid: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    inside = np.clip(x, grid[0], grid[-1])
+    index = np.clip(np.searchsorted(grid, inside, side="right") - 1, 0, grid.size - 2)
+    return index, (inside - grid[index]) / (grid[index + 1] - grid[index])
+
+
+@dataclass(frozen=True)
+class Line:
+    """Correction of `axis` per kelvin of a sensor over `reference`: level (mm/K) + slope (1/K) * (position - zero)."""
+
+    axis: str
+    sensor: str
+    reference: float
+    level: float
+    slope: float
+    zero: float = 0.0
+
+
+@dataclass(frozen=True)
+class ReadBack:
+    """Everything a controller would make of the files: the sum of its parts."""
+
+    curves: tuple[Curve, ...] = ()
+    planes: tuple[Plane, ...] = ()
+    lines: tuple[Line, ...] = ()
+
+    def axes(self) -> tuple[str, ...]:
+        """Axes that would be moved."""
+        return tuple(dict.fromkeys(p.axis for p in (*self.curves, *self.planes, *self.lines)))
+
+    def correction(
+        self, axis: str, positions: Mapping[str, np.ndarray], side: np.ndarray, sensors: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Correction of one axis, mm (deg), shape (n,). positions: axis -> (n,); sensors: input -> (n,)."""
+        total = np.zeros(side.size)
+        for c in self.curves:
+            if c.axis == axis:
+                total = total + c.at(positions[c.over], side)
+        for p in self.planes:
+            if p.axis == axis:
+                total = total + p.at(positions[p.over[0]], positions[p.over[1]])
+        for line in self.lines:
+            if line.axis == axis:
+                warm = sensors[line.sensor] - line.reference
+                total = total + warm * (line.level + line.slope * (positions.get(axis, line.zero) - line.zero))
+        return total
+
+
+class Target:
+    """Base of all targets. One subclass a file; subclasses are never instantiated."""
+
+    name: ClassVar[str]
+    controller: ClassVar[str]
+    confidence: ClassVar[Confidence]
+    sign: ClassVar[str]  # what a positive value does, in words
+    limits: ClassVar[str]  # of the format, in words
+    source: ClassVar[str]  # the manual or the program's source that says so
+    activation: ClassVar[Sequence[str]] = ()  # what a person at the machine sets and reads back
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        """File name -> text. Raises GateError where the table does not fit the format."""
+        raise TypeError(f"{cls.__name__} does not write")
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        """What the controller makes of the files. Raises VerifyError where it would not take them."""
+        raise TypeError(f"{cls.__name__} does not read back")
+
+
+@dataclass(frozen=True)
+class Points:
+    """A uniform grid of at most so many points, as formats ask for it."""
+
+    start: float
+    step: float
+    count: int
+
+    def positions(self) -> np.ndarray:
+        """Ascending positions, shape (count,)."""
+        return self.start + self.step * np.arange(self.count)
+
+
+def too_many(target: str, found: int, most: int, error_um: float) -> GateError:
+    """The one form in which a format says that it is full."""
+    return GateError(
+        f"{target}: {found} points are needed, {most} fit; with {most} the error would be {error_um:.3g} um. "
+        "Allow a larger error, or choose a target that holds more."
+    )
+
+
+def expect(condition: bool, target: str, what: str) -> None:
+    """Raise VerifyError where a file is not what the controller takes."""
+    if not condition:
+        raise VerifyError(f"{target}: {what}")
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What a format cannot say: largest and rms difference to the table per axis, um (or thousandths of a degree)."""
+
+    axis: str
+    largest: float
+    rms: float
+    table_rms: float
+    reasons: tuple[str, ...] = field(default_factory=tuple)

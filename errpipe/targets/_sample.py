@@ -1,0 +1,180 @@
+"""A table asked as a metrologist would ask the machine: curves in both directions, per kelvin, and on a lattice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable, Output
+from errpipe.tables import batch
+from errpipe.targets._base import Curve, Line, Loss, Plane, Points, ReadBack
+
+SETTLED = 1e9  # s between rows: every lag has reached its operand
+RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
+LATTICE = 400  # random states on which a loss is measured
+PER_KELVIN = 2.0  # K on either side for a slope
+MOST_CURVE = 4000
+
+
+def outputs_by_axis(table: CompensationTable) -> dict[str, Output]:
+    """Axis letter -> its output; outputs that move no axis are left out."""
+    return {o.axis: o for o in table.outputs if o.axis}
+
+
+def positions_of(table: CompensationTable) -> dict[str, str]:
+    """Axis letter -> name of the input that holds its position."""
+    return {i.axis: i.name for i in table.inputs if i.kind == "position"}
+
+
+def axes_of(table: CompensationTable) -> list[str]:
+    """Letters of all axes that the table reads or moves, in the order X Y Z A B C U V W."""
+    found = set(positions_of(table)) | set(outputs_by_axis(table))
+    return sorted(found, key=lambda letter: ("XYZABCUVW".find(letter[0]), letter))
+
+
+def sensors_of(table: CompensationTable) -> list[str]:
+    """Names of the temperature-like inputs."""
+    return [i.name for i in table.inputs if i.kind == "sensor"]
+
+
+def span(table: CompensationTable, axis: str) -> tuple[float, float]:
+    """Range of the profiles over an axis, mm (deg); its plausible range where there is none."""
+    name = positions_of(table)[axis]
+    ends = [(p.start, p.start + p.step * (len(p.values) - 1)) for p in table.profiles if p.input == name]
+    whole = [e for e, p in zip(ends, (p for p in table.profiles if p.input == name), strict=True) if not p.periodic]
+    chosen = whole or ends
+    if chosen:
+        return min(e[0] for e in chosen), max(e[1] for e in chosen)
+    channel = next(i for i in table.inputs if i.name == name)
+    return channel.low, channel.high
+
+
+def middle(table: CompensationTable) -> dict[str, float]:
+    """Readings of the reference state: axes at mid travel, everything else at its default."""
+    readings = {i.name: i.default for i in table.inputs if not i.optional}
+    for axis, name in positions_of(table).items():
+        low, high = span(table, axis)
+        readings[name] = (low + high) / 2
+    return readings
+
+
+def corrections(
+    table: CompensationTable, axis: str, states: Mapping[str, np.ndarray], side: np.ndarray
+) -> np.ndarray:
+    """Correction of one axis, mm (deg), in settled states, each approached from its side; shape (n,).
+
+    states: input name -> (n,); inputs not named stand as in `middle`. References (values latched at the start)
+    are taken in the middle state.
+    """
+    output = outputs_by_axis(table)[axis]
+    start, n = middle(table), side.size
+    moving = set(positions_of(table).values())
+    columns = {name: np.repeat(value, 4 * n) for name, value in start.items()}
+    for name, values in states.items():
+        rows = columns[name].reshape(n, 4)
+        settled = np.asarray(values, dtype=float)
+        rows[:, 1:] = settled[:, None]
+        if name in moving:
+            rows[:, 1] = rows[:, 2] = settled - RUN_UP * side
+    run = np.repeat(np.arange(n), 4)
+    time = np.tile(np.array([0.0, SETTLED, 2 * SETTLED, 3 * SETTLED]), n)
+    replay = batch.evaluate(table, columns, time, run)
+    return -replay.deviation[output.name].reshape(n, 4)[:, 3] * output.factor
+
+
+def curve(table: CompensationTable, axis: str, over: str, points: np.ndarray, *, relative: bool = False) -> Curve:
+    """Correction of `axis` along `over`, other inputs in the middle; relative: counted from the middle state."""
+    name = positions_of(table)[over]
+    up = corrections(table, axis, {name: points}, np.ones(points.size))
+    down = corrections(table, axis, {name: points}, -np.ones(points.size))
+    if relative:
+        there = np.full(1, middle(table)[name])
+        zero = sum(corrections(table, axis, {name: there}, np.array([s])) for s in (1.0, -1.0)) / 2
+        up, down = up - zero, down - zero
+    return Curve(axis, over, points, up, down)
+
+
+def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um: float) -> tuple[Points, float]:
+    """The coarsest uniform grid of at most `most` points within `error_um`, and its largest error in um.
+
+    Where even `most` points do not suffice, they are given with the error they leave.
+    """
+    low, high = span(table, over)
+    fine = np.linspace(low, high, MOST_CURVE + 1)
+    dense = curve(table, axis, over, fine)
+    count = 2
+    while True:
+        points = Points(low, (high - low) / (count - 1), count)
+        grid = points.positions()
+        left = max(
+            float(np.abs(np.interp(fine, grid, np.interp(grid, fine, v)) - v).max()) for v in (dense.up, dense.down)
+        )
+        if left * 1e3 <= error_um or count >= most:
+            return points, left * 1e3
+        count = min(most, max(count + 1, int(count * 1.25)))
+
+
+def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
+    """`span`, or (0, 0) for an axis whose position the table does not read."""
+    return span(table, axis) if axis in positions_of(table) else (0.0, 0.0)
+
+
+def moves_with(table: CompensationTable, axis: str, over: str, least_um: float = 0.01) -> bool:
+    """Whether the correction of `axis` changes along `over` by more than `least_um`."""
+    low, high = span(table, over)
+    found = curve(table, axis, over, np.linspace(low, high, 101))
+    return float(max(np.ptp(found.up), np.ptp(found.down), np.abs(found.up - found.down).max())) * 1e3 > least_um
+
+
+def line(table: CompensationTable, axis: str, sensor: str) -> Line:
+    """Straight line over the axis' own position, per kelvin of a sensor, in the settled state."""
+    low, high = reach(table, axis)
+    x = np.linspace(low, high, 41)
+    zero = float(x.mean())
+    base = middle(table)[sensor]
+    states = {positions_of(table)[axis]: x} if axis in positions_of(table) else {}
+    hot, cold = (
+        corrections(table, axis, {**states, sensor: np.full(x.size, base + step)}, np.ones(x.size))
+        for step in (PER_KELVIN, -PER_KELVIN)
+    )
+    per_kelvin = (hot - cold) / (2 * PER_KELVIN)
+    if high > low:
+        slope, level = np.polyfit(x - zero, per_kelvin, 1)
+    else:
+        slope, level = 0.0, float(per_kelvin.mean())
+    return Line(axis, sensor, base, float(level), float(slope), zero)
+
+
+def plane(table: CompensationTable, axis: str, over: tuple[str, str], counts: tuple[int, int]) -> Plane:
+    """Correction of `axis` on a grid over two axes, mean of both directions of approach."""
+    names = positions_of(table)
+    grids = [np.linspace(*span(table, letter), n) for letter, n in zip(over, counts, strict=True)]
+    a, b = (g.ravel() for g in np.meshgrid(*grids, indexing="ij"))
+    states = {names[over[0]]: a, names[over[1]]: b}
+    mean = (corrections(table, axis, states, np.ones(a.size)) + corrections(table, axis, states, -np.ones(a.size))) / 2
+    return Plane(axis, over, grids[0], grids[1], mean.reshape(counts))
+
+
+def loss(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss]:
+    """Difference between the table and what a controller makes of a file, on random settled states inside validity."""
+    rng = np.random.default_rng(seed)
+    names, side = positions_of(table), np.where(rng.random(LATTICE) < 0.5, 1.0, -1.0)
+    states: dict[str, np.ndarray] = {}
+    for axis, name in names.items():
+        states[name] = rng.uniform(*span(table, axis), LATTICE)
+    for i in table.inputs:
+        if i.valid is not None:
+            states[i.name] = rng.uniform(*i.valid, LATTICE)
+    at = {axis: states[name] for axis, name in names.items()}
+    sensors = {s: states.get(s, np.full(LATTICE, middle(table)[s])) for s in sensors_of(table)}
+    out = []
+    for axis in outputs_by_axis(table):
+        want = corrections(table, axis, states, side)
+        gap = 1e3 * (read.correction(axis, at, side, sensors) - want)
+        out.append(Loss(axis, float(np.abs(gap).max()), _rms(gap), 1e3 * _rms(want)))
+    return out
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,87 @@
+"""TwinCAT CNC (TF5200) / ISG kernel leadscrew compensation list, `kw.ssfk` in `achskw*.lis`.
+
+Value     the ERROR (actual minus set point) in 0.1 um as a whole number: the manual's example 19856.5 where 19866.7 was
+          wanted is -102.
+Order     equidistant nodes from kw_startpos, the same for both directions; straight between, held at the ends.
+Limits    1500 entries unless configured otherwise (P-COMP-00059); the reversal is spread over n_backlash_cyc cycles.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, ReadBack, Target, expect
+
+MOST = 1500
+ERROR_UM = 0.1
+TENTH_UM = 1e-4  # mm
+
+
+class BeckhoffSsfk(Target):
+    """Screw map of each axis, both directions, in tenths of a micrometre."""
+
+    name = "beckhoff_ssfk"
+    controller = "TwinCAT CNC, ISG kernel"
+    confidence = "documented"
+    sign = "a positive value means the axis went too far; it is moved in minus"
+    limits = "1500 equidistant nodes; whole tenths of a micrometre; the axis' own position; no temperature"
+    source = "TF5200 axis compensation lists; ISG kernel parameters kw.ssfk"
+    activation = (
+        "announce the list in hochlauf.lis (zahl_kw, achs_kw[i], achs_kw_log_ax_nr[i])",
+        "lr_param.ssfk 1; P-COMP-00059 at least the number of nodes",
+        "read the active compensation value of the axis back at three points, from both sides",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        files = {}
+        for number, axis in enumerate(_sample.axes_of(table), 1):
+            if axis not in _sample.positions_of(table) or axis not in _sample.outputs_by_axis(table):
+                continue
+            points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
+            # Node distance and start are whole tenths of a micrometre, so the grid is laid on them.
+            start, step = round(points.start / TENTH_UM), max(1, int(np.ceil(points.step / TENTH_UM - 1e-6)))
+            curve = _sample.curve(table, axis, axis, (start + step * np.arange(points.count)) * TENTH_UM)
+            files[f"achskw{number}.lis"] = _text(number, axis, start, step, curve)
+        if not files:
+            raise GateError("beckhoff_ssfk: no axis of the table is corrected over its own position")
+        return files
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+
+
+def tenths(correction: np.ndarray) -> list[int]:
+    """Corrections in mm as errors in whole tenths of a micrometre; a tie goes to the even number."""
+    return [round(-v / TENTH_UM) for v in correction.tolist()]
+
+
+def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
+    facts = {
+        "kopf.achs_nr": number, "kopf.log_achs_name": axis, "kw.ssfk.unit": 1, "kw.ssfk.interval": step,
+        "kw.ssfk.kw_startpos": start, "kw.ssfk.kw_nr_max": curve.positions.size, "kw.ssfk.bilateral": 1,
+        "kw.ssfk.modulo": 0,
+    }  # fmt: skip
+    rows = {f"kw.ssfk.table[{n}].pos": v for n, v in enumerate(tenths(curve.up))}
+    rows |= {f"kw.ssfk.table[{n}].neg": v for n, v in enumerate(tenths(curve.down))}
+    return "".join(f"{key:<30}{value}\n" for key, value in (facts | rows).items())
+
+
+def _read(name: str, text: str) -> Curve:
+    found = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
+    count, start, step = (int(found[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
+    expect(2 <= count <= MOST and step > 0, name, f"{count} nodes (2 to {MOST} are taken)")
+    tables = []
+    for side in ("pos", "neg"):
+        values = [found.get(f"kw.ssfk.table[{n}].{side}") for n in range(count)]
+        expect(all(v is not None and re.fullmatch(r"-?\d+", v) for v in values), name, f"a node of {side} is missing")
+        tables.append(-np.array([int(v) for v in values if v is not None]) * TENTH_UM)
+    axis = found["kopf.log_achs_name"]
+    return Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])

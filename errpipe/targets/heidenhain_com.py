@@ -1,0 +1,89 @@
+"""Heidenhain axis-error compensation: one `.COM` per axis and a `config.CMA` that names them.
+
+Value     the ERROR in mm along each compensated axis (MP720: positive when the travel is too long); the sense of the
+          .COM columns and the text frame are from experience: prove both on the control before use.
+Columns   AXISPOS, BACKLASH (value measured in negative traverse), then one column per compensated axis.
+Limits    256 rows (TNC 407, iTNC; newer controls take free spacing); one line of config.CMA is ACTIVE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, ReadBack, Target, expect
+
+MOST = 256
+ERROR_UM = 0.1
+
+
+class HeidenhainCom(Target):
+    """Errors of every axis over each axis, with the reversal value of the axis itself."""
+
+    name = "heidenhain_com"
+    controller = "Heidenhain MANUALplus 620, iTNC 530, TNC 640"
+    confidence = "experimental"
+    sign = "a positive value means the travel is too long; the axis is moved in minus (prove it on the control)"
+    limits = "256 rows; sums of curves over one axis each; one reversal value per position; no temperature"
+    source = "MANUALplus 620 technical manual p. 716, 718; TNC 407 technical manual p. 153 to 156"
+    activation = (
+        "copy the .COM files and config.CMA to the control's table folder; one line ACTIVE *",
+        "MP730 axis error compensation active; compare the position display at three points with a gauge",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        axes = list(_sample.positions_of(table))
+        corrected = list(_sample.outputs_by_axis(table))
+        files = {}
+        for over in axes:
+            own = [a for a in corrected if _sample.moves_with(table, a, over)]
+            if own:
+                files[f"{over}.COM"] = _com(table, over, own)
+        if not files:
+            raise GateError("heidenhain_com: no axis of the table is corrected over a position")
+        return {**files, "CONFIG.CMA": _cma(axes, files)}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        active = [line.split() for line in files["CONFIG.CMA"].splitlines() if "*" in line.split()[1:2]]
+        expect(len(active) == 1, "CONFIG.CMA", f"{len(active)} active lines (one is needed)")
+        curves = []
+        for name in (word for word in active[0][2:] if word != "-"):
+            expect(f"{name}.COM" in files, "CONFIG.CMA", f"names {name}.COM, which is not there")
+            curves += _read(name, files[f"{name}.COM"])
+        return ReadBack(curves=tuple(curves))
+
+
+def _com(table: CompensationTable, over: str, own: list[str]) -> str:
+    count = max(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0].count for axis in own)
+    x = np.linspace(*_sample.span(table, over), count)
+    curves = {axis: _sample.curve(table, axis, over, x, relative=axis != over) for axis in own}
+    reversal = curves[over].up - curves[over].down if over in curves else np.zeros(count)
+    lines = [f"BEGIN {over}.COM MM", " ".join(["NR", "AXISPOS", "BACKLASH", *own])]
+    for n in range(count):
+        errors = [-(c.up[n] if axis == over else (c.up[n] + c.down[n]) / 2) + 0.0 for axis, c in curves.items()]
+        lines.append(" ".join([str(n), f"{x[n]:+.6f}", f"{reversal[n] + 0.0:+.6f}", *(f"{e:+.6f}" for e in errors)]))
+    return "\n".join([*lines, "[END]", ""])
+
+
+def _cma(axes: list[str], files: Mapping[str, str]) -> str:
+    named = [letter if f"{letter}.COM" in files else "-" for letter in axes]
+    return "\n".join(["BEGIN CONFIG.CMA", " ".join(["NR", "ACTIVE", *axes]), " ".join(["0", "*", *named]), "[END]", ""])
+
+
+def _read(over: str, text: str) -> list[Curve]:
+    lines = text.splitlines()
+    expect(lines[0] == f"BEGIN {over}.COM MM" and lines[-1] == "[END]", f"{over}.COM", "has no BEGIN ... [END] frame")
+    names = lines[1].split()[3:]
+    rows = np.array([line.split() for line in lines[2:-1]], dtype=float)
+    expect(2 <= len(rows) <= MOST, f"{over}.COM", f"{len(rows)} rows (2 to {MOST} are taken)")
+    curves = []
+    for column, axis in enumerate(names, 3):
+        up = -rows[:, column]
+        curves.append(Curve(axis, over, rows[:, 1], up, up - rows[:, 2] if axis == over else up))
+    return curves

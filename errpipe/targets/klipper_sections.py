@@ -1,0 +1,120 @@
+"""Klipper `printer.cfg` sections: bed mesh, skew and Z thermal adjustment.
+
+Mesh      the bed's height in mm: Z + mesh(x, y), so the correction of Z (minus its deviation), with the plane's mean.
+Skew      tangents: x' = x - y*xy - z*(xz - xy*yz), y' = y - z*yz; a tangent is the deviation per length.
+Thermal   z' = z - temp_coeff * (T - T_ref): a coefficient is the deviation of Z per kelvin, at most 1 mm/K.
+Limits    no direction, no lag; mesh rows are Y ascending, columns X ascending.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, Line, Plane, ReadBack, Target, expect
+
+FILE = "errpipe.cfg"
+MESH = (21, 21)
+LEAST_UM = 0.05
+SKEWS = {"xy_skew": ("X", "Y"), "xz_skew": ("X", "Z"), "yz_skew": ("Y", "Z")}
+
+
+class KlipperSections(Target):
+    """Z over the bed, squareness of the axes and Z per kelvin, as sections to include."""
+
+    name = "klipper_sections"
+    controller = "Klipper"
+    confidence = "verified"
+    sign = "a mesh value above zero lifts Z; a skew above zero moves X in minus as Y grows"
+    limits = "Z over X and Y, straight squareness, one sensor for Z; no screw errors, no direction, no lag"
+    source = "Klipper: docs/Config_Reference.md; klippy/extras bed_mesh, skew_correction, z_thermal_adjust"
+    activation = (
+        "[include errpipe.cfg]; BED_MESH_PROFILE LOAD=errpipe; SKEW_PROFILE LOAD=errpipe",
+        "G1 to three points and GET_POSITION: toolhead against commanded",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        axes = _sample.positions_of(table)
+        corrected = _sample.outputs_by_axis(table)
+        text = ""
+        if "Z" in corrected and {"X", "Y"} <= set(axes):
+            text += _mesh(_sample.plane(table, "Z", ("X", "Y"), MESH))
+        text += _skew(table, axes, corrected)
+        if "Z" in corrected:
+            text += _thermal(table)
+        if not text:
+            raise GateError("klipper_sections: nothing of the table is a bed, a squareness or a Z drift")
+        return {FILE: text}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        text = files[FILE]
+        planes = (_read_mesh(text),) if "[bed_mesh errpipe]" in text else ()
+        skews = {k: float(v) for k, v in re.findall(r"(x[yz]_skew|yz_skew) = (\S+)", text)}
+        curves = tuple(
+            Curve(axis, over, np.array([-1e4, 1e4]), *(-skews[key] * np.array([-1e4, 1e4]),) * 2)
+            for key, (axis, over) in SKEWS.items()
+            if skews.get(key)
+        )
+        lines = tuple(
+            Line("Z", sensor, float(reference), -float(coefficient), 0.0)
+            for sensor, reference, coefficient in re.findall(
+                r"# sensor (\S+) reference (\S+)\n\[z_thermal_adjust\]\ntemp_coeff: (\S+)", text
+            )
+        )
+        return ReadBack(curves=curves, planes=planes, lines=lines)
+
+
+def _mesh(plane: Plane) -> str:
+    rows = [", ".join(f"{v + 0.0:.6f}" for v in plane.values[:, j]) for j in range(plane.second.size)]
+    facts = {
+        "version": 1, "min_x": plane.first[0], "max_x": plane.first[-1], "min_y": plane.second[0],
+        "max_y": plane.second[-1], "x_count": plane.first.size, "y_count": plane.second.size, "mesh_x_pps": 0,
+        "mesh_y_pps": 0, "algo": "lagrange", "tension": 0.2,
+    }  # fmt: skip
+    lines = ["[bed_mesh errpipe]", *(f"{k} = {v}" for k, v in facts.items()), "points =", *(f"    {r}" for r in rows)]
+    return "\n".join(lines) + "\n\n"
+
+
+def _read_mesh(text: str) -> Plane:
+    part = text.split("[bed_mesh errpipe]")[1].split("\n\n")[0]
+    facts = dict(re.findall(r"(\w+) = (\S+)", part))
+    rows = [[float(v) for v in line.split(",")] for line in part.split("points =\n")[1].splitlines()]
+    expect(len(rows) == int(facts["y_count"]), FILE, "the mesh has not y_count rows")
+    expect(all(len(r) == int(facts["x_count"]) for r in rows), FILE, "a mesh row has not x_count values")
+    x = np.linspace(float(facts["min_x"]), float(facts["max_x"]), int(facts["x_count"]))
+    y = np.linspace(float(facts["min_y"]), float(facts["max_y"]), int(facts["y_count"]))
+    return Plane("Z", ("X", "Y"), x, y, np.array(rows).T)
+
+
+def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping) -> str:
+    """Straight part of X over Y, X over Z and Y over Z."""
+    found = {}
+    for key, (axis, over) in SKEWS.items():
+        if axis in corrected and over in axes and _sample.moves_with(table, axis, over, LEAST_UM):
+            x = np.linspace(*_sample.span(table, over), 41)
+            curve = _sample.curve(table, axis, over, x, relative=True)
+            found[key] = -float(np.polyfit(x, (curve.up + curve.down) / 2, 1)[0])
+    if not found:
+        return ""
+    lines = ["[skew_correction errpipe]", *(f"{k} = {found.get(k, 0.0) + 0.0:.12f}" for k in SKEWS)]
+    return "\n".join(lines) + "\n\n"
+
+
+def _thermal(table: CompensationTable) -> str:
+    lines = [_sample.line(table, "Z", sensor) for sensor in _sample.sensors_of(table)]
+    lines = [line for line in lines if abs(line.level) * 1e3 >= LEAST_UM]
+    if not lines:
+        return ""
+    most = max(lines, key=lambda line: abs(line.level))
+    expect(abs(most.level) <= 1.0, FILE, "more than 1 mm/K")
+    return (
+        f"# sensor {most.sensor} reference {most.reference:.4f}\n"
+        f"[z_thermal_adjust]\ntemp_coeff: {-most.level:.9f}\nmax_z_adjustment: 1.0\n\n"
+    )

@@ -1,0 +1,70 @@
+"""Mach4 screw map: start, length, number of points, error at each point.
+
+Value     "expected minus actual" in mm: the correction (minus the deviation). The document is ambiguous about the
+          sense and the file's layout is from experience: enter the numbers by hand and prove them with an indicator.
+Limits    equidistant; one map before build 4780, separate maps per direction after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, ReadBack, Target, expect
+
+MOST = 1000
+ERROR_UM = 0.2
+
+
+class Mach4ScrewMap(Target):
+    """Screw map of each motor, one section a direction."""
+
+    name = "mach4_screw_map"
+    controller = "Mach4"
+    confidence = "experimental"
+    sign = "a positive value moves the axis in plus: expected minus actual (prove it on the machine)"
+    limits = "equidistant; the axis' own position; no temperature; direction from build 4780 on"
+    source = "Mach4 screw mapping page of the controller's maker"
+    activation = ("enter start, length and points under screw mapping; enable; compare three points from both sides",)
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        files = {}
+        for axis in _sample.outputs_by_axis(table):
+            if axis in _sample.positions_of(table):
+                points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
+                curve = _sample.curve(table, axis, axis, points.positions())
+                files[f"screwmap_{axis}.txt"] = _text(axis, curve)
+        if not files:
+            raise GateError("mach4_screw_map: no axis of the table is corrected over its own position")
+        return files
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+
+
+def _text(axis: str, curve: Curve) -> str:
+    n, length = curve.positions.size, float(curve.positions[-1] - curve.positions[0])
+    lines = []
+    for side, values in (("+", curve.up), ("-", curve.down)):
+        lines += [f"[{axis}{side}]", f"Start={curve.positions[0]:.6f}", f"Length={length:.6f}", f"Points={n}"]
+        lines += [f"Error{k}={v + 0.0:.6f}" for k, v in enumerate(values.tolist())]
+    return "\n".join(lines) + "\n"
+
+
+def _read(name: str, text: str) -> Curve:
+    axis, sides, facts = name.split("_")[1][0], {}, {}
+    for part in text.split("[")[1:]:
+        head, body = part.split("]\n", 1)
+        facts = dict(line.split("=") for line in body.splitlines())
+        count = int(facts["Points"])
+        expect(count >= 2 and f"Error{count - 1}" in facts, name, f"has not {count} points")
+        sides[head[-1]] = np.array([float(facts[f"Error{k}"]) for k in range(count)])
+    expect(set(sides) == {"+", "-"}, name, "needs a map for each direction")
+    x = float(facts["Start"]) + np.linspace(0.0, float(facts["Length"]), sides["+"].size)
+    return Curve(axis, axis, x, sides["+"], sides["-"])

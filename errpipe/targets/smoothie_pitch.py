@@ -1,0 +1,70 @@
+"""Smoothieware / Carvera pitch compensation, `pitch_compensation.dat`: a local pitch MULTIPLIER at each position.
+
+Value     motor travel per commanded travel, 0.5..1.5: 1 + d(correction)/d(position). The controller integrates it
+          by trapezoids from zero, so the correction is zero at position 0 and the table's own level is lost.
+Limits    one curve for both directions; no temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, ReadBack, Target, expect
+
+POINTS = 201
+FILE = "pitch_compensation.dat"
+
+
+class SmoothiePitch(Target):
+    """Pitch multipliers of each axis; what the controller integrates is the correction."""
+
+    name = "smoothie_pitch"
+    controller = "Smoothieware, Carvera"
+    confidence = "documented"
+    sign = "a multiplier above 1 moves the axis further per commanded travel"
+    limits = "multipliers 0.5 to 1.5; both directions alike; zero at position 0; no temperature"
+    source = "the firmware's own reader of pitch_compensation.dat"
+    activation = ("copy the file to the SD card; reset; compare three points with a gauge",)
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        lines = []
+        for axis in _sample.outputs_by_axis(table):
+            if axis in _sample.positions_of(table):
+                lines += _rows(table, axis)
+        if not lines:
+            raise GateError("smoothie_pitch: no axis of the table is corrected over its own position")
+        return {FILE: "".join(lines)}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        rows: dict[str, list[tuple[float, float]]] = {}
+        for line in files[FILE].splitlines():
+            axis, position, factor = line.split()
+            expect(0.5 <= float(factor) <= 1.5, FILE, f"a multiplier of {factor}")
+            rows.setdefault(axis, []).append((float(position), float(factor)))
+        return ReadBack(curves=tuple(_integrated(axis, np.array(r)) for axis, r in rows.items()))
+
+
+def _rows(table: CompensationTable, axis: str) -> list[str]:
+    """Multipliers at the nodes such that the trapezoid sums meet the curve at every node, as smooth as can be."""
+    x = np.linspace(*_sample.span(table, axis), POINTS)
+    curve = _sample.curve(table, axis, axis, x)
+    mean = (curve.up + curve.down) / 2
+    slope = np.gradient(mean, x)
+    # The trapezoid rule of these slopes misses the curve by a little; one correction step takes that away.
+    missed = np.diff(mean) - (slope[1:] + slope[:-1]) / 2 * np.diff(x)
+    slope += np.interp(x, (x[1:] + x[:-1]) / 2, missed / np.diff(x))
+    return [f"{axis} {p:.6f} {1.0 + s:.9f}\n" for p, s in zip(x.tolist(), slope.tolist(), strict=True)]
+
+
+def _integrated(axis: str, rows: np.ndarray) -> Curve:
+    x, extra = rows[:, 0], rows[:, 1] - 1.0
+    sums = np.r_[0.0, np.cumsum((extra[1:] + extra[:-1]) / 2 * np.diff(x))]
+    value = sums - np.interp(0.0, x, sums)
+    return Curve(axis, axis, x, value, value)

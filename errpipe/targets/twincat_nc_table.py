@@ -1,0 +1,89 @@
+"""TwinCAT NC PTP position compensation: arrays for `MC_TableBasedPositionCompensation` (Tc2_MC2).
+
+Value     an additive correction in mm: set point + value (minus the deviation).
+Order     equidistant, ascending; one function block per direction (WorkDirectionPositive, WorkDirectionNegative).
+Literals  IEC real literals with a point; the file is a global variable list, compiled with the PLC program.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, ReadBack, Target, expect
+
+MOST = 2000
+ERROR_UM = 0.05
+SIDES = {"Up": "WorkDirectionPositive", "Down": "WorkDirectionNegative"}
+_ELEMENT = re.compile(r"\(Position := ([-+\d.E]+), Compensation := ([-+\d.E]+)\)")
+
+
+class TwincatNcTable(Target):
+    """Position compensation of each axis as initialised arrays, one per direction."""
+
+    name = "twincat_nc_table"
+    controller = "TwinCAT NC PTP"
+    confidence = "documented"
+    sign = "a positive value moves the axis in plus (it is added to the set point)"
+    limits = "equidistant; memory of the PLC; the axis' own position; no temperature"
+    source = "Tc2_MC2: MC_TableBasedPositionCompensation, ST_PositionCompensationTableElement"
+    activation = (
+        "one MC_TableBasedPositionCompensation per direction, Ramp in mm/s set to the axis' creep speed",
+        "compare AxisRef position with and without Enable at three points, from both sides",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        files = {}
+        for axis in _sample.outputs_by_axis(table):
+            if axis not in _sample.positions_of(table):
+                continue
+            points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
+            files[f"GVL_Compensation_{axis}.st"] = _text(axis, _sample.curve(table, axis, axis, points.positions()))
+        if not files:
+            raise GateError("twincat_nc_table: no axis of the table is corrected over its own position")
+        return files
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+
+
+def literal(value: float) -> str:
+    """An IEC real literal: sixteen digits, always with a point."""
+    return f"{value + 0.0:.15E}"
+
+
+def _text(axis: str, curve: Curve) -> str:
+    last = curve.positions.size - 1
+    lines = ["VAR_GLOBAL CONSTANT"]
+    for side, value in (("Up", curve.up), ("Down", curve.down)):
+        lines.append(f"    (* {axis}, {SIDES[side]}: mm, added to the set point *)")
+        lines.append(f"    aCompensation{axis}{side} : ARRAY[0..{last}] OF ST_PositionCompensationTableElement := [")
+        rows = [
+            f"        (Position := {literal(x)}, Compensation := {literal(v)})"
+            for x, v in zip(curve.positions.tolist(), value.tolist(), strict=True)
+        ]
+        lines += [",\n".join(rows), "    ];"]
+        lines.append(f"    stParameter{axis}{side} : ST_PositionCompensationTableParameter := (")
+        low, high = literal(curve.positions[0]), literal(curve.positions[-1])
+        lines.append(f"        MinPosition := {low}, MaxPosition := {high},")
+        lines.append(f"        NoOfTableElements := {last + 1}, Direction := {SIDES[side]}, Modulo := FALSE);")
+    return "\n".join([*lines, "END_VAR", ""])
+
+
+def _read(name: str, text: str) -> Curve:
+    axis = name.split(".")[0].split("_")[-1]
+    sides = []
+    for side in SIDES:
+        found = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
+        expect(found is not None, name, f"has no array for {SIDES[side]}")
+        rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(found[2])]
+        expect(len(rows) == int(found[1]) + 1, name, f"{len(rows)} elements in an array of {int(found[1]) + 1}")
+        sides.append(np.array(rows))
+    return Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])

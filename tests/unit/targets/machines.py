@@ -1,0 +1,76 @@
+"""Small tables whose right answer is known by hand; shared by the tests of targets and runtimes."""
+
+import numpy as np
+
+from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.domain.table import TableInput
+from errpipe.terms._base import Lowered
+
+AXES = {"X": (0.0, 500.0), "Y": (0.0, 400.0), "Z": (-300.0, 0.0)}
+INPUTS = [
+    *(
+        TableInput(name=a.lower(), kind="position", axis=a, low=lo - 50, high=hi + 50, default=lo)
+        for a, (lo, hi) in AXES.items()
+    ),
+    TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, default=20, valid=(15, 30), margin=5),
+]
+
+
+def compile_(*components):
+    return tables.compile_table(
+        [tables.ComponentSource(name, "um", tuple(pairs)) for name, pairs in components],
+        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip
+
+
+def straight(axis, um, span=500.0, driver=d.ONE):
+    """Deviation growing in a straight line to `um` at `span` mm."""
+    return Lowered(driver, axis, lambda x: um * x / span)
+
+
+def too_long_at_plus_x():
+    """10 um too long at X = +500, nothing at X = 0: deviation +0.010 mm, correction -0.010 mm."""
+    return compile_(("EXX", [straight("X", 10.0)]))
+
+
+def wavy_both_directions():
+    """A lead error with a wave, and 6 um of lost motion."""
+    wave = Lowered(d.ONE, "X", lambda x: 12.0 * np.sin(x / 60.0) * x / 500.0)
+    gap = Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -3.0))
+    return compile_(("EXX", [straight("X", 10.0), wave, gap]))
+
+
+def bent():
+    """Y over X (straightness), X over Y (squareness) and Z over X and Y (a bed)."""
+    # A positive C0Y leans Y towards minus X: the tool is pushed by -C0Y * y.
+    lean = tables.MonomialSource(-1e-3, "C0Y", (d.Input(name="y"),))
+    return tables.compile_table(
+        [
+            tables.ComponentSource("EXX", "um", (straight("X", 10.0),)),
+            tables.ComponentSource("EYX", "um", (Lowered(d.ONE, "X", lambda x: 8.0 * np.sin(np.pi * x / 500.0)),)),
+            tables.ComponentSource("C0Y", "urad", (Lowered(d.Constant(value=25.0)),)),
+            tables.ComponentSource("EZX", "um", (Lowered(d.ONE, "X", lambda x: 20.0 * (x / 500.0) ** 2),)),
+        ],
+        outputs=[
+            tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"), lean), "X"),
+            tables.OutputSource("Y", (tables.MonomialSource(1.0, "EYX"),), "Y"),
+            tables.OutputSource("Z", (tables.MonomialSource(1.0, "EZX"),), "Z"),
+        ],
+        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip
+
+
+def warm():
+    """The scale grows 11 um/m/K over 20 degC, and Z drifts 2 um/K."""
+    return tables.compile_table(
+        [
+            tables.ComponentSource("EXX", "um", (straight("X", 5.5, driver=d.above("T", 20.0)),)),
+            tables.ComponentSource("EZZ", "um", (Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 20.0),))),)),
+        ],
+        outputs=[
+            tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"),), "X"),
+            tables.OutputSource("Z", (tables.MonomialSource(1.0, "EZZ"),), "Z"),
+        ],
+        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip

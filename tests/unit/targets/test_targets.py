@@ -1,0 +1,162 @@
+"""Every target moves a machine that is 10 um too long at +X the right way, says its sign in words, and is read back."""
+
+import numpy as np
+import pytest
+
+from errpipe.errors import GateError, VerifyError
+from errpipe.targets import TARGETS, _sample
+from tests.unit.targets import machines
+
+SCREW = {
+    "beckhoff_ssfk", "beckhoff_volumetric", "fanuc_pitch", "heidenhain_com", "linuxcnc_screw", "mach4_screw_map",
+    "sinumerik_cec", "sinumerik_lec", "smoothie_pitch", "twincat_nc_table",
+}  # fmt: skip
+BOTH_WAYS = {
+    "beckhoff_ssfk", "heidenhain_com", "linuxcnc_screw", "mach4_screw_map", "sinumerik_cec", "twincat_nc_table",
+}  # fmt: skip
+CROSS = {"beckhoff_crosscomp", "heidenhain_com", "sinumerik_cec"}
+WARM = {"beckhoff_temperature", "sinumerik_temperature"}
+ROUNDING_UM = {"fanuc_pitch": 1.0, "beckhoff_crosscomp": 0.2, "beckhoff_ssfk": 0.15}
+
+every = pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+
+
+def by_name(names):
+    chosen = [t for t in TARGETS if t.name in names]
+    assert len(chosen) == len(names)
+    return pytest.mark.parametrize("target", chosen, ids=lambda t: t.name)
+
+
+def read(target, table):
+    return target.read_back(target.write(table))
+
+
+def correction(found, axis, side=1.0, sensors=None, **at):
+    one = {k: np.full(1, v) for k, v in ({"X": 250.0, "Y": 0.0, "Z": -150.0} | at).items()}
+    warm = {k: np.full(1, v) for k, v in (sensors or {"T": 20.0}).items()}
+    return 1e3 * float(found.correction(axis, one, np.array([side]), warm)[0])
+
+
+def test_signs_of_all_targets(capsys):
+    """One table of all signs: a machine 10 um too long at X = +500 must be told to go 10 um less far there."""
+    rows = []
+    for target in TARGETS:
+        if target.name not in SCREW:
+            continue
+        found = read(target, machines.too_long_at_plus_x())
+        moved = correction(found, "X", X=500.0) - correction(found, "X", X=0.0)
+        rows.append((target.name, moved))
+        assert moved == pytest.approx(-10.0, abs=ROUNDING_UM.get(target.name, 0.05)), target.name
+    with capsys.disabled():
+        print("\ncorrection at X = +500 of a machine 10 um too long there")
+        for name, moved in rows:
+            print(f"  {name:<22}{moved:+8.3f} um")
+
+
+@by_name(BOTH_WAYS)
+def test_both_directions_stay_apart(target):
+    """Lost motion 6 um: approached from below the axis stops 3 um short, so it is pushed 3 um further there."""
+    found = read(target, machines.wavy_both_directions())
+    up, down = (correction(found, "X", side=s, X=321.0) for s in (1.0, -1.0))
+    assert up - down == pytest.approx(6.0, abs=0.2)
+
+
+@by_name(SCREW)
+def test_what_is_read_back_is_the_table_within_the_stated_rounding(target):
+    table = machines.wavy_both_directions()
+    found = read(target, table)
+    x = np.linspace(0.0, 500.0, 777)
+    want = _sample.curve(table, "X", "X", x)
+    side = np.ones(x.size)
+    at = {"X": x, "Y": 0 * x, "Z": 0 * x}
+    up, down = (1e3 * found.correction("X", at, s, {"T": 20 + 0 * x}) for s in (side, -side))
+    gaps = [up - 500 * (want.up + want.down)]
+    if target.name in BOTH_WAYS:
+        gaps = [up - 1e3 * want.up, down - 1e3 * want.down]
+    elif target.name == "fanuc_pitch":
+        gaps = [up - 1e3 * want.up]
+    for gap in gaps:
+        gap = gap - gap.mean() if target.name in ("fanuc_pitch", "smoothie_pitch") else gap
+        assert np.abs(gap).max() < ROUNDING_UM.get(target.name, 0.25)
+
+
+@by_name(CROSS)
+def test_cross_curves_move_the_right_axis_the_right_way(target):
+    found = read(target, machines.bent())
+    bow = correction(found, "Y", X=250.0) - correction(found, "Y", X=0.0)
+    assert bow == pytest.approx(-8.0, abs=0.25)
+    lean = correction(found, "X", Y=400.0) - correction(found, "X", Y=0.0)
+    assert lean == pytest.approx(+10.0, abs=0.25)  # pushed by -25 urad * 400 mm = -10 um, so moved +10
+
+
+@by_name(WARM)
+def test_a_warm_scale_is_told_to_go_less_far(target):
+    found = read(target, machines.warm())
+    growth = correction(found, "X", X=500.0, sensors={"T": 30.0}) - correction(found, "X", X=500.0)
+    assert growth == pytest.approx(-55.0, rel=2e-3)
+    assert correction(found, "Z", sensors={"T": 30.0}) - correction(found, "Z") == pytest.approx(-20.0, rel=2e-3)
+
+
+def test_klipper_lifts_z_over_a_low_bed_and_straightens_the_skew():
+    (target,) = [t for t in TARGETS if t.name == "klipper_sections"]
+    found = read(target, machines.bent())
+    assert correction(found, "Z", X=500.0) - correction(found, "Z", X=0.0) == pytest.approx(-20.0, abs=0.05)
+    assert correction(found, "X", Y=400.0) - correction(found, "X", Y=0.0) == pytest.approx(10.0, abs=0.01)
+    warm = read(target, machines.warm())
+    assert correction(warm, "Z", sensors={"T": 30.0}) == pytest.approx(-20.0, rel=2e-3)
+
+
+@every
+def test_a_target_says_all_that_a_person_needs(target):
+    assert (target.sign.startswith("a ") or target.sign.startswith("values")) and target.limits and target.source
+    assert target.activation
+    doc = __import__(target.__module__, fromlist=["x"]).__doc__
+    assert "Value" in doc or "Mesh" in doc
+    if target.confidence == "experimental":
+        assert "prove" in target.sign
+
+
+@every
+def test_equal_tables_give_equal_bytes(target):
+    table = machines.warm() if target.name in WARM else machines.bent()
+    assert target.write(table) == target.write(table)
+
+
+@by_name(WARM | {"beckhoff_crosscomp"})
+def test_what_the_format_cannot_say_is_refused(target):
+    table = machines.warm() if target.name == "beckhoff_crosscomp" else machines.bent()
+    with pytest.raises(GateError, match=target.name):
+        target.write(table)
+
+
+@by_name(SCREW - {"smoothie_pitch", "beckhoff_volumetric"})
+def test_a_truncated_file_is_refused(target):
+    files = target.write(machines.wavy_both_directions())
+    name = next(iter(files))
+    lines = files[name].splitlines(keepends=True)
+    broken = {**files, name: "".join(lines[: len(lines) // 2])}
+    if target.name == "linuxcnc_screw":
+        broken = {name: lines[0]}  # half a table is a table to LinuxCNC; one row is none
+    with pytest.raises((VerifyError, KeyError)):
+        target.read_back(broken)
+
+
+def test_linuxcnc_stops_at_the_first_odd_line_without_a_word():
+    (target,) = [t for t in TARGETS if t.name == "linuxcnc_screw"]
+    files = target.write(machines.too_long_at_plus_x())
+    assert not files["x.comp"].startswith("#")
+    longer = {"x.comp": files["x.comp"].replace("\n", "\n# a comment\n", 2)}
+    with pytest.raises(VerifyError, match="1 rows"):
+        target.read_back(longer)
+
+
+def test_loss_is_reported_in_micrometres():
+    """A format that cannot say the temperature loses it, and says how much."""
+    (lec,) = [t for t in TARGETS if t.name == "sinumerik_lec"]
+    (warm,) = [t for t in TARGETS if t.name == "sinumerik_temperature"]
+    table = machines.warm()
+    by_curve = {x.axis: x for x in _sample.loss(table, read(lec, table))}
+    by_line = {x.axis: x for x in _sample.loss(table, read(warm, table))}
+    assert by_curve["X"].rms > 5.0
+    assert by_line["X"].largest < 0.6
+    assert by_line["Z"].largest < 0.1
