@@ -28,6 +28,7 @@ def diagnose(recording: Recording, progress: Callable[[float, str], None] = lamb
     conditioned = prepare.condition(recording)
     responses = []
     for k, pair in enumerate(pairs):
-        case = judge.judge(conditioned, pair, lambda share, text, k=k: progress((k + share) / len(pairs), text))
+        done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
+        case = judge.judge(recording, conditioned, pair, done)
         responses.append(report.response(case))
     return {"diagnosis": 1, "recording": recording.manifest.title, "responses": responses}

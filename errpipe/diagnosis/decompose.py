@@ -9,12 +9,12 @@ import numpy as np
 from errpipe.diagnosis.evidence import Active, Data, Scene
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
-MOST_PARTS = 7
-FAITHFUL = 0.012  # rms of what is left, relative to the signal, below which nothing more is looked for
-WORTH = 8.0  # log Bayes factor a further part must bring
-COARSE = 0.02  # what textbook forms cannot reach, relative to the signal: taken for noise
+MOST_PARTS = 6
+COARSE = 0.01  # what textbook forms cannot reach, relative to the signal: taken for noise
+ROWS = 300.0  # what is left is no noise: it counts as this many rows
+PRICE = 6.0  # log prior odds against each part
 NEVER = ("clock_offset", "sensor_fault")  # faults of recordings, not parts of simulations
-STRANGE = {"thermal_interaction": -25.0, "sensor_drift": -10.0, "local_wear": -5.0, "gradient_bending": -5.0}
+STRANGE = {"thermal_interaction": -8.0, "sensor_drift": -4.0, "local_wear": -3.0, "gradient_bending": -2.0}
 
 
 @dataclass(frozen=True)
@@ -64,23 +64,42 @@ class _Work:
         if self.still or not self.library.hypotheses:
             return Decomposition((), 0.0, np.zeros_like(self.y))
         self.data = Data.of(self.library.table, self.y)
-        chosen: list[int] = []
-        for _ in range(MOST_PARTS):
-            gain = self._gains(chosen, list(range(len(self.library.hypotheses))))
-            taken = {self.library.hypotheses[i].key for i in chosen}
-            kinds = {self.library.hypotheses[i].effect for i in chosen}
-            for k, h in enumerate(self.library.hypotheses):
-                if h.key in taken:
-                    gain[k] = -np.inf
-                elif h.effect in kinds:
-                    gain[k] -= 10.0
-            best = int(np.argmax(gain))
-            if gain[best] < WORTH:
+        chosen, worth = [], self._worth([])
+        for _ in range(4 * MOST_PARTS):
+            chosen, better = self._best_move(chosen, worth)
+            if better <= worth + 1e-6:
                 break
-            chosen = self._polish([*chosen, best])
-            if self._scene(chosen).rms() / self.spread < FAITHFUL:
+            worth = better
+        return self._result(chosen)
+
+    def _best_move(self, chosen: list[int], worth: float) -> tuple[list[int], float]:
+        """The best of adding a part, exchanging one, or dropping one."""
+        moves: list[list[int]] = [chosen[:p] + chosen[p + 1 :] for p in range(len(chosen))]
+        if len(chosen) < MOST_PARTS:
+            moves += [[*chosen, k] for k in self._candidates(chosen, 4)]
+        for p in range(len(chosen)):
+            others = chosen[:p] + chosen[p + 1 :]
+            moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 3) if k != chosen[p]]
+        best, best_worth = chosen, worth
+        for move in moves:
+            value = self._worth(move)
+            if value > best_worth + 1e-6:
+                best, best_worth = move, value
+        return best, best_worth
+
+    def _candidates(self, others: list[int], most: int) -> list[int]:
+        """The most promising hypotheses beside others, each effect once."""
+        gain = self._gains(others)
+        taken = {self.library.hypotheses[i].key for i in others}
+        out, seen = [], set()
+        for k in np.argsort(-gain):
+            h = self.library.hypotheses[k]
+            if h.key not in taken and h.effect not in seen:
+                seen.add(h.effect)
+                out.append(int(k))
+            if len(out) == most:
                 break
-        return self._result(self._prune(chosen))
+        return out
 
     def _active(self, chosen: list[int]) -> Active:
         active = Active(np.array([self.library.datum]), np.array([np.inf]))
@@ -91,36 +110,19 @@ class _Work:
     def _scene(self, chosen: list[int]) -> Scene:
         return Scene(self.data, self._active(chosen), self.sigma)
 
-    def _gains(self, chosen: list[int], candidates: list[int]) -> np.ndarray:
-        scored = self._scene(chosen).score(
-            [self.library.slices[k] for k in candidates], [self.library.freedom_of(k) for k in candidates]
-        )
-        return np.array([s.gain for s in scored]) + self.prior[candidates]
+    def _worth(self, chosen: list[int]) -> float:
+        kinds = [self.library.hypotheses[i].effect for i in chosen]
+        twice = 6.0 * (len(kinds) - len(set(kinds)))
+        return self._scene(chosen).evidence(ROWS) + sum(self.prior[i] - PRICE for i in chosen) - twice
 
-    def _polish(self, chosen: list[int]) -> list[int]:
-        """Each part in turn moves to the best point of its own grid, the others held."""
-        chosen = list(chosen)
-        for _ in range(2):
-            before = list(chosen)
-            for place, i in enumerate(chosen):
-                same = self.library.family(i)
-                if len(same) > 1:
-                    chosen[place] = same[int(np.argmax(self._gains(chosen[:place] + chosen[place + 1 :], same)))]
-            if chosen == before:
-                break
-        return chosen
+    def _gains(self, chosen: list[int]) -> np.ndarray:
+        everything = range(len(self.library.hypotheses))
+        scored = self._scene(chosen).score(self.library.slices, [self.library.freedom_of(k) for k in everything], ROWS)
+        return np.array([s.gain for s in scored]) + self.prior
 
     def _certainty(self, chosen: list[int]) -> list[float]:
-        return [float(self._gains(chosen[:p] + chosen[p + 1 :], [i])[0]) for p, i in enumerate(chosen)]
-
-    def _prune(self, chosen: list[int]) -> list[int]:
-        while len(chosen) > 1:
-            worth = self._certainty(chosen)
-            weakest = int(np.argmin(worth))
-            if worth[weakest] >= WORTH:
-                break
-            chosen = chosen[:weakest] + chosen[weakest + 1 :]
-        return chosen
+        worth = self._worth(chosen)
+        return [worth - self._worth(chosen[:p] + chosen[p + 1 :]) for p in range(len(chosen))]
 
     def _result(self, chosen: list[int]) -> Decomposition:
         scene = self._scene(chosen)

@@ -139,7 +139,25 @@ class Scene:
         """Whitened residual rms, corrected for the coefficients used."""
         return float(np.sqrt(self.Q / max(self.n - self.freedom_used(), 1.0)))
 
-    def score(self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray]) -> list[Scored]:
+    def evidence(self, rows: float | None = None) -> float:
+        """Log marginal likelihood up to a constant, noise variance profiled; `rows`: effective number of rows."""
+        finite = np.isfinite(self.active.sd)
+        logdet = 2 * np.log(np.diag(self.chol)).sum()
+        prior = 2 * np.log(np.maximum(self.active.sd[finite], 1e-300) / self.sigma).sum()
+        return -0.5 * (logdet + prior) - 0.5 * (rows or self.n) * np.log(self.Q)
+
+    def exactly(self, index: int, value: float, sd: float) -> float:
+        """Log Bayes factor of one column with a coefficient known to be `value` within `sd`."""
+        half = np.linalg.solve(self.chol, self.table.G[self.active.index, index])
+        S = self.table.G[index, index] - half @ half
+        s = self.Zy_all[index] - half @ self.half
+        rest = s - value * S  # what the column still sees once `value` of it is taken away
+        Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
+        return float(-0.5 * np.log1p(S * sd**2 / self.sigma**2) - 0.5 * self.n * np.log(max(Q, 1e-9 * self.Q) / self.Q))
+
+    def score(
+        self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None
+    ) -> list[Scored]:
         """Score hypotheses: columns of each (slice or indices into the table) and their relative freedoms."""
         index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
         used = np.concatenate(index) if index else np.zeros(0, dtype=int)
@@ -157,12 +175,12 @@ class Scene:
             h = half[:, place].transpose(1, 0, 2)
             S = S - h.transpose(0, 2, 1) @ h
             D = np.stack([freedom[k] for k in members])
-            gains, best = self._log_bf(S * D[:, :, None] * D[:, None, :], D * s_all[place])
+            gains, best = self._log_bf(S * D[:, :, None] * D[:, None, :], D * s_all[place], rows or self.n)
             for k, g, size in zip(members, gains, best, strict=True):
                 out[k] = Scored(float(g), float(size))
         return out  # type: ignore[return-value]
 
-    def _log_bf(self, S: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _log_bf(self, S: np.ndarray, s: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray]:
         """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, and the best size of each."""
         lam, U = np.linalg.eigh(S)
         lam = np.maximum(lam, 0.0)
@@ -170,7 +188,7 @@ class Scene:
         a2 = SIZES[None, :, None] ** 2
         took = (z[:, None, :] * a2 / (1.0 + a2 * lam[:, None, :])).sum(axis=2)
         left = np.maximum(self.Q - took, 1e-9 * self.Q)
-        log_bf = -0.5 * np.log1p(a2 * lam[:, None, :]).sum(axis=2) - 0.5 * self.n * np.log(left / self.Q)
+        log_bf = -0.5 * np.log1p(a2 * lam[:, None, :]).sum(axis=2) - 0.5 * rows * np.log(left / self.Q)
         top = log_bf.argmax(axis=1)
         peak = log_bf.max(axis=1)
         mean = peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))

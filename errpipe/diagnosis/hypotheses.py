@@ -17,8 +17,10 @@ import numpy as np
 
 from errpipe.diagnosis.evidence import Table
 from errpipe.domain.recording import Recording
+from errpipe.kernels import responses
 from errpipe.terms import TERMS as ALL_TERMS
 from errpipe.terms._base import Term, position, sessions
+from errpipe.terms._place import share
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
 WAVY = 0.07  # freedom of each smooth deformation along an axis
@@ -65,6 +67,18 @@ class Library:
         for i, h in enumerate(hypotheses):
             self._families.setdefault(h.key, []).append(i)
 
+    def extend(self, h: Hypothesis, block: np.ndarray, freedom: np.ndarray, scale: np.ndarray, cores: int) -> int:
+        """Append a hypothesis; returns its index."""
+        first = self.columns.shape[1]
+        self.add(block)
+        self.freedom = np.r_[self.freedom, np.ones(first - self.freedom.size), freedom]
+        self.scale = np.r_[self.scale, np.ones(first - self.scale.size), scale]
+        self.hypotheses.append(h)
+        self.slices.append(slice(first, first + block.shape[1]))
+        self.cores.append(cores)
+        self._families.setdefault(h.key, []).append(len(self.hypotheses) - 1)
+        return len(self.hypotheses) - 1
+
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
         self.columns = np.column_stack([self.columns, columns])
@@ -83,10 +97,10 @@ class Library:
         return self._families[self.hypotheses[i].key]
 
 
-def build(recording: Recording, component: str, rows: np.ndarray, extra: bool = False) -> Library:
-    """The library for a response. extra: with physics that simulations hold but nobody diagnoses (moving mass)."""
+def build(recording: Recording, component: str, rows: np.ndarray, raw: Recording | None = None) -> Library:
+    """The library for a response; raw: the recording as it was read, in which sensors may be seen to fail."""
     kept, blocks, freedoms, scales, cores = [], [], [], [], []
-    for hypothesis in enumerate_all(recording, component, extra):
+    for hypothesis in enumerate_all(recording, component, raw or recording):
         core, slack, rel = columns_of(hypothesis, recording)
         made = scaled(core[rows], slack[rows], rel)
         if made is None:
@@ -114,20 +128,35 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> tuple[np.nda
     return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
 
 
-def enumerate_all(recording: Recording, component: str, extra: bool = False) -> Iterator[Hypothesis]:
+def enumerate_all(recording: Recording, component: str, raw: Recording) -> Iterator[Hypothesis]:
     """Every hypothesis for a response."""
     for kind in TERMS:
-        bound = list(kind.bind(recording, component))
+        source = raw if kind.reports_as == "sensor_fault" else recording
+        bound = [t for t in kind.bind(source, component) if worth_trying(t, recording)]
+        if kind.reports_as == "thermal_interaction":
+            bound = [t.model_copy(update={"reference": None}) for t in bound]
         groups = [(t,) for t in bound]
         if component == "E_R" and len(bound) == 2 and bound[0].term != "pitch_cyclic":
             groups.append(tuple(bound))
         for group in groups:
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
             for values in grid(group[0], recording):
-                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, prior_of(group[0]))
-    if extra and component.startswith("F_"):
+                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, prior_of(group[0], component))
+    if component.startswith("F_"):
         for column in recording.names("acceleration", axis=component[2:]):
             yield Hypothesis("moving_mass", (Mass(column=column),), ((),), (column,))
+
+
+def worth_trying(term: Term, recording: Recording) -> bool:
+    """Bindings that would only shadow another effect, or that the sampling cannot show, are left out."""
+    if getattr(term, "along", None):
+        return False  # a scale that follows its sensor late is still `scale_expansion`
+    if term.term == "sensor_fault" and term.sensor not in recording.frame.columns:
+        return False
+    if term.term == "pitch_cyclic" and not term.fixed:
+        places = np.unique(position(recording, term.axis))
+        return places.size > 200
+    return True
 
 
 class Mass(Term):
@@ -141,7 +170,7 @@ class Mass(Term):
 
 
 GRIDS: dict[str, tuple[float, ...]] = {
-    "thermal_lag.tau": (300, 600, 1000, 1600, 2500, 4000, 6300, 10000, 16000),
+    "thermal_lag.tau": (600, 1000, 1600, 2500, 4000, 6300, 10000, 16000),
     "ambient_drift.tau": (2000, 3500, 6000, 10000, 16000, 25000, 40000, 70000),
     "spindle_growth.tau": (400, 700, 1100, 1700, 2600, 4000, 6000, 9000),
     "spindle_growth.exponent": (0.7, 1.0, 1.4, 2.0),
@@ -190,21 +219,26 @@ def _free_grid(term: Term, name: str, recording: Recording) -> tuple[float, ...]
         return tuple(np.linspace(np.nanmin(x), np.nanmax(x), 25)[1:-1])
     if name == "width":
         x = position(recording, term.axis)
-        span = float(np.nanmax(x) - np.nanmin(x))
-        return tuple(span * f for f in (0.02, 0.04, 0.07, 0.11))
+        span = min(float(np.nanmax(x) - np.nanmin(x)), 1000.0)
+        return tuple(span * f for f in (0.02, 0.035, 0.055, 0.08))
     if name == "offset":
-        top = term.longest
-        half = np.geomspace(term.shortest, top, 12)
+        if term.longest < 20.0:
+            return ()  # clocks of loggers differ by seconds and minutes, not by samples of a fast trace
+        half = np.geomspace(max(term.shortest, 5.0), min(term.longest, 900.0), 14)
         return tuple(np.r_[-half[::-1], half])
     raise KeyError(f"no grid for {term.term}.{name}")
 
 
-def prior_of(term: Term) -> float:
+def prior_of(term: Term, component: str) -> float:
     """Log prior odds of a binding beside its like: the stranger, the lower."""
     if term.term == "thermal_interaction":
         return -2.0
-    if term.term in ("clock_offset", "sensor_fault"):
+    if term.term == "sensor_fault":
+        return -3.0
+    if term.term == "clock_offset":
         return -1.0
+    if term.term == "feed_heating" and component.startswith("E_"):
+        return -5.0  # a slow walk over a grid does not warm a screw
     return 0.0
 
 
@@ -278,13 +312,18 @@ def slacks(
         if name == "feed_heating":
             for column, freedom in decays(recording, nl[0], 0.1, 0.5):
                 yield column * x, freedom
+        else:
+            rise = recording.array(term.sensor)
+            for tau in (400.0, 1500.0):
+                late = responses.lag(sessions(recording), recording.time(), rise, tau, tau, True)
+                yield (late - rise) * x, 0.3
     elif name == "thermal_lag":
-        x = position(recording, term.along) if term.along else None
-        for column, freedom in decays(recording, nl[0], 0.4, 0.6):
-            yield (column * x if x is not None else column), freedom
-        if x is not None:
-            yield x, 0.7
-            yield from wavy(base[:, 0], x)
+        yield from decays(recording, nl[0], 0.4, 0.6)
+    elif name == "straightness":
+        turns = np.polynomial.chebyshev.chebvander(unit(position(recording, term.axis)), 8)
+        across = share(recording, term.across, True) if term.across else 1.0
+        for k in range(term.order + 1, 9):
+            yield turns[:, k] * across, 0.3
     elif name == "ambient_drift":
         yield from decays(recording, nl[0], 1.0, 1.0)
     elif name == "spindle_growth":
@@ -293,10 +332,16 @@ def slacks(
             yield term.basis(recording, nl[0] * factor, nl[1])[:, 0], 0.25
     elif name == "thermal_interaction":
         for sensor in dict.fromkeys((term.first, term.second)):
-            yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.7
+            yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.25
     elif name == "coolant_effect":
         yield from decays(recording, nl[0], 0.2, 0.2)
-    elif name == "air_refraction":
-        pass
+    elif name == "thermal_drift":
+        rise = recording.array(term.sensor)
+        yield responses.lag(sessions(recording), recording.time(), rise, 300.0, 300.0, True) - rise, 0.2
+    elif name == "sensor_fault":
+        rows = np.arange(len(recording))
+        inside = ((rows >= term.first) & (rows <= term.last)).astype(float)
+        yield inside, 0.3
+        yield inside * (rows - term.first) / max(term.last - term.first, 1), 0.3
     elif name == "tool_wear":
         yield term.basis(recording, min(nl[0] * 1.6, 3.0))[:, 0], 0.3

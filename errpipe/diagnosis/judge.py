@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.diagnosis import admit, hypotheses, partial
 from errpipe.diagnosis import decompose as parts
-from errpipe.diagnosis import hypotheses
 from errpipe.diagnosis.evidence import Active, Data, Scene
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import Explanation, Search
+from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
@@ -39,17 +40,19 @@ class Case:
     search: Search
     explanation: Explanation
     sigma: float
+    remainder: admit.Remainder
+    rough: float  # noise from second differences
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
         return [(f.index, f.size) for f in self.explanation.found]
 
 
-def judge(conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
+def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
     """Explain one response."""
     rows = pair.rows
     progress(0.1, f"{pair.component}: listing what may be missing")
-    library = hypotheses.build(conditioned, pair.component, rows, extra=True)
+    library = hypotheses.build(conditioned, pair.component, rows, raw)
     simulated = conditioned.array(pair.simulated)[rows]
     progress(0.3, f"{pair.component}: taking the simulation apart")
     decomposition = parts.decompose(simulated, library)
@@ -58,7 +61,9 @@ def judge(conditioned: Recording, pair: Pair, progress: Progress = lambda share,
     data = Data.of(library.table, pair.mismatch)
     prior = log_prior(library, decomposition)
     run = conditioned.run_codes()[rows]
-    sigma = first_noise(pair.mismatch, run)
+    sigma = rough = first_noise(pair.mismatch, run)
+    loose: list[Shape] = shapes(conditioned, pair.component, rows)
+    places = [library.add(s.columns) for s in loose]
     for _ in range(4):
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE)
         explanation = search.explain()
@@ -66,8 +71,17 @@ def judge(conditioned: Recording, pair: Pair, progress: Progress = lambda share,
         if abs(left / sigma - 1) < 0.03:
             break
         sigma = max(left, 1e-9)
+    fresh = partial.add_parts(search, conditioned, rows, explanation.alone)
+    if fresh:
+        in_part = search.explain()
+        if in_part.found:
+            explanation = in_part
+            sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)
+            search.sigma = sigma
+    chosen = [(f.index, f.size) for f in explanation.found]
+    rest = admit.remainder(search, library, chosen, loose, places)
     return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, search,
-                explanation, sigma)  # fmt: skip
+                explanation, sigma, rest, rough)  # fmt: skip
 
 
 def recalibration(

@@ -11,7 +11,7 @@ from errpipe.errors import DataError
 from errpipe.terms._base import sessions
 
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
-MOST_MISSING = 0.15  # a sensor with more gaps than this drives nothing
+MOST_MISSING = 0.5  # a sensor with more gaps than this drives nothing
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 
 
@@ -110,7 +110,7 @@ def condition(recording: Recording) -> Recording:
                 dropped.append(name)
                 continue
             filled = fill(t, values, session)
-            columns[name] = filled if role == "force" else smooth(filled, run)
+            columns[name] = filled if role == "force" else smooth(filled, segments(filled, run))
     for role in ("position", "command", "direction", "spindle_speed", "feed", "coolant", "load", "overhang",
                  "depth_of_cut", "cut_length", "velocity", "acceleration"):  # fmt: skip
         for name in recording.names(role):
@@ -123,6 +123,14 @@ def condition(recording: Recording) -> Recording:
     columns |= motion(recording, columns)
     frame = recording.frame.assign(**columns).drop(columns=dropped)
     return Recording(recording.manifest, frame)
+
+
+def segments(values: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Run codes, split further where a reading jumps: nothing is smoothed across a jump."""
+    step = np.abs(np.diff(values))
+    jump = step > np.maximum(12 * np.median(step) + 1e-9, 0.35)
+    calm = np.convolve(step, np.ones(9) / 9, mode="same") - step / 9 if step.size >= 9 else step
+    return run * 1000 + np.r_[0, np.cumsum(jump & (step > 8 * calm))]
 
 
 def usable(values: np.ndarray) -> bool:
@@ -141,9 +149,20 @@ def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:
         rows = np.flatnonzero(session == s)
         good = rows[~bad[rows]]
         if good.size:
-            out[rows] = np.where(bad[rows], np.interp(t[rows], t[good], values[good]), values[rows])
+            between = np.interp(t[rows], t[good], values[good])
+            last = values[good][np.maximum(np.searchsorted(good, rows, side="right") - 1, 0)]
+            out[rows] = np.where(bad[rows], np.where(_long(bad)[rows], last, between), values[rows])
     left = ~np.isfinite(out)
     out[left] = np.nanmedian(values)
+    return out
+
+
+def _long(bad: np.ndarray, least: int = 12) -> np.ndarray:
+    """Rows inside gaps so long that whoever read the sensor will have held its last value."""
+    edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
+    out = np.zeros(bad.size, dtype=bool)
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        out[a:b] = b - a >= least
     return out
 
 

@@ -72,8 +72,16 @@ class Search:
 
     def score(self, chosen: list[tuple[int, float]], candidates: list[int]) -> list[Scored]:
         """What each candidate would add."""
+        scene = self.scene(chosen)
         slices = [self.library.slices[k] for k in candidates]
-        return self.scene(chosen).score(slices, [self.library.freedom_of(k) for k in candidates])
+        scored = scene.score(slices, [self.library.freedom_of(k) for k in candidates])
+        for place, k in enumerate(candidates):
+            if self.library.hypotheses[k].effect == "clock_offset":
+                # a shift has no size of its own: the difference of the shifted signals counts once
+                at = self.library.slices[k].start
+                unit = float(self.library.scale[at])
+                scored[place] = Scored(scene.exactly(at, unit, 0.15 * unit), unit / self.sigma)
+        return scored
 
     def leaders(self, gain: np.ndarray, most: int) -> list[int]:
         """The best point of each key, best first."""

@@ -46,18 +46,26 @@ class FeedHeating(Term):
             yield cls(axis=axis, column=recording.name("velocity", axis=axis))
 
     def speed(self, recording: Recording) -> np.ndarray:
-        """Mean speed since the row before in mm/s, shape (rows,): distance moved over time passed."""
+        """Mean speed from each row to the next in mm/s, shape (rows,).
+
+        Where rows only log (no response recorded) the feed is the speed; elsewhere the distance moved over the
+        time passed, for between targets the axis mostly waits.
+        """
         if self.column:
             return np.abs(recording.array(self.column))
         run, t = sessions(recording), recording.time()
-        moved = travelled(run, position(recording, self.axis))
-        step = np.r_[0.0, np.diff(t)]
-        return np.divide(moved, step, out=np.zeros_like(moved), where=step > 0)
+        step = np.diff(t)
+        moved = travelled(run, position(recording, self.axis))[1:]
+        ahead = np.divide(moved, step, out=np.zeros_like(moved), where=step > 0)
+        feed = recording.name("feed", axis=self.axis) or recording.name("feed")
+        errors = recording.names("error")
+        if feed is not None and errors:
+            logged = np.isnan(np.column_stack([recording.array(n) for n in errors])).all(axis=1)
+            ahead = np.where(logged[1:] & logged[:-1], recording.array(feed)[:-1] / 60.0, ahead)
+            ahead = np.where(logged[1:] & ~logged[:-1], recording.array(feed)[1:] / 60.0, ahead)
+        return np.nan_to_num(np.r_[ahead, 0.0])
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (tau,) = nonlinear
-        # the lag holds the input of the row before: shift by one, for the speed was reached between the rows
-        speed = self.speed(recording)
-        held = np.r_[speed[1:], 0.0] if self.column is None else speed
-        warm = responses.lag(sessions(recording), recording.time(), held / 100.0, tau, tau, False)
+        warm = responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
         return (warm * position(recording, self.axis) * 1e-3)[:, None]

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Parameter, Term
+from errpipe.kernels.responses import lag
+from errpipe.terms._base import Parameter, Term, sessions
 from errpipe.terms._warm import sensors
 
 
@@ -38,29 +39,85 @@ class SensorFault(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
-        """Stretches where a living sensor stands still much longer than it does elsewhere."""
-        for sensor in sensors(recording):
-            for first, last in stuck(recording.array(sensor)):
-                yield cls(sensor=sensor, first=first, last=last)
+        if component.startswith("E"):
+            for sensor in recording.names("temperature"):
+                for first, last in suspicious(recording.array(sensor), recording.run_codes()):
+                    yield cls(sensor=sensor, first=first, last=last)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         read = recording.array(self.sensor)
         rows = np.arange(len(read))
         inside = (rows >= self.first) & (rows <= self.last)
-        good = ~inside & np.isfinite(read)
-        true = np.interp(rows, rows[good], read[good]) if good.any() else read
-        return np.where(inside, true - np.where(np.isfinite(read), read, true), 0.0)[:, None]
+        true = reconstructed(recording, self.sensor, inside)
+        before = read[: self.first][np.isfinite(read[: self.first])]
+        held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
+        return np.where(inside, true - held, 0.0)[:, None]
 
 
-def stuck(values: np.ndarray, least: int = 20) -> list[tuple[int, int]]:
-    """First and last row of stretches where a reading stays the same far longer than usual, or is missing."""
+def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.ndarray:
+    """What a sensor should have read: from the others, now and late, as they went together outside the stretch."""
+    read = recording.array(sensor)
+    run, t = sessions(recording), recording.time()
+    columns = [np.ones(len(read))]
+    for name in sensors(recording):
+        other = recording.array(name)
+        if name == sensor or not np.isfinite(other).all():
+            continue
+        columns += [other - other.mean()]
+        columns += [lag(run, t, other - other.mean(), tau, tau, True) for tau in (1000.0, 5000.0)]
+    for name in recording.names("spindle_speed"):
+        speed = recording.array(name)
+        if np.isfinite(speed).all():
+            columns += [lag(run, t, speed / max(speed.max(), 1.0), tau, tau, True) for tau in (800.0, 4000.0)]
+    good = ~inside & np.isfinite(read)
+    A = np.column_stack(columns)
+    size = np.maximum(A[good].std(axis=0), 1e-9)
+    size[0] = 1.0
+    A = A / size
+    ridge = 1e-3 * good.sum() * np.diag(np.r_[0.0, np.ones(A.shape[1] - 1)])
+    if good.sum() < 10:
+        return read
+    weights = np.linalg.lstsq(A[good].T @ A[good] + ridge, A[good].T @ read[good], rcond=None)[0]
+    return A @ weights
+
+
+def suspicious(values: np.ndarray, run: np.ndarray, least: int = 8) -> list[tuple[int, int]]:
+    """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps."""
+    n = values.size
     finite = np.isfinite(values)
-    same = np.r_[False, (values[1:] == values[:-1]) | ~finite[1:]]
-    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
-    starts, ends = edges[::2], edges[1::2]
-    lengths = ends - starts
-    if lengths.size == 0:
+    if finite.sum() < 30:
         return []
-    usual = np.percentile(lengths, 90)
-    limit = max(least, 4 * usual)
-    return [(int(a), int(b - 1)) for a, b, n in zip(starts, ends, lengths, strict=True) if n >= limit]
+    out = [ab for ab in _stretches(~finite) if ab[1] - ab[0] + 1 >= max(least, n // 100)]
+    filled = np.interp(np.arange(n), np.flatnonzero(finite), values[finite])
+    step = np.abs(np.diff(filled))
+    usual = np.median(step) + 1e-9
+    wide = _rolling_median(step, 25)
+    jumps = np.flatnonzero((step > 10 * np.maximum(wide, usual)) & (step > 0.35)) + 1
+    jumps = jumps[finite[np.minimum(jumps, n - 1)] & finite[np.maximum(jumps - 1, 0)]]
+    calm = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
+    still = [ab for ab in _stretches(calm & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
+    strongest = jumps[np.argsort(-step[jumps - 1], kind="stable")][:5]
+    edges = np.sort(strongest)
+    for i, a in enumerate(edges):
+        out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
+        out += [(int(a), n - 1)] if n - a >= least else []
+        out += [(int(s), int(a) - 1) for s, e in still if s < a <= e + least]
+    out += still[:3]
+    return sorted(set(out))[:24]
+
+
+def _stretches(flags: np.ndarray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _rolling_median(values: np.ndarray, width: int) -> np.ndarray:
+    half = width // 2
+    padded = np.pad(values, half, mode="reflect") if values.size > half else np.pad(values, half, mode="edge")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+
+
+def _rolling_range(values: np.ndarray, width: int) -> np.ndarray:
+    half = width // 2
+    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), width)
+    return window.max(axis=1) - window.min(axis=1)

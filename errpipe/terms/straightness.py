@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
-from errpipe.terms._place import axes, direction_of, own_axis, position_name
+from errpipe.terms._place import axes, direction_of, is_radial, own_axis, position_name, share
 
 
 def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
@@ -35,6 +35,7 @@ class Straightness(Term):
     low: float
     high: float
     order: int = Field(4, ge=2, le=12)
+    across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
     reports_as = "straightness"
     family = "geometric"
 
@@ -45,11 +46,17 @@ class Straightness(Term):
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
+        names = (self.axis, self.across) if self.across else (self.axis,)
+        return tuple(position_name(recording, a) for a in names)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Straightness]:
         pointing = direction_of(component)
+        found = axes(recording)[:2]
+        if is_radial(component) and len(found) == 2:
+            for axis, across in (found, found[::-1]):
+                x = position(recording, axis)
+                yield cls(axis=axis, low=float(np.nanmin(x)), high=float(np.nanmax(x)), across=across)
         if pointing is None:
             return
         own = own_axis(component)
@@ -62,9 +69,12 @@ class Straightness(Term):
                 yield cls(axis=axis, low=low, high=high)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return bows(position(recording, self.axis), self.low, self.high, self.order)
+        curve = bows(position(recording, self.axis), self.low, self.high, self.order)
+        return curve * share(recording, self.across, True)[:, None] if self.across else curve
 
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        if self.across:
+            return None
         gains = np.array([parameters[p.name] for p in self.linear()])
         low, high, order = self.low, self.high, self.order
         return (Lowered(ONE, self.axis, lambda x: bows(np.clip(x, low, high), low, high, order) @ gains),)

@@ -1,0 +1,61 @@
+"""What is left after the best names, and whether a shape without a name explains more than they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.diagnosis.evidence import Active
+from errpipe.diagnosis.hypotheses import Library
+from errpipe.diagnosis.search import Search
+from errpipe.diagnosis.shapes import Shape
+
+ENOUGH = 8.0  # log Bayes factor from which a shape counts
+MOST = 3
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Shapes that go on explaining beside the chosen hypotheses.
+
+    shapes: accepted ones with their gains; rms: what is left after them; share: of the variance that names and
+    shapes explain beyond the recalibration, the part that only the shapes reach.
+    """
+
+    shapes: tuple[tuple[Shape, float], ...]
+    rms: float
+    share: float
+    alone: float
+
+
+def remainder(search: Search, library: Library, chosen: list[tuple[int, float]], shapes: list[Shape],
+              index: list[np.ndarray]) -> Remainder:  # fmt: skip
+    """Add shapes greedily beside the chosen hypotheses. index: the shapes' columns in the library's table."""
+    base = search.scene([])
+    named = search.scene(chosen)
+    taken, gains = [], []
+    active = search.active(chosen)
+    scene = named
+    for _ in range(MOST):
+        scored = scene.score(index, [s.freedom for s in shapes])
+        gain = np.array([s.gain for s in scored])
+        gain[taken] = -np.inf
+        k = int(np.argmax(gain)) if gain.size else -1
+        if k < 0 or gain[k] < ENOUGH:
+            break
+        taken.append(k)
+        gains.append(float(gain[k]))
+        sd = 2.0 * max(scored[k].size, 1.0) * search.sigma * shapes[k].freedom
+        active = active.plus(index[k], sd)
+        scene = type(named)(search.data, active, search.sigma)
+    alone = base.score(index, [s.freedom for s in shapes])
+    everything = max(base.rms() ** 2 - scene.rms() ** 2, 1e-12)
+    share = (named.rms() ** 2 - scene.rms() ** 2) / everything
+    return Remainder(
+        tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)), scene.rms(), float(np.clip(share, 0, 1)),
+        max((s.gain for s in alone), default=0.0),
+    )  # fmt: skip
+
+
+_ = Active

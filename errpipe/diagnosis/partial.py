@@ -1,0 +1,140 @@
+"""Effects that act only in some runs, on one stretch of an axis or for a while.
+
+Products of a hypothesis' columns are formed group by group (a run, a stretch, a while); every union of
+neighbouring groups is then scored without touching the rows again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.diagnosis.evidence import SIZES
+from errpipe.diagnosis.hypotheses import Hypothesis, Library, scaled
+from errpipe.diagnosis.search import Search
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import position
+from errpipe.terms._place import axes, position_name
+
+LEADERS = 24  # hypotheses tried in part
+BINS = 14
+BETTER = 7.0  # log Bayes factor by which a part must beat the whole
+ALREADY_LOCAL = ("local_wear", "sensor_fault", "clock_offset", "reversal_spike", "interpolation")
+
+
+@dataclass(frozen=True)
+class Groups:
+    """A partition of the judged rows: group of each row, and what a union of groups is called."""
+
+    code: np.ndarray
+    count: int
+    kind: str  # "runs" or a column's name
+    labels: tuple[str, ...] = ()
+    edges: tuple[float, ...] = ()
+
+    def mask(self, members: tuple[int, ...]) -> tuple:
+        """The mask of a hypothesis that acts in these groups."""
+        if self.kind == "runs":
+            return ("runs", tuple(self.labels[m] for m in members))
+        return ("range", self.kind, self.edges[members[0]], self.edges[members[-1] + 1])
+
+    def choices(self) -> list[tuple[int, ...]]:
+        """Unions tried: neighbours; of runs also any two."""
+        out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
+        if self.kind == "runs":
+            out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
+        return [c for c in out if len(c) < self.count]
+
+
+def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
+    """Runs (three or more), stretches of each axis, or time where there is one run."""
+    out = []
+    run = recording.run_codes()[rows]
+    codes = np.unique(run)
+    if 3 <= codes.size <= 40:
+        labels = tuple(recording.run_labels()[c] for c in codes)
+        out.append(Groups(np.searchsorted(codes, run), codes.size, "runs", labels))
+    for axis in axes(recording):
+        x = position(recording, axis)[rows]
+        if np.unique(x).size >= BINS // 2 and x.max() > x.min():
+            edges = np.linspace(x.min(), x.max(), BINS + 1)
+            code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+            out.append(Groups(code, BINS, position_name(recording, axis), (), tuple(edges)))
+    clock = recording.name("time")
+    if codes.size < 3 and clock is not None and not axes(recording):
+        t = recording.time()[rows]
+        edges = np.linspace(t.min(), t.max(), BINS + 1)
+        code = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, BINS - 1)
+        out.append(Groups(code, BINS, clock, (), tuple(edges)))
+    return out
+
+
+def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> list[int]:
+    """Extend the library with hypotheses in part that beat their whole; returns their indices."""
+    library = search.library
+    parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
+    scene = search.scene([])
+    basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
+    y = search.data.y
+    for groups in partitions(recording, rows):
+        order = np.argsort(groups.code, kind="stable")
+        edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
+        for index in search.leaders(alone, LEADERS):
+            h = library.hypotheses[index]
+            if h.effect in ALREADY_LOCAL or h.mask or alone[index] < -1e5:
+                continue
+            if groups.kind != "runs" and groups.kind not in h.drivers and len(h.drivers) > 1:
+                continue
+            at = library.slices[index]
+            W = library.table.W[:, at.start : at.start + library.cores[index]]
+            found = _best_part(scene, basis, y, W, groups, order, edges)
+            if found and found[0] > alone[index] - search.prior[index] + BETTER and found[0] > 12.0:
+                parts.append((found[0], index, groups, found[1]))
+    parts.sort(key=lambda p: -p[0])
+    fresh = []
+    for _gain, index, groups, members in parts[:8]:
+        fresh.append(_extend(library, search, recording, rows, index, groups.mask(members)))
+    return [i for i in fresh if i is not None]
+
+
+def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float, tuple[int, ...]] | None:
+    """The union of groups in which the core explains most, and its log Bayes factor less the price of choosing."""
+    k = W.shape[1]
+    S = np.zeros((groups.count, k, k))
+    B = np.zeros((groups.count, basis.shape[0], k))
+    s = np.zeros((groups.count, k))
+    for g in range(groups.count):
+        r = order[edges[g] : edges[g + 1]]
+        S[g], B[g], s[g] = W[r].T @ W[r], basis[:, r] @ W[r], W[r].T @ y[r]
+    choices = groups.choices()
+    if not choices:
+        return None
+    member = np.zeros((len(choices), groups.count))
+    for c, members in enumerate(choices):
+        member[c, list(members)] = 1.0
+    Bc = np.tensordot(member, B, 1)
+    Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
+    sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
+    gain, _ = scene._log_bf(Sc, sc, scene.n)
+    best = int(np.argmax(gain))
+    return float(gain[best] - np.log(len(choices))), choices[best]
+
+
+def _extend(library: Library, search: Search, recording: Recording, rows, index: int, mask: tuple) -> int | None:
+    from errpipe.diagnosis.hypotheses import columns_of
+
+    h = dataclasses.replace(library.hypotheses[index], mask=mask, prior=library.hypotheses[index].prior - 5.0)
+    core, slack, rel = columns_of(h, recording)
+    made = scaled(core[rows], slack[rows], rel)
+    if made is None:
+        return None
+    prior = search.prior[index] - 5.0
+    fresh = library.extend(h, *made, core.shape[1])
+    search.prior = np.r_[search.prior, prior]
+    return fresh
+
+
+_ = (SIZES, Hypothesis)

@@ -1,0 +1,109 @@
+"""Shapes without a name: smooth in a column or in time, per run, or a surface, to catch what no effect carries.
+
+They stand against named effects: where a shape goes on explaining after the best name, the name is in doubt.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import direction, sessions
+from errpipe.terms._place import axes, position_name
+
+TIME_WAVES = 40
+PLACE_WAVES = 24
+SMOOTH = 8
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A data-driven shape: what it is smooth in, its columns (rows, k) and their freedoms."""
+
+    kind: str
+    drivers: tuple[str, ...]
+    columns: np.ndarray
+    freedom: np.ndarray
+
+
+def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape]:
+    """All shapes for a response on its rows, columns of unit rms."""
+    out = []
+    for kind, drivers, columns, freedom in _every(recording, component, rows):
+        rms = np.sqrt(np.mean(columns**2, axis=0))
+        keep = rms > 1e-9
+        if keep.sum() >= 1:
+            out.append(Shape(kind, drivers, columns[:, keep] / rms[keep], freedom[keep]))
+    return out
+
+
+def _waves(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines over the range of u, the rougher the less free."""
+    low, high = np.min(u), np.max(u)
+    at = (u - low) / (high - low) if high > low else np.zeros_like(u)
+    k = np.arange(1, count + 1)
+    return np.cos(np.pi * at[:, None] * k), 1.0 / k**0.8
+
+
+def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[tuple]:
+    t, run, session = recording.time()[rows], recording.run_codes()[rows], sessions(recording)[rows]
+    clock = recording.name("time") or "row"
+    place = np.arange(rows.size, dtype=float)
+    yield ("time", (clock,), *_waves(place, TIME_WAVES))
+    codes = np.unique(run)
+    if codes.size > 1:
+        steps = (run[:, None] == codes).astype(float)
+        yield "runs", (recording.name("run") or clock,), steps - steps.mean(axis=0), np.ones(codes.size)
+    for role in ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "overhang",
+                 "depth_of_cut", "cut_length", "force", "velocity", "acceleration"):  # fmt: skip
+        for name in recording.names(role):
+            u = recording.array(name)[rows]
+            if np.isfinite(u).all() and u.max() > u.min():
+                yield ("column", (name,), *_waves(u, min(SMOOTH, np.unique(u).size - 1)))
+    found = axes(recording)
+    if component == "E_R" and len(found) >= 2:
+        x, y = (recording.array(position_name(recording, a))[rows] for a in found[:2])
+        names = tuple(position_name(recording, a) for a in found[:2])
+        angle = np.arctan2(y, x)
+        k = np.arange(1, 13)
+        rings = np.column_stack([np.cos(angle[:, None] * k), np.sin(angle[:, None] * k)])
+        free = np.r_[1.0 / k**0.5, 1.0 / k**0.5]
+        yield "angle", names, rings, free
+        turn = np.sign(np.gradient(np.unwrap(angle)))
+        yield "angle and sense", names, rings * turn[:, None], free
+        return
+    for axis in found:
+        name = position_name(recording, axis)
+        x = recording.array(name)[rows]
+        if x.max() <= x.min():
+            continue
+        waves, free = _waves(x, PLACE_WAVES)
+        yield "place", (name,), waves, free
+        try:
+            side = direction(recording, axis)[rows]
+        except KeyError:
+            continue
+        if np.unique(side).size > 1 and len(found) == 1:
+            yield "place and direction", (name,), np.column_stack([side, waves * side[:, None]]), np.r_[1.0, free]
+        if codes.size > 1 and len(found) == 1:
+            slopes = (run[:, None] == codes) * (x - x.mean())[:, None]
+            yield "slope of each run", (name, recording.name("run") or clock), slopes, np.ones(codes.size)
+            slow, loose = _waves(place, 20)
+            yield "slope in time", (name, clock), slow * (x - x.mean())[:, None], loose
+    if len(found) >= 2:
+        units = []
+        for axis in found[:3]:
+            x = recording.array(position_name(recording, axis))[rows]
+            units.append(np.polynomial.chebyshev.chebvander((2 * x - x.min() - x.max()) / (np.ptp(x) or 1.0), 4))
+        columns, free = [], []
+        for degrees in itertools.product(range(5), repeat=len(units)):
+            if 0 < sum(degrees) <= 4:
+                columns.append(np.prod([u[:, k] for u, k in zip(units, degrees, strict=True)], axis=0))
+                free.append(1.0 / sum(degrees) ** 0.5)
+        names = tuple(position_name(recording, a) for a in found[:3])
+        yield "surface", names, np.column_stack(columns), np.array(free)
+    _ = t, session
