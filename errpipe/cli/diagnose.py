@@ -22,6 +22,12 @@ def command(
     Example:
       errpipe diagnose examples/vmc-1 --out out/diagnosis
     """
+    from errpipe.cli.progress import Watcher
     from errpipe.cli.say import answer, work
 
-    answer("diagnose", work("diagnose").diagnose(recording, out), as_json=json)
+    watcher = Watcher(str(out))
+    try:
+        found = work("diagnose").diagnose(recording, out, watcher.progress_of("diagnose"))
+    finally:
+        watcher.clear()
+    answer("diagnose", found, as_json=json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from threading import Lock
 from typing import TextIO
 
@@ -53,6 +54,17 @@ class Watcher:
         else:
             count = len(step.written)
             self._line(f"{step.name}: done, {count} file{'s' if count != 1 else ''} written")
+
+    def progress_of(self, name: str) -> Callable[[float, str], None]:
+        """The progress callback of one piece of work."""
+        return lambda fraction, text: self._progress(name, fraction, text)
+
+    def clear(self) -> None:
+        """Take a bar that still stands off the screen."""
+        if self.moving:
+            with self._lock:
+                self.stream.write("\r\033[K")
+                self.stream.flush()
 
     def _line(self, text: str) -> None:
         with self._lock:

@@ -44,7 +44,11 @@ def command(
 
     spec = load(pipeline, sets)
     folder = out_of(pipeline, out)
-    steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=Watcher(str(folder)).talk())
+    watcher = Watcher(str(folder))
+    try:
+        steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=watcher.talk())
+    finally:
+        watcher.clear()
     if depfile is not None:
         from errpipe import jsonfile
         from errpipe.pipeline.depfile import depfile as rule
