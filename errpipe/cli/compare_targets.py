@@ -21,4 +21,4 @@ def command(
     """
     from errpipe.cli.say import answer, work
 
-    answer("compare-targets", work("export").compare_targets(table), as_json=json)
+    answer("compare-targets", work("targets").compare_targets(table), as_json=json)

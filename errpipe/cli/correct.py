@@ -16,14 +16,36 @@ def command(
         None, "--out", metavar="FILE", help="Where to write; default: standard output.", show_default=False
     ),
     at: list[str] = At,
+    offset: list[str] = typer.Option(
+        [], "--offset", metavar="G54=X,Y,Z", help="Zero of the part in machine coordinates, mm. Repeatable.",
+        show_default=False,
+    ),
+    tool: list[str] = typer.Option(
+        [], "--tool", metavar="H1=LENGTH", help="Length of a tool, mm. Repeatable.", show_default=False
+    ),
+    start: str | None = typer.Option(
+        None, "--start", metavar="X,Y,Z", help="Where the machine stands at the start, machine coordinates, mm.",
+        show_default=False,
+    ),
+    chord_error: float = typer.Option(
+        0.001, "--chord-error", min=1e-6, metavar="MM", help="Farthest a segment may lie from its arc."
+    ),
+    longest: float = typer.Option(25.0, "--longest", min=0.01, metavar="MM", help="Longest straight segment."),
     json: bool = Json,
 ) -> None:
     """Rewrite an NC program so that the uncorrected machine cuts the part.
 
+    Anything that is not understood is refused with its line, and nothing is written. Directions of travel
+    and references taken at the start of a run stand as at a run's first cycle.
+
     \b
     Example:
-      errpipe correct part.ngc --table out/axis/export/table.ect --at T_nut=25 --out part-corrected.ngc
+      errpipe correct part.ngc --table out/axis/export/table.ect --start 0,0,0 --out part-corrected.ngc
     """
     from errpipe.cli.say import answer, work
 
-    answer("correct", work("correct").correct(program, table, out, values(at)), as_json=json)
+    done = work("correct").correct(
+        program, table, out, values(at),
+        offsets=offset, tools=tool, start=start, chord_error=chord_error, longest=longest,
+    )  # fmt: skip
+    answer("correct", done, as_json=json)

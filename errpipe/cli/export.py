@@ -23,4 +23,4 @@ def command(
     """
     from errpipe.cli.say import answer, work
 
-    answer("export", work("export").export(table, target, out), as_json=json)
+    answer("export", work("targets").export(table, target, out), as_json=json)

@@ -15,4 +15,4 @@ def command(json: bool = Json) -> None:
     """
     from errpipe.cli.say import answer, work
 
-    answer("targets", work("export").targets(), as_json=json)
+    answer("targets", work("targets").targets(), as_json=json)

@@ -1,0 +1,135 @@
+"""Controller files: written, read back as the controller would, compared with the table, with a checklist."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe.errors import GateError, UsageError, did_you_mean
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    from errpipe.domain.table import CompensationTable
+
+CHECKLIST = "CHECKLIST.md"
+
+
+def targets() -> dict[str, Any]:
+    """All formats with their controller, confidence, sign and limits."""
+    from errpipe.targets import TARGETS
+
+    rows = [
+        {"name": t.name, "controller": t.controller, "confidence": t.confidence, "sign": t.sign, "limits": t.limits}
+        for t in TARGETS
+    ]
+    says = [f"{r['name']:<22} {r['confidence']:<13} {r['controller']}\n    {r['sign']}; {r['limits']}" for r in rows]
+    return {"targets": rows, "says": says}
+
+
+def compare_targets(table: Path) -> dict[str, Any]:
+    """What each controller would lose of a table, in micrometres, on settled states inside validity."""
+    from errpipe.targets import TARGETS
+
+    found = _artefacts.read_table(table)
+    rows: list[dict[str, Any]] = []
+    for target in TARGETS:
+        try:
+            losses = _losses(found, target, target.write(found))
+        except GateError as err:
+            rows.append({"target": target.name, "refused": str(err)})
+            continue
+        rows += [{"target": target.name, **loss} for loss in losses]
+    return {"comparison": rows, "says": [_line(row) for row in rows]}
+
+
+def export(table: Path, names: Sequence[str], out: Path) -> dict[str, Any]:
+    """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads."""
+    from errpipe import jsonfile
+    from errpipe.tables import ect
+
+    found = _artefacts.read_table(table)
+    files = write_targets(found, names, Path(out))
+    ect.write(found, Path(out) / _artefacts.TABLE)
+    ect.write_json(found, Path(out) / _artefacts.TWIN)
+    jsonfile.write(Path(out) / "export.json", {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files})
+    return {"files": files, "says": [f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files]}
+
+
+def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) -> list[dict[str, Any]]:
+    """Write the files of each named target into a folder of its own. Raises UsageError for an unknown name."""
+    from errpipe import jsonfile
+
+    out = []
+    for target in chosen(names):
+        files = target.write(table)
+        losses = _losses(table, target, files)
+        for name, text in files.items():
+            jsonfile.write_text(folder / target.name / name, text)
+        jsonfile.write_text(folder / target.name / CHECKLIST, checklist(target, target.read_back(files), losses))
+        told = _told(losses)
+        out += [
+            {"file": f"{target.name}/{name}", "what": target.controller, "error": told, "read_back": "compared"}
+            for name in files
+        ]
+    return out
+
+
+def chosen(names: Sequence[str]) -> list[Any]:
+    """Targets by name. Raises UsageError with the nearest name."""
+    from errpipe.targets import TARGETS
+
+    known = {t.name: t for t in TARGETS}
+    for name in names:
+        if name not in known:
+            raise UsageError(f"no target {name!r} (targets: {', '.join(known)}).{did_you_mean(name, known)}")
+    return [known[name] for name in names]
+
+
+def _losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list[dict[str, Any]]:
+    from errpipe.targets import _sample
+
+    return [
+        {"axis": x.axis, "largest_um": x.largest, "rms_um": x.rms, "table_rms_um": x.table_rms}
+        for x in _sample.loss(table, target.read_back(files))
+    ]
+
+
+def told_loss(table: CompensationTable, target: Any, files: dict[str, str]) -> str:
+    """What a target's files lose of a table, in the words of `export.json`."""
+    return _told(_losses(table, target, files))
+
+
+def _told(losses: list[dict[str, Any]]) -> str:
+    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} at most" for x in losses) + " um"
+
+
+def checklist(target: Any, read: Any, losses: list[dict[str, Any]]) -> str:
+    """What a person at the machine does: sign, activation, a move list with expected values, what is lost."""
+    import numpy as np
+
+    lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
+    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## Switch it on", ""]
+    lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
+    lines += ["", "## Three-point check", "", "Go there from below, then from above; expect this correction:", ""]
+    lines += ["| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
+    for curve in read.curves:
+        for x in np.linspace(curve.positions[0], curve.positions[-1], 3):
+            up, down = (1e3 * float(curve.at(np.array([x]), np.array([s]))[0]) for s in (1.0, -1.0))
+            lines.append(f"| {curve.axis} | {curve.over} | {x:.3f} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |")
+    for line in read.lines:
+        per_kelvin = 1e3 * line.level
+        lines.append(f"| {line.axis} | {line.sensor} +1 K | {line.zero:.3f} | {per_kelvin:+.3f} | {per_kelvin:+.3f} |")
+    lines += ["", "## What this format leaves behind", ""]
+    lines += [
+        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, {x['largest_um']:.3g} um at most"
+        for x in losses
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _line(row: dict[str, Any]) -> str:
+    if "refused" in row:
+        return f"{row['target']:<22} -  {row['refused']}"
+    told = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, {row['largest_um']:.3g} at most"
+    return f"{row['target']:<22} {row['axis']}  {told}"

@@ -1,0 +1,113 @@
+"""Exported files read again and proved: checksums, twins, the model behind the table, every controller's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe.errors import VerifyError
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.domain.table import CompensationTable
+
+STATES = 2000
+
+
+def verify(folder: Path) -> dict[str, Any]:
+    """Prove everything in an export folder. Raises VerifyError on the first thing that does not hold."""
+    from errpipe import jsonfile
+    from errpipe.tables import ect
+
+    folder = Path(folder)
+    if not (folder / "export.json").is_file():
+        raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe")
+    document = jsonfile.read(folder / "export.json")
+    table = ect.read(folder / _artefacts.TABLE)
+    checks = [f"{_artefacts.TABLE}: checksum, layout and limits hold"]
+    if ect.read_json(folder / _artefacts.TWIN) != table:
+        raise VerifyError(f"{folder / _artefacts.TWIN}: is not the twin of {_artefacts.TABLE}")
+    checks.append(f"{_artefacts.TWIN}: says the same")
+    if (folder / _artefacts.MODEL).is_file():
+        checks.append(_model(folder, table))
+    checks += _targets(folder, table, document)
+    return {"checks": len(checks), "says": checks}
+
+
+def _model(folder: Path, table: CompensationTable) -> str:
+    """The table beside its model on random states and all corners of validity, both directions, after settling."""
+    import numpy as np
+
+    from errpipe import jsonfile
+    from errpipe.fitting.components import evaluate
+    from errpipe.stages.predict import table_values
+    from errpipe.tables import bounds
+
+    path = folder / _artefacts.MODEL
+    model = _artefacts.read_model(path)
+    if jsonfile.fingerprint(_artefacts.model_json(model)) != table.fingerprint:
+        raise VerifyError(f"{path}: is not the model that {_artefacts.TABLE} was compiled from")
+    states = every_state(model)
+    by_model, by_table = evaluate(model, states), table_values(table, model, states)
+    allowed = {c.name: c.gridding for c in bounds.components(table)}
+    worst = 0.0
+    for name, values in by_table.items():
+        gap = float(np.nanmax(np.abs(values - by_model[name])))
+        if not gap <= 2 * allowed.get(name, 0.0) + 2e-3:
+            raise VerifyError(f"{path}: {name} of the table differs from the model by {gap:.4g} um inside validity")
+        worst = max(worst, gap)
+    return f"{_artefacts.MODEL}: the table gives it back within {worst:.3g} um on {len(states)} states"
+
+
+def every_state(model: ErrorModel, seed: int = 1) -> Recording:
+    """Random states of a model's columns inside validity, with its ends, as runs that settle; two rows a run matter.
+
+    Each run starts in the middle of validity, jumps to its state, and stays there until every lag has settled.
+    """
+    import numpy as np
+    import pandas as pd
+
+    from errpipe.domain.recording import Column, Manifest, Recording
+
+    rng = np.random.default_rng(seed)
+    kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
+    frame = {"run": np.repeat(np.arange(STATES).astype(str), 3), "t": np.tile([0.0, 1e9, 2e9], STATES)}
+    for name, kind in kinds.items():
+        low, high = model.validity.ranges.get(name, (0.0, 1.0))
+        drawn = rng.uniform(low, high, STATES)
+        ends = rng.random(STATES)
+        drawn = np.where(ends < 0.15, low, np.where(ends > 0.85, high, drawn))
+        values = np.column_stack([np.full(STATES, (low + high) / 2), drawn, drawn])
+        if kind.role == "direction":
+            values = np.repeat(np.where(rng.random(STATES) < 0.5, 1.0, -1.0), 3).reshape(STATES, 3)
+        if kind.role == "coolant":
+            values = np.round(values)
+        frame[name] = values.ravel()
+    kinds = {"run": Column(role="run"), "t": Column(role="time", unit="s"), **kinds}
+    manifest = Manifest(recording=1, tables=("states.csv",), columns=kinds, constants=model.constants)
+    return Recording(manifest, pd.DataFrame({name: frame[name] for name in kinds}))
+
+
+def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -> list[str]:
+    from errpipe.stages.targets import chosen, told_loss
+
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in document["files"]:
+        if "/" in row["file"]:
+            groups.setdefault(row["file"].split("/")[0], []).append(row)
+    checks = []
+    for name, rows in groups.items():
+        (target,) = chosen([name])
+        files = {}
+        for row in rows:
+            path = folder / row["file"]
+            if not path.is_file():
+                raise VerifyError(f"{path}: is missing")
+            files[path.name] = path.read_text(encoding="utf-8")
+        told = told_loss(table, target, files)
+        if told != rows[0]["error"]:
+            raise VerifyError(f"{folder / name}: now loses {told}; it lost {rows[0]['error']} when it was exported")
+        checks.append(f"{name}: read back as the controller does; loses {told}")
+    return checks
