@@ -15,6 +15,7 @@ def command(
     files: list[Path] = typer.Argument(
         ..., metavar="FILE...", help="Pipelines, machines, manifests or their folders.", show_default=False
     ),
+    data: bool = typer.Option(True, "--data/--no-data", help="Whether the inputs must be there."),
     style: Literal["text", "github"] = typer.Option("text", "--format", help="How problems are printed."),
     json: bool = Json,
 ) -> None:
@@ -23,7 +24,7 @@ def command(
     \b
     Example:
       errpipe check pipelines/drilled-plates.yaml
-      errpipe check pipelines/drilled-plates.yaml --format github
+      errpipe check pipelines/drilled-plates.yaml --no-data --format github
     """
     from errpipe.cli.say import say
 
@@ -32,7 +33,7 @@ def command(
     for file in files:
         path = file / "recording.yaml" if file.is_dir() else file
         try:
-            checked.append({"file": str(path), "what": _check(path)})
+            checked.append({"file": str(path), "what": _check(path, data)})
         except ConfigError as err:
             found += err.problems
     if found and style == "github":
@@ -43,7 +44,7 @@ def command(
     say("check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=json)
 
 
-def _check(path: Path) -> str:
+def _check(path: Path, data: bool) -> str:
     """What a file is. Raises ConfigError."""
     from errpipe import yamlfile
 
@@ -54,7 +55,8 @@ def _check(path: Path) -> str:
 
         manifest: Any = document.validate(Manifest)
         gone = [n for n, table in enumerate(manifest.tables) if not (path.parent / table).is_file()]
-        document.problems += [document.problem(("tables", n), "no such file beside the manifest") for n in gone]
+        if data:
+            document.problems += [document.problem(("tables", n), "no such file beside the manifest") for n in gone]
         document.raise_problems()
         return "recording manifest"
     if "machine" in keys and "pipeline" not in keys:
@@ -62,15 +64,15 @@ def _check(path: Path) -> str:
 
         document.validate(Machine)
         return "machine"
-    return _check_pipeline(path)
+    return _check_pipeline(path, data)
 
 
-def _check_pipeline(path: Path) -> str:
+def _check_pipeline(path: Path, data: bool) -> str:
     from errpipe.cli._arguments import load
     from errpipe.pipeline.spec import missing_inputs
 
     pipeline = load(path, [])
-    missing = missing_inputs(pipeline, pipeline.stages)
+    missing = missing_inputs(pipeline, pipeline.stages) if data else []
     if missing:
         raise ConfigError(missing)
     return "pipeline"

@@ -63,6 +63,7 @@ def command(
         touch(stamp)
     result = {
         "title": spec.title,
+        "out": str(folder),
         "stages": [
             {"name": s.name, "kind": s.kind, "action": s.action, "reasons": s.reasons, "outputs": s.outputs,
              "written": s.written, "summary": dict(s.summary)}

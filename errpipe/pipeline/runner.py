@@ -219,7 +219,8 @@ class _Work:
             stages={slot: {name: self.out / name for name in names} for slot, names in links.items()},
             progress=lambda fraction, text: talk.progress(stage.label, fraction, text),
         )
-        summary = stage.run(context)
+        summary = dict(stage.run(context) or {})
+        jsonfile.dumps(summary)  # what cannot be recorded is a bug of the stage: say so before anything is published
         outputs = {path.relative_to(folder).as_posix(): hash_file(path) for path in _all_files(folder)}
         lacking = sorted(set(stage.outputs()) - set(outputs))
         if lacking:
@@ -227,7 +228,7 @@ class _Work:
         for label, path in label_inputs(stage.inputs()).items():
             if record.inputs.get(label) != hash_file(path):
                 raise DataError(f"{path}: changed while stage {stage.label} was reading it; run again")
-        return replace(record, outputs=outputs, summary=dict(summary or {})), folder
+        return replace(record, outputs=outputs, summary=summary), folder
 
     def finish(self, stage: Stage, reasons: Sequence[str], record: Record, folder: Path) -> Step:
         """Move the outputs to their place and write the lock file."""

@@ -220,6 +220,8 @@ def test_check_reports_all_files(where: Path, capsys: pytest.CaptureFixture[str]
     assert [line.split("  ")[0] for line in heard.err.splitlines()] == [
         "q.yaml:3:25", "r.yaml:1:11", "r.yaml:2:1", "r.yaml:3:9",
     ]  # fmt: skip
+    assert main(["check", "q.yaml", "--no-data"]) == 0
+    capsys.readouterr()
     assert main(["check", "r.yaml", "--format", "github"]) == 2
     first = capsys.readouterr().out.splitlines()[0]
     assert first.startswith("::error file=r.yaml,line=1,col=11,title=errpipe::pipeline: found the number 2")
