@@ -9,7 +9,7 @@ import numpy as np
 
 from . import chain
 from .case import Array, Bench, Contribution, Response
-from .lookalikes import compare
+from .lookalikes import compare, sharpened
 
 TIERS = ("plain", "concealed", "pair", "partial", "null", "novel")
 ORACLE = 1.15
@@ -406,11 +406,14 @@ def _one_effect(
         raise Unfit("anything would do")
     key["effects"].append(verdict.accepted)
     key["drivers"].update({e: verdict.drivers.get(e, []) for e in verdict.accepted})
-    for name, (value, unit, _) in c.params.items():
+    acts = rows & c.active if c.active is not None else rows
+    for name, (value, unit, grows) in c.params.items():
         if name == "tau":
             if verdict.tau is None or verdict.own_share < 0.985:
                 continue
-            value = verdict.tau
+            value = sharpened(bench, c.drivers[0], verdict.tau, c.values, rows)
+        elif grows:
+            value = c.size_in_the_textbook(value, acts)
         key["params"][f"{c.effect}.{name}"] = {"value": round(abs(value), 5), "unit": unit}
 
 

@@ -39,15 +39,33 @@ class Contribution:
     carrier: Contribution | None = (
         None  # what the simulation must hold for the effect to exist (a faulty sensor's term)
     )
+    ideal: Array | None = None  # what the textbook form would give with `params`, where the mechanism differs from it
     display: tuple[str, Array] | None = None  # column that shows something else than the truth, and what it shows
 
     def scaled(self, factor: float) -> Contribution:
         """The same effect, `factor` times as large."""
         params = {k: (v * factor if grows else v, unit, grows) for k, (v, unit, grows) in self.params.items()}
         carrier = self.carrier.scaled(factor) if self.carrier else None
+        ideal = self.ideal * factor if self.ideal is not None else None
         return Contribution(
-            self.effect, self.values * factor, self.drivers, params, self.active, self.where, carrier, self.display
+            self.effect,
+            self.values * factor,
+            self.drivers,
+            params,
+            self.active,
+            self.where,
+            carrier,
+            ideal,
+            self.display,
         )
+
+    def size_in_the_textbook(self, size: float, rows: Array) -> float:
+        """The size that the textbook form needs to come closest to the contribution."""
+        if self.ideal is None:
+            return size
+        a, b = self.values[rows], self.ideal[rows]
+        a, b = a - a.mean(), b - b.mean()
+        return size * float(a @ b) / max(float(b @ b), 1e-30)
 
     def rms(self, rows: Array) -> float:
         """Size over the rows in which it acts: without its mean where it acts everywhere, as it stands elsewhere."""

@@ -131,12 +131,13 @@ def _effects(rng, path, runs, radius, leads, columns) -> dict[str, Contribution]
     )
     add("pitch_cyclic", cyclic * p / r, (a,), params={"period": (lead, "mm", False)})
     a, p, q, sides = axis()
-    gap = rng.uniform(2, 12)
+    gap, way = rng.uniform(2, 12), sign()
     add(
         "backlash",
-        sign() * gap / 2 * _by_run(path, runs, p, lambda v: play(v, gap / 1e3)) * p / r,
+        way * gap / 2 * _by_run(path, runs, p, lambda v: play(v, gap / 1e3)) * p / r,
         (*sides, a, q),
         params={"lost_motion": (gap, "um", True)},
+        ideal=way * gap / 2 * _side(path[f"v{a}"]) * p / r,
     )
     a, p, q, sides = axis()
     end = -400.0 if a == "x" else -250.0
@@ -146,7 +147,7 @@ def _effects(rng, path, runs, radius, leads, columns) -> dict[str, Contribution]
         (*sides, a),
     )
     a, p, q, sides = axis()
-    length = rng.uniform(0.4, 6.0)
+    length = np.exp(rng.uniform(np.log(0.08), np.log(2.0)))
     curled = _by_run(path, runs, p, lambda v: bouc_wen(v, length, rng.uniform(1.0, 1.8), np.sign(v[1] - v[0])))
     add("friction_hysteresis", -sign() * rng.uniform(2, 8) * curled * p / r, (*sides, a, q))
     a, p, q, sides = axis()

@@ -153,6 +153,7 @@ def _effects(rng, p, w, at, force, worn) -> dict[str, Contribution]:
         "thermal_drift",
         k * at(bodies.lump(DT, w[source], rng.uniform(20, 100))),
         (label,),
+        ideal=k * at(w[source]),
         params={"coefficient": (k, "um/K", True)},
     )
     behind = bodies.wall_after(DT, w["bearing"], rng.uniform(0.03, 0.12), rng.uniform(30, 60))
@@ -167,7 +168,13 @@ def _effects(rng, p, w, at, force, worn) -> dict[str, Contribution]:
     )
     k = sign() * rng.uniform(0.7, 2.5)
     bend = bodies.lump(DT, w["bearing"] - w["tank"], rng.uniform(20, 100))
-    add("gradient_bending", k * at(bend), ("T_spindle", "T_coolant"), params={"coefficient": (k, "um/K", True)})
+    add(
+        "gradient_bending",
+        k * at(bend),
+        ("T_spindle", "T_coolant"),
+        params={"coefficient": (k, "um/K", True)},
+        ideal=k * at(w["bearing"] - w["tank"]),
+    )
     add("centrifugal_growth", sign() * rng.uniform(4, 15) * (p["rpm"] / 3200) ** 2, ("rpm",))
     hours = p["t"] / 3600
     rate = sign() * rng.uniform(0.5, 2.5)
@@ -175,6 +182,7 @@ def _effects(rng, p, w, at, force, worn) -> dict[str, Contribution]:
         "sensor_drift",
         rate * (hours + 0.03 * (hours**2 / hours[-1] - hours)),
         ("t",),
+        ideal=rate * hours,
         params={"rate": (rate, "um/h", True)},
     )
     return out

@@ -124,10 +124,10 @@ def _forces(rng, path, pieces, dt, lead) -> dict[str, Contribution]:
     def slide(static: float, knee: float) -> Array:
         return _runs(pieces, lambda p: lugre(t[p], v[p], level, static, knee, bristle))
 
-    add("coulomb_friction", slide(level, 1.0), ("vx",), params={"force": (level, "N", True)})
+    add("coulomb_friction", slide(level, 1.0), ("vx",), params={"force": (level, "N", True)}, ideal=level * np.sign(v))
     b = rng.uniform(100, 2500)
     thin = 1 + rng.uniform(-0.05, 0.05) * t / t[-1]
-    add("viscous_friction", b * v / 1e3 * thin, ("vx",), params={"coefficient": (b, "N s/m", True)})
+    add("viscous_friction", b * v / 1e3 * thin, ("vx",), params={"coefficient": (b, "N s/m", True)}, ideal=b * v / 1e3)
     knee = rng.uniform(2.0, 15.0)
     add("stribeck_friction", (slide(level * 1.8, knee) - slide(level, knee)) * rng.uniform(0.5, 1.5), ("vx",))
     period = float(np.round(rng.choice([lead, lead / 2, rng.uniform(8, 60)]), 3))
@@ -155,7 +155,14 @@ def _deviations(rng, path, pieces, dt, lead, period, travel) -> dict[str, Contri
 
     lag = rng.uniform(0.03, 0.25) * 1e-3
     trail = _runs(pieces, lambda p: follow(dt, x[p], lag, 2 * np.pi * 35))
-    add("following_error", sign() * 1e3 * trail, ("vx",), params={"lag": (lag * 1e3, "ms", True)})
+    way = sign()
+    add(
+        "following_error",
+        way * 1e3 * trail,
+        ("vx",),
+        params={"lag": (lag * 1e3, "ms", True)},
+        ideal=-way * 1e3 * lag * v,
+    )
     k = sign() * rng.uniform(1, 10)
     add("inertial_deflection", k * a / 1e3, ("ax",), params={"coefficient": (k, "um/(m/s2)", True)})
     wave = np.sin(2 * np.pi * x / lead + rng.uniform(0, 6)) + rng.uniform(0, 0.3) * np.sin(
@@ -167,11 +174,12 @@ def _deviations(rng, path, pieces, dt, lead, period, travel) -> dict[str, Contri
     gap = rng.uniform(2, 12)
     add(
         "backlash",
-        sign() * gap / 2 * _runs(pieces, lambda p: play(x[p], gap / 1e3, float(np.sign(v[p][0])))),
+        way * gap / 2 * _runs(pieces, lambda p: play(x[p], gap / 1e3, float(np.sign(v[p][0])))),
         ("vx",),
         params={"lost_motion": (gap, "um", True)},
+        ideal=way * gap / 2 * np.sign(v),
     )
-    length = rng.uniform(0.2, 3.0)
+    length = np.exp(rng.uniform(np.log(0.05), np.log(1.5)))
     curled = _runs(pieces, lambda p: bouc_wen(x[p], length, 1.4, float(np.sign(v[p][0]))))
     add("friction_hysteresis", sign() * rng.uniform(1.5, 7) * curled, ("vx", "x"))
     side = _runs(pieces, lambda p: play(x[p], 0.002, float(np.sign(v[p][0]))))

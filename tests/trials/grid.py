@@ -142,6 +142,7 @@ def _effects(rng, w, size, own) -> dict[str, Contribution]:
         / 1e3
         * (1 + 0.05 * (w[own] / size[own] - 0.5)),
         (own, "T_bed"),
+        ideal=alpha * now(w["bed"]) * w[own] / 1e3,
         params={"coefficient": (alpha, "um/m/K", True)},
     )
     a = str(rng.choice(others))
@@ -180,6 +181,7 @@ def _effects(rng, w, size, own) -> dict[str, Contribution]:
         "thermal_drift",
         k * now(bodies.lump(DT, w["bed"], rng.uniform(20, 100))),
         ("T_bed",),
+        ideal=k * now(w["bed"]),
         params={"coefficient": (k, "um/K", True)},
     )
     k = sign() * rng.uniform(1.5, 6)
@@ -187,6 +189,7 @@ def _effects(rng, w, size, own) -> dict[str, Contribution]:
         "gradient_bending",
         k * now(bodies.lump(DT, w["bed"] - w["air"], rng.uniform(20, 100))),
         ("T_bed", "T_air"),
+        ideal=k * now(w["bed"] - w["air"]),
         params={"coefficient": (k, "um/K", True)},
     )
     rate = sign() * rng.uniform(0.7, 4)

@@ -265,11 +265,17 @@ def _effects(rng, w, heat, at, low, travel, lead, period, drive_end, air_base) -
     out["local_wear"] = worn_stretch(rng, x, low, travel)
     gap = rng.uniform(3, 14)
     give = 1.0 - rng.uniform(0, 0.06) * np.exp(-w.since / 1.0)
-    add("backlash", gap / 2 * w.side * give * sign, ("dir",), params={"lost_motion": (gap, "um", True)})
+    add(
+        "backlash",
+        gap / 2 * w.side * give * sign,
+        ("dir",),
+        params={"lost_motion": (gap, "um", True)},
+        ideal=gap / 2 * w.side * sign,
+    )
     far = np.abs(x - drive_end) / travel
     drag = 1.0 + rng.uniform(-0.06, 0.06) * np.clip(at(heat.nut) / 15.0, 0, 1)
     add("screw_windup", -rng.uniform(3, 12) / 2 * w.side * far * drag, ("dir", low))
-    reach = rng.uniform(1.0, 12.0)
+    reach = np.exp(rng.uniform(np.log(0.08), np.log(2.0)))
     add(
         "friction_hysteresis", rng.uniform(2, 8) * w.side * (1 - 2 * np.exp(-((w.since / reach) ** 0.85))), ("dir", low)
     )
@@ -277,7 +283,13 @@ def _effects(rng, w, heat, at, low, travel, lead, period, drive_end, air_base) -
     strip = bodies.lump(10.0, heat.bed, rng.uniform(60, 400))
     strip_tilt = bodies.lump(10.0, heat.tilt, 300.0)
     local = at(strip) * x / 1e3 + at(strip_tilt) * (x**2 / travel - x) / 1e3
-    add("scale_expansion", alpha * local, (low, "T_bed"), params={"coefficient": (alpha, "um/m/K", True)})
+    add(
+        "scale_expansion",
+        alpha * local,
+        (low, "T_bed"),
+        params={"coefficient": (alpha, "um/m/K", True)},
+        ideal=alpha * at(heat.bed) * x / 1e3,
+    )
     add("feed_heating", growth(heat, w, travel, drive_end == 0.0), (low, "feed", "t"))
     source = str(rng.choice(["nut", "bearing", "bed"]))
     k = rng.uniform(1, 4) * rng.choice([-1, 1])
@@ -286,6 +298,7 @@ def _effects(rng, w, heat, at, low, travel, lead, period, drive_end, air_base) -
         k * at(bodies.lump(10.0, getattr(heat, source), rng.uniform(20, 90))),
         (f"T_{source}",),
         params={"coefficient": (k, "um/K", True)},
+        ideal=k * at(getattr(heat, source)),
     )
     slow = str(rng.choice(["nut", "bearing"]))
     thick = rng.uniform(0.02, 0.12)
@@ -304,7 +317,13 @@ def _effects(rng, w, heat, at, low, travel, lead, period, drive_end, air_base) -
     pair = [("bearing", "bed"), ("nut", "bed"), ("bearing", "nut"), ("bed", "air")][int(rng.integers(4))]
     bend = bodies.lump(10.0, getattr(heat, pair[0]) - getattr(heat, pair[1]), rng.uniform(30, 120))
     k = rng.uniform(1, 5) * rng.choice([-1, 1])
-    add("gradient_bending", k * at(bend), tuple(f"T_{p}" for p in pair), params={"coefficient": (k, "um/K", True)})
+    add(
+        "gradient_bending",
+        k * at(bend),
+        tuple(f"T_{p}" for p in pair),
+        params={"coefficient": (k, "um/K", True)},
+        ideal=k * at(getattr(heat, pair[0]) - getattr(heat, pair[1])),
+    )
     mass = bodies.wall_after(10.0, heat.air, rng.uniform(0.05, 0.3), rng.uniform(15, 40))
     add("ambient_drift", rng.uniform(2, 8) * sign * at(mass), ("T_air",))
     celsius = air_base + at(bodies.lump(10.0, heat.air, rng.uniform(20, 200)))
@@ -313,7 +332,7 @@ def _effects(rng, w, heat, at, low, travel, lead, period, drive_end, air_base) -
     hours = t / 3600.0
     rate = rng.uniform(0.5, 4) * rng.choice([-1, 1])
     bent = hours + rng.uniform(-0.05, 0.05) * (hours**2 / hours[-1] - hours)
-    add("sensor_drift", rate * bent, ("t",), params={"rate": (rate, "um/h", True)})
+    add("sensor_drift", rate * bent, ("t",), params={"rate": (rate, "um/h", True)}, ideal=rate * hours)
     return out
 
 

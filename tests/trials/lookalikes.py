@@ -181,7 +181,7 @@ def _thermal(bench: Bench, value: dict[str, Array], t: Array) -> Iterator[Form]:
     for s in sensors:
         lags = lagged(t, value[s], LAGS)
         for k, tau in enumerate(LAGS):
-            if tau <= 15000:
+            if 500 <= tau <= 15000:
                 yield Form("thermal_lag", (s,), _col(lags[:, k]), tau)
             if s in room and tau >= 2500:
                 yield Form("ambient_drift", (s,), _col(lags[:, k]), tau)
@@ -323,6 +323,14 @@ def _taken(y: Array, design: Array) -> float:
     weight, turn = np.linalg.eigh(design.T @ design)
     solid = weight > 1e-8 * y.size
     return float(np.sum((turn[:, solid].T @ (design.T @ y)) ** 2 / weight[solid]))
+
+
+def sharpened(bench: Bench, sensor: str, tau: float, values: Array, rows: Array) -> float:
+    """The lag in s that suits a contribution best, near one found on the coarse ladder."""
+    taus = tau * np.geomspace(1 / 1.7, 1.7, 61)
+    target = Target(values[rows], np.zeros((int(rows.sum()), 0)))
+    lags = lagged(bench.time(), bench.columns[sensor].values, taus)[rows]
+    return float(taus[int(np.argmax([target.explained(lag[:, None])[0] for lag in lags.T]))])
 
 
 def compare(

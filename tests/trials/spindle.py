@@ -198,9 +198,10 @@ def _effects(rng, m: Machine, keep, columns, sensors, size, name) -> dict[str, C
     dt, out = m.dt, {}
     t = columns["t"].values
 
-    def add(effect, whole, drivers, **more):
+    def add(effect, whole, drivers, ideal=None, **more):
         values = np.asarray(whole, float)[keep]
-        out[effect] = Contribution(effect, (values - values[0]) * size, drivers, **more)
+        textbook = None if ideal is None else ideal[keep] * size
+        out[effect] = Contribution(effect, (values - values[0]) * size, drivers, ideal=textbook, **more)
 
     def sign() -> float:
         return float(rng.choice([-1, 1]))
@@ -214,6 +215,7 @@ def _effects(rng, m: Machine, keep, columns, sensors, size, name) -> dict[str, C
         "thermal_drift",
         k * bodies.lump(dt, sensors[near], max(rng.uniform(10, 80), 0.2 * dt)),
         (near,),
+        ideal=k * sensors[near],
         params={"coefficient": (k * size, "um/K", True)},
     )
     far = str(
@@ -239,6 +241,7 @@ def _effects(rng, m: Machine, keep, columns, sensors, size, name) -> dict[str, C
             "gradient_bending",
             k * bodies.lump(dt, m.wall_front - m.wall_back, rng.uniform(20, 90)),
             ("T_col_front", "T_col_back"),
+            ideal=k * (m.wall_front - m.wall_back),
             params={"coefficient": (k * size, "um/K", True)},
         )
     heavy = bodies.wall_after(dt, m.room, rng.uniform(0.05, 0.3), rng.uniform(12, 40))
@@ -252,6 +255,7 @@ def _effects(rng, m: Machine, keep, columns, sensors, size, name) -> dict[str, C
         "sensor_drift",
         rate * (hours + rng.uniform(-0.04, 0.04) * (hours**2 / hours[-1] - hours)),
         ("t",),
+        ideal=rate * hours,
         params={"rate": (rate * size, "um/h", True)},
     )
     out["clock_offset"] = _late(rng, t, out)
