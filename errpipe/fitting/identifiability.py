@@ -49,15 +49,17 @@ def check(
     if penalty is not None:
         gram = gram + penalty / np.outer(length, length)
     level = [k for k, n in enumerate(names) if n.term == "offset"]
-    values, vectors = np.linalg.eigh(gram)
+    size = np.sqrt(np.diag(gram))  # a strong penalty would make the rest look like rounding
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     spread = _spread(scaled) if level else np.ones(design.shape[1])
     if values[0] <= 1e-13 * values[-1]:
-        raise NotIdentifiable(_words(_without_level(vectors[:, 0], level, scaled), scaled, names, recording, component))
-    inflation = np.diag(vectors / values @ vectors.T) * spread**2
+        direction = _without_level(vectors[:, 0] / size, level, scaled)
+        raise NotIdentifiable(_words(direction, scaled, names, recording, component))
+    inverse = vectors / values @ vectors.T / np.outer(size, size)
+    inflation = np.diag(inverse) * spread**2
     inflation[level] = 1.0
     worst = int(np.argmax(inflation))
     if inflation[worst] > most:
-        inverse = vectors / values @ vectors.T
         direction = inverse[:, worst] / np.sqrt(np.diag(inverse) * inverse[worst, worst])
         direction[level] = 0.0
         raise NotIdentifiable(_words(direction, scaled, names, recording, component))
@@ -79,7 +81,7 @@ def _without_level(direction: np.ndarray, level: list[int], scaled: np.ndarray) 
 
 
 def _words(direction, scaled, names, recording, component) -> str:
-    order = np.argsort(-np.abs(direction), kind="stable")
+    order = np.argsort(-np.round(np.abs(direction) / np.abs(direction).max(), 6), kind="stable")  # ties: as listed
     one, two = names[order[0]], names[order[1]]
     r = _correlation(scaled[:, order[0]], scaled[:, order[1]])
     involved = [names[k] for k in order if abs(direction[k]) > 0.1 * abs(direction[order[0]])]

@@ -242,7 +242,7 @@ def test_refusals_name_the_pair_the_reason_and_a_remedy(axis):
         " (correlation 1.000).\n     Leave one of them out, or fix its value."
     )
     assert refusal(cold, OFFSET, {"term": "scale_error", "axis": "X"}, SCALE) == (
-        "fit: coefficient (scale_expansion) and slope (scale_error) of EXX cannot be told apart: T_nut hardly changed"
+        "fit: slope (scale_error) and coefficient (scale_expansion) of EXX cannot be told apart: T_nut hardly changed"
         " (correlation 1.000).\n     Fix one of them, or record runs at clearly different temperatures."
     )
     assert refusal(together, OFFSET, *drift) == (

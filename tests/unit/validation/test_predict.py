@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting.model import ModelSpec, fit
+from errpipe.simulation import spindle_drift
+from errpipe.validation.predict import predict
+
+
+@pytest.fixture(scope="module")
+def drift():
+    return spindle_drift.simulate(1)[0]
+
+
+@pytest.fixture(scope="module")
+def model(drift):
+    terms = [
+        {"term": "offset"},
+        {"term": "thermal_drift", "sensor": "T_front"},
+        {"term": "thermal_lag", "sensor": "T_room"},
+    ]
+    spec = ModelSpec.model_validate({"components": [{"component": "E_Z", "terms": terms}]})
+    return fit(drift.take(drift.run_codes() < 5), spec)
+
+
+def test_one_row_per_row_in_order(drift, model):
+    found = predict(model, drift)
+    assert list(found) == ["run", "time", "E_Z_predicted", "E_Z_lower", "E_Z_upper", "E_Z_outside"]
+    assert (found["run"] == drift.frame["run"]).all() and (found["time"] == drift.frame["t"]).all()
+    assert (found["E_Z_lower"] < found["E_Z_predicted"]).all()
+    assert np.sqrt(np.mean((found["E_Z_predicted"] - drift.frame["E_Z"]) ** 2)) < 1.5
+
+
+def test_the_future_and_other_runs_change_nothing(drift, model):
+    whole = predict(model, drift)
+    rng = np.random.default_rng(0)
+    for cut in (300, 701, 1500):
+        run = drift.run_codes()[cut]
+        own = (drift.run_codes() == run) & (np.arange(len(drift)) <= cut)
+        frame = drift.frame.copy()
+        names = ["T_front", "T_rear", "T_room", "n"]
+        frame.loc[~own, names] = frame.loc[~own, names].to_numpy() + rng.normal(0, 5, (int((~own).sum()), len(names)))
+        changed = predict(model, Recording(drift.manifest, frame))
+        assert changed["E_Z_predicted"][cut] == whole["E_Z_predicted"][cut]
+        alone = predict(model, drift.take(own))
+        assert alone["E_Z_predicted"].iloc[-1] == whole["E_Z_predicted"][cut]
+
+
+def test_the_response_is_never_read(drift, model):
+    blind = Recording(drift.manifest, drift.frame.assign(E_Z=np.nan))
+    assert predict(model, blind)["E_Z_predicted"].equals(predict(model, drift)["E_Z_predicted"])
+
+
+def test_without_the_response_columns_are_named_by_component(drift, model):
+    bare = Recording(drift.manifest, drift.frame.drop(columns="E_Z"))
+    assert "E_Z_predicted" in predict(model, bare)
+
+
+def test_outside_is_told_and_widens(drift, model):
+    found = predict(model, drift)
+    summer = found["run"].isin(["s1", "s2", "s3"])
+    assert found.loc[summer, "E_Z_outside"].mean() > 0.9
+    assert found.loc[~summer, "E_Z_outside"].mean() == 0.0
+    width = found["E_Z_upper"] - found["E_Z_lower"]
+    assert width[summer].max() > 1.5 * width[~summer].max()
+
+
+def test_a_sensor_that_drops_out_holds_its_last_value(drift, model):
+    frame = drift.frame.copy()
+    frame.loc[100:110, "T_front"] = np.nan
+    held = frame.copy()
+    held.loc[100:110, "T_front"] = held.loc[99, "T_front"]
+    one, two = (predict(model, Recording(drift.manifest, f)) for f in (frame, held))
+    assert one["E_Z_predicted"].equals(two["E_Z_predicted"])
+
+
+def test_before_a_sensors_first_value_nothing_is_predicted(drift, model):
+    frame = drift.frame.copy()
+    frame.loc[0:4, "T_front"] = np.nan
+    found = predict(model, Recording(drift.manifest, frame))
+    assert (found["E_Z_predicted"][:5] == 0).all() and (found["E_Z_outside"][:5] == 1).all()
+
+
+def test_a_column_that_is_missing_is_named(drift, model):
+    with pytest.raises(DataError, match="no column T_room, which the model reads"):
+        predict(model, Recording(drift.manifest, drift.frame.drop(columns="T_room")))
