@@ -1,0 +1,154 @@
+/* Compensation tables on a controller: check a table in place, then evaluate it once per cycle.
+ *
+ * Format and arithmetic: ect-1.md, version 1. C99, one source file, no allocation, freestanding: nothing from the C
+ * library but memcpy, and memset where a compiler turns clearing into it. Compile with -ffp-contract=off: with fused multiply-adds results differ in their last bits
+ * (ect_arithmetic_is_exact() tells). -DECT_SINGLE computes in float and needs no double anywhere.
+ *
+ *     static uint64_t work[4096];
+ *     ect e;
+ *     if (ect_load(&e, table, size, work, sizeof work) != ECT_OK) { leave the corrections at 0; }
+ *     each position cycle:  ect_cycle(&e, readings, NULL, 1);  command_x += e.outputs[0].correction;
+ *
+ * The bytes of the table must stay where they are, unchanged, as long as it is used (read-only memory is fine).
+ */
+#ifndef ECT_H
+#define ECT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef ECT_SINGLE
+typedef float ect_real;
+#else
+typedef double ect_real;
+#endif
+
+typedef enum {
+    ECT_OK = 0,
+    ECT_NOT_A_TABLE,    /* does not start with the magic bytes */
+    ECT_TEXT_MODE,      /* a transfer changed its line ends */
+    ECT_CUT_OFF,        /* fewer or more bytes than it says */
+    ECT_VERSION,        /* another format version */
+    ECT_CHECKSUM,       /* damaged */
+    ECT_HEADER,         /* cycles, ramp, fade, texts or reserved bytes */
+    ECT_SECTION,        /* size, number or place of a section; ect.where is its id */
+    ECT_INPUT,          /* from here on ect.where is the number of the record */
+    ECT_SUBSTITUTE,
+    ECT_NODE,
+    ECT_OPERAND,
+    ECT_LOOKUP,
+    ECT_PROFILE,
+    ECT_VALUE,
+    ECT_COMPONENT,
+    ECT_PAIR,
+    ECT_OUTPUT,
+    ECT_TERM,
+    ECT_WORK            /* the work area is too small or not aligned to 8 bytes */
+} ect_error;
+
+enum { /* status bits */
+    ECT_RUNNING = 1, ECT_ACTIVE = 2, ECT_RAMPING = 4, ECT_SUBSTITUTED = 8, ECT_HELD = 16, ECT_DEFAULTED = 32,
+    ECT_FADING = 64, ECT_FADED = 128, ECT_AT_MAGNITUDE = 256, ECT_AT_RATE = 512, ECT_BEYOND_PROFILE = 1024,
+    ECT_WAITING = 2048, ECT_NOT_FINITE = 4096
+};
+
+typedef struct {
+    ect_real low, high, max_rate, stale_after, hold, fallback, offset, valid_low, valid_high, margin;
+    ect_real raw, wait, good, age;
+    ect_real value;         /* what the table computes with */
+    uint32_t first, count;
+    uint16_t flags;
+    uint8_t seen, usable;
+    uint8_t fault;          /* 0 none, 1 missing, 2 stale, 3 range, 4 rate */
+    uint8_t source;         /* 0 reading, 1 substitute, 2 held, 3 default */
+} ect_input;
+
+typedef struct {
+    ect_real weight;
+    uint32_t number;
+} ect_weighted;
+
+typedef struct {
+    ect_real a, b, c, d;
+    ect_real value, memory;
+    uint32_t first, count, other, others;
+    uint16_t op;
+    uint8_t flags, ready;
+} ect_node;
+
+typedef struct {
+    ect_real start, inverse_step, inverse_turn, scale;
+    ect_real value;
+    const uint8_t *values;  /* in the table */
+    int32_t input, last;
+    uint8_t periodic, same_grid;
+} ect_profile;
+
+typedef struct {
+    uint32_t component, profile, node, keep;
+} ect_pair;
+
+typedef struct {
+    ect_real factor, magnitude, slew, acceleration;
+    ect_real limited, rate, goal;
+    ect_real deviation;     /* um or urad */
+    ect_real correction;    /* in the output's correction unit, to be added to the command */
+    uint32_t first, count, flags;
+} ect_output;
+
+typedef struct {
+    ect_real weight;
+    uint32_t component, count, node[4];
+} ect_term;
+
+typedef struct {
+    const uint8_t *table;
+    ect_input *inputs;
+    ect_weighted *substitutes, *operands;
+    ect_node *nodes;
+    ect_real *lookups, *components;
+    ect_profile *profiles;
+    ect_pair *pairs;
+    ect_output *outputs;
+    ect_term *terms;
+    uint32_t *fast;         /* numbers of the nodes that are not slow */
+    uint32_t input_count, node_count, fast_count, profile_count, component_count, pair_count, output_count;
+    uint32_t slow_every, until_slow, unready;
+    ect_real cycle, ramp_time, fade_time;
+    ect_real ramp, fade;
+    uint32_t status, heartbeat;
+    uint32_t crc;           /* the table's name */
+    uint32_t where;         /* record that was refused */
+} ect;
+
+/* Bytes of work area a table needs; 0 if its header is refused. */
+size_t ect_work_size(const void *table, size_t size);
+
+/* Check everything and prepare. On any error the table is not used: ect_cycle then gives corrections of 0. */
+ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t work_size);
+
+/* The next cycle is the first of a run: states and references start anew, the ramp starts at 0. */
+void ect_reset(ect *e);
+
+/* One position cycle. readings: one per input, in the order of the table; fresh: non-zero where the reading is new
+ * since the last cycle (NULL: all are). Results: e->outputs[], e->status, e->heartbeat. */
+void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int enable);
+
+/* Number of the input or output of a name, -1 if there is none. */
+int32_t ect_find_input(const ect *e, const char *name);
+int32_t ect_find_output(const ect *e, const char *name);
+
+/* 1 if this build adds and multiplies with one rounding each (see -ffp-contract above). */
+int ect_arithmetic_is_exact(void);
+
+/* The error in words, for a display. */
+const char *ect_says(ect_error error);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
