@@ -42,7 +42,9 @@ CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
 WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing
 WORTH_STEPS = 16
-LEAST_OUTSIDE = 0.05  # ranges' widths: rows nearer to the box tell nothing of how errors grow outside of it
+LEAST_OUTSIDE = 0.01  # margins: rows nearer to the box tell nothing of how errors grow outside of it
+DOUBLED = 12.0  # K summed over sensors: this far outside the interval is at least twice as wide (2 K on each of six)
+MARGIN = 50.0  # K: the drivers fade by themselves, so a table's own fade has next to nothing left to do
 
 
 class SeasonOptions(Frozen):
@@ -80,7 +82,7 @@ class SeasonOptions(Frozen):
 
 @dataclass(frozen=True)
 class Intervals:
-    """Half width in um: `inside` the box of what was seen, wider by `widening` per range's width outside of it."""
+    """Half width in um: `inside` the box of what was seen, wider by `widening` per margin outside of it."""
 
     inside: float
     widening: float
@@ -249,9 +251,14 @@ class _Problem:
             out["core"][rows] = self.core_centred[rows] @ gains.core
             gate = np.clip(1.0 - away / self.options.fade, 0.0, 1.0)
             out["correction"][rows] = gate * (self.extra_centred[rows] @ gains.correction)
-            seen = box(self.recording, self.found.all(), self.rows & np.isin(self.group, rest))
+            seen = self.seen_box(self.rows & np.isin(self.group, rest))
             out["outside"][rows] = distance(seen, self.recording)[rows]
         return out
+
+    def seen_box(self, rows: np.ndarray) -> Validity:
+        """The temperatures of the rows of a mask."""
+        found = box(self.recording, self.found.all(), rows)
+        return found.model_copy(update={"margins": dict.fromkeys(found.ranges, MARGIN)})
 
     def environments(self) -> list[list[int]]:
         """Groups by their surroundings: the labelled ones, else runs that started cold and runs that started warm."""
@@ -304,7 +311,7 @@ class _Problem:
         parts = self._parts(gains, worth, share)
         total = d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
         terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
-        seen_box = box(self.recording, self.found.all(), self.rows)
+        seen_box = self.seen_box(self.rows)
         model = SeasonModel(
             self.component, self.options, parts, terms, intervals, seen_box,
             self.options.fade, limit, self._datum(),
@@ -349,10 +356,11 @@ class _Problem:
             groups = np.r_[self.group[seen], -1 - self.group[unseen]]
             inside = max(inside, conformal_half_width(errors, groups, level))
         beyond = far & (outside > LEAST_OUTSIDE)
+        least = inside * MARGIN / DOUBLED
         if np.count_nonzero(beyond) < 50:
-            return Intervals(inside, inside)
+            return Intervals(inside, least)
         needed = np.maximum(afar[beyond] - inside, 0.0) / outside[beyond]
-        return Intervals(inside, max(inside, conformal_half_width(needed, self.group[beyond], level)))
+        return Intervals(inside, max(least, conformal_half_width(needed, self.group[beyond], level)))
 
     def _parts(self, gains: _Gains, worth, share: float) -> tuple[tuple[str, float, d.Driver], ...]:
         away = self._distance_driver(gains)
