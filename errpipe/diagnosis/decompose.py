@@ -8,6 +8,7 @@ import numpy as np
 
 from errpipe.diagnosis.evidence import Active, Data, Scene
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
+from errpipe.domain.recording import Recording
 
 MOST_PARTS = 6
 COARSE = 0.01  # what textbook forms cannot reach, relative to the signal: taken for noise
@@ -45,14 +46,15 @@ class Decomposition:
     rest: np.ndarray
 
 
-def decompose(simulated: np.ndarray, library: Library) -> Decomposition:
-    """Greedy with backward pruning; each part must be worth its columns on the noiseless signal."""
-    return _Work(simulated, library).run()
+def decompose(simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray) -> Decomposition:
+    """Parts added, exchanged and dropped while the evidence grows; each must be worth its columns."""
+    return _Work(simulated, library, recording, rows).run()
 
 
 class _Work:
-    def __init__(self, simulated: np.ndarray, library: Library):
+    def __init__(self, simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray):
         self.y, self.library = simulated - simulated.mean(), library
+        self.recording, self.rows = recording, rows
         self.spread = float(self.y.std())
         self.sigma = COARSE * self.spread
         self.still = self.spread <= 1e-9 * (1 + np.abs(simulated).max())
@@ -130,7 +132,7 @@ class _Work:
         worth = self._certainty(chosen)
         parts, start, total = [], 1, np.full_like(self.y, b[0])
         for i, certainty in zip(chosen, worth, strict=True):
-            columns = self.library.columns[:, self.library.slices[i]]
+            columns = self.library.block(i, self.recording, self.rows)
             weights = b[start : start + columns.shape[1]]
             start += columns.shape[1]
             cores = self.library.cores[i]

@@ -14,7 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+
+from errpipe.kernels import noise
 
 MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blind trials: 5 to 12)
 SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
@@ -28,35 +29,45 @@ def whiten(columns: np.ndarray, run: np.ndarray, share: float = SHARE) -> np.nda
     g1 = phi * (1.0 - share)
     theta = (g0 - np.sqrt(max(g0**2 - 4 * g1**2, 0.0))) / (2 * g1)
     gain = np.sqrt(g1 / theta)
-    out = np.empty_like(columns, dtype=float)
-    for rows in stretches(run):
-        out[rows] = lfilter([1.0, -phi], [1.0, -theta], columns[rows], axis=0)
-        out[rows.start] = columns[rows.start] * gain  # the first row has no past
-    return out / gain
-
-
-def stretches(run: np.ndarray) -> list[slice]:
-    """Slices of rows that follow each other in one run."""
-    edges = np.flatnonzero(np.diff(run)) + 1
-    return [slice(int(a), int(b)) for a, b in zip(np.r_[0, edges], np.r_[edges, run.size], strict=True)]
+    flat = columns.ndim == 1
+    two = np.ascontiguousarray(columns[:, None] if flat else columns, dtype=float)
+    out = noise.whiten(run, two, phi, theta, gain)
+    return out[:, 0] if flat else out
 
 
 class Table:
     """Whitened columns with all their products; columns can be added, and are addressed by index."""
 
-    def __init__(self, run: np.ndarray, columns: np.ndarray):
+    def __init__(self, run: np.ndarray, blocks: list[np.ndarray], spare: int = 600):
         self.run, self.n = run, run.size
-        self.W = whiten(columns, run)
+        width = sum(b.shape[1] for b in blocks)
+        self._store = np.zeros((run.size, width + spare), order="F")
+        self.width = 0
+        for block in blocks:
+            self._store[:, self.width : self.width + block.shape[1]] = whiten(block, run)
+            self.width += block.shape[1]
         self.G = self.W.T @ self.W
+
+    @property
+    def W(self) -> np.ndarray:
+        """Whitened columns, shape (rows, columns so far)."""
+        return self._store[:, : self.width]
 
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns (rows, k); returns their indices."""
         fresh = whiten(columns, self.run)
+        first, last = self.width, self.width + fresh.shape[1]
+        if last > self._store.shape[1]:
+            grown = np.zeros((self.n, last + 300), order="F")
+            grown[:, :first] = self.W
+            self._store = grown
         cross = self.W.T @ fresh
-        self.G = np.block([[self.G, cross], [cross.T, fresh.T @ fresh]])
-        first = self.W.shape[1]
-        self.W = np.column_stack([self.W, fresh])
-        return np.arange(first, self.W.shape[1])
+        G = np.empty((last, last))
+        G[:first, :first], G[:first, first:] = self.G, cross
+        G[first:, :first], G[first:, first:] = cross.T, fresh.T @ fresh
+        self._store[:, first:last] = fresh
+        self.G, self.width = G, last
+        return np.arange(first, last)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class Hypothesis:
 class Library:
     """All hypotheses for a response on its rows: columns side by side, unit rms, with their freedoms.
 
-    columns: shape (rows, k); slices[i] addresses those of hypothesis i; cores[i] of them are the textbook form;
+    slices[i] addresses the columns of hypothesis i in the table; cores[i] of them are the textbook form;
     freedom: relative standard deviation of each; scale: response units per unit of the basis column.
     table: whitened products; its column `datum` is the constant.
     """
@@ -55,21 +55,19 @@ class Library:
     def __init__(self, hypotheses: list[Hypothesis], blocks: list[np.ndarray], freedoms: list[np.ndarray],
                  scales: list[np.ndarray], cores: list[int], run: np.ndarray):  # fmt: skip
         self.hypotheses, self.cores = hypotheses, cores
-        widths = [b.shape[1] for b in blocks]
-        edges = np.cumsum([0, *widths])
+        edges = np.cumsum([0, *[b.shape[1] for b in blocks]])
         self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-        self.columns = np.column_stack([*blocks, np.ones(run.size)])
         self.freedom = np.concatenate([*freedoms, [1.0]])
         self.scale = np.concatenate([*scales, [1.0]])
         self.datum = int(edges[-1])
-        self.table = Table(run, self.columns)
+        self.table = Table(run, [*blocks, np.ones((run.size, 1))])
         self._families: dict[tuple, list[int]] = {}
         for i, h in enumerate(hypotheses):
             self._families.setdefault(h.key, []).append(i)
 
     def extend(self, h: Hypothesis, block: np.ndarray, freedom: np.ndarray, scale: np.ndarray, cores: int) -> int:
         """Append a hypothesis; returns its index."""
-        first = self.columns.shape[1]
+        first = self.table.width
         self.add(block)
         self.freedom = np.r_[self.freedom, np.ones(first - self.freedom.size), freedom]
         self.scale = np.r_[self.scale, np.ones(first - self.scale.size), scale]
@@ -81,8 +79,14 @@ class Library:
 
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
-        self.columns = np.column_stack([self.columns, columns])
         return self.table.add(columns)
+
+    def block(self, i: int, recording: Recording, rows: np.ndarray) -> np.ndarray:
+        """Columns of a hypothesis before whitening, made again (rows, k)."""
+        core, slack, rel = columns_of(self.hypotheses[i], recording)
+        made = scaled(core[rows], slack[rows], rel)
+        assert made is not None
+        return made[0]
 
     def indices(self, i: int) -> np.ndarray:
         """Column numbers of a hypothesis."""
@@ -97,10 +101,17 @@ class Library:
         return self._families[self.hypotheses[i].key]
 
 
-def build(recording: Recording, component: str, rows: np.ndarray, raw: Recording | None = None) -> Library:
-    """The library for a response; raw: the recording as it was read, in which sensors may be seen to fail."""
+def build(
+    recording: Recording, component: str, rows: np.ndarray, raw: Recording | None = None,
+    signals: tuple[np.ndarray, ...] = (),
+) -> Library:  # fmt: skip
+    """The library for a response; raw: the recording as it was read, in which sensors may be seen to fail.
+
+    signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
+    """
     kept, blocks, freedoms, scales, cores = [], [], [], [], []
-    for hypothesis in enumerate_all(recording, component, raw or recording):
+    waves = Waves(rows, signals)
+    for hypothesis in enumerate_all(recording, component, raw or recording, waves):
         core, slack, rel = columns_of(hypothesis, recording)
         made = scaled(core[rows], slack[rows], rel)
         if made is None:
@@ -128,7 +139,7 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> tuple[np.nda
     return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
 
 
-def enumerate_all(recording: Recording, component: str, raw: Recording) -> Iterator[Hypothesis]:
+def enumerate_all(recording: Recording, component: str, raw: Recording, waves: Waves) -> Iterator[Hypothesis]:
     """Every hypothesis for a response."""
     for kind in TERMS:
         source = raw if kind.reports_as == "sensor_fault" else recording
@@ -140,8 +151,9 @@ def enumerate_all(recording: Recording, component: str, raw: Recording) -> Itera
             groups.append(tuple(bound))
         for group in groups:
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
-            for values in grid(group[0], recording):
-                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, prior_of(group[0], component))
+            for values in grid(group[0], recording, waves):
+                odds = prior_of(group[0], component)
+                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds)
     if component.startswith("F_"):
         for column in recording.names("acceleration", axis=component[2:]):
             yield Hypothesis("moving_mass", (Mass(column=column),), ((),), (column,))
@@ -157,6 +169,42 @@ def worth_trying(term: Term, recording: Recording) -> bool:
         places = np.unique(position(recording, term.axis))
         return places.size > 200
     return True
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Signals on the judged rows, in which waves along a position are looked for."""
+
+    rows: np.ndarray
+    signals: tuple[np.ndarray, ...]
+
+    def periods(self, x: np.ndarray, shortest: float = 1.5, longest: float = 60.0, most: int = 24) -> tuple[float, ...]:
+        """Lengths of the strongest waves of each signal along x, with neighbours a quarter of a turn apart."""
+        at = x[self.rows]
+        span = float(at.max() - at.min())
+        if span <= 0:
+            return ()
+        step = shortest / 4
+        cell = ((at - at.min()) / step).astype(int)
+        count = int(2 ** np.ceil(np.log2(cell.max() + 1))) * 4
+        rows_in = np.bincount(cell, minlength=count)
+        found: set[float] = set()
+        for signal in self.signals:
+            total = np.bincount(cell, weights=signal - signal.mean(), minlength=count)
+            mean = np.where(rows_in > 0, total / np.maximum(rows_in, 1), 0.0)
+            # slow shapes are not waves: take away a straight line before the transform
+            inside = rows_in > 0
+            place = np.arange(count)
+            mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3), place[inside])
+            power = np.abs(np.fft.rfft(mean * np.sqrt(rows_in)))
+            frequency = np.fft.rfftfreq(count, step)
+            allowed = (frequency >= max(1 / longest, 2.5 / span)) & (frequency <= 1 / shortest)
+            power = np.where(allowed, power, 0.0)
+            peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
+            for k in peaks[np.argsort(-power[peaks], kind="stable")][: most // 2]:
+                for shift in (-0.25, 0.0, 0.25):
+                    found.add(float(1.0 / max(frequency[k] + shift / span, 1e-6)))
+        return tuple(sorted(found))
 
 
 class Mass(Term):
@@ -187,7 +235,7 @@ GRIDS: dict[str, tuple[float, ...]] = {
 }
 
 
-def grid(term: Term, recording: Recording) -> list[tuple[float, ...]]:
+def grid(term: Term, recording: Recording, waves: Waves) -> list[tuple[float, ...]]:
     """Values of the non-linear parameters to try."""
     axes = []
     for p in term.nonlinear():
@@ -196,24 +244,17 @@ def grid(term: Term, recording: Recording) -> list[tuple[float, ...]]:
         elif f"{term.term}.{p.name}" in GRIDS:
             axes.append(GRIDS[f"{term.term}.{p.name}"])
         else:
-            axes.append(_free_grid(term, p.name, recording))
+            axes.append(_free_grid(term, p.name, recording, waves))
     out: list[tuple[float, ...]] = [()]
     for values in axes:
         out = [(*o, v) for o in out for v in values]
-    if term.term == "local_wear":
-        out = [(c, w) for c, w in out]
     return out
 
 
-def _free_grid(term: Term, name: str, recording: Recording) -> tuple[float, ...]:
+def _free_grid(term: Term, name: str, recording: Recording, waves: Waves) -> tuple[float, ...]:
     """Grids that depend on the recording: periods, places, clock offsets."""
     if name == "period":
-        x = position(recording, term.axis)
-        span = float(np.nanmax(x) - np.nanmin(x))
-        shortest, longest = (2.0, 40.0) if term.term == "torque_ripple" else (2.0, 30.0)
-        # waves are told apart by one quarter of a turn over the whole span
-        count = int(min(600, 4 * span * (1 / shortest - 1 / longest)))
-        return tuple(1 / f for f in np.linspace(1 / longest, 1 / shortest, max(count, 2)))
+        return waves.periods(position(recording, term.axis))
     if name == "centre":
         x = position(recording, term.axis)
         return tuple(np.linspace(np.nanmin(x), np.nanmax(x), 25)[1:-1])
@@ -233,6 +274,8 @@ def prior_of(term: Term, component: str) -> float:
     """Log prior odds of a binding beside its like: the stranger, the lower."""
     if term.term == "thermal_interaction":
         return -2.0
+    if term.term == "torque_ripple" or (term.term == "pitch_cyclic" and not term.fixed):
+        return -5.0  # the strongest of some hundred waves was picked
     if term.term == "sensor_fault":
         return -3.0
     if term.term == "clock_offset":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -37,6 +38,7 @@ class Case:
     run: np.ndarray
     nuisance: Active
     names: list[str]
+    recal: np.ndarray  # the nuisances' columns before whitening
     search: Search
     explanation: Explanation
     sigma: float
@@ -52,18 +54,20 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
     """Explain one response."""
     rows = pair.rows
     progress(0.1, f"{pair.component}: listing what may be missing")
-    library = hypotheses.build(conditioned, pair.component, rows, raw)
     simulated = conditioned.array(pair.simulated)[rows]
+    library = hypotheses.build(conditioned, pair.component, rows, raw, (pair.mismatch, simulated))
     progress(0.3, f"{pair.component}: taking the simulation apart")
-    decomposition = parts.decompose(simulated, library)
-    nuisance, names = recalibration(simulated, decomposition, library)
+    decomposition = parts.decompose(simulated, library, conditioned, rows)
+    nuisance, names, recal = recalibration(simulated, decomposition, library)
     progress(0.5, f"{pair.component}: looking for what is missing")
     data = Data.of(library.table, pair.mismatch)
     prior = log_prior(library, decomposition)
     run = conditioned.run_codes()[rows]
     sigma = rough = first_noise(pair.mismatch, run)
     loose: list[Shape] = shapes(conditioned, pair.component, rows)
-    places = [library.add(s.columns) for s in loose]
+    every = library.add(np.column_stack([s.columns for s in loose]))
+    edges = np.cumsum([0, *[s.columns.shape[1] for s in loose]])
+    places = [every[a:b] for a, b in itertools.pairwise(edges)]
     for _ in range(4):
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE)
         explanation = search.explain()
@@ -80,14 +84,14 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
             search.sigma = sigma
     chosen = [(f.index, f.size) for f in explanation.found]
     rest = admit.remainder(search, library, chosen, loose, places)
-    return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, search,
-                explanation, sigma, rest, rough)  # fmt: skip
+    return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal,
+                search, explanation, sigma, rest, rough)  # fmt: skip
 
 
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
-) -> tuple[Active, list[str]]:
-    """Datum, gain of the whole simulated signal, gain of each of its parts; and their names."""
+) -> tuple[Active, list[str], np.ndarray]:
+    """Datum, gain of the whole simulated signal, gain of each of its parts; their names and columns."""
     columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
     for part in d.parts:
         for what, values in (("", part.core), (", not textbook", part.slack)):
@@ -96,9 +100,11 @@ def recalibration(
                 sd.append(GAIN_SD)
                 names.append(part.hypothesis.effect + what)
     size = [max(float(np.std(c)), 1e-12) for c in columns]
-    index = library.add(np.column_stack([c / s for c, s in zip(columns, size, strict=True)]))
+    block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
+    index = library.add(block)
     active = Active(np.array([library.datum]), np.array([np.inf]))
-    return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names]
+    every = np.column_stack([np.ones(simulated.size), block])
+    return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names], every
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
@@ -124,8 +130,10 @@ def first_noise(y: np.ndarray, run: np.ndarray) -> float:
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
     """What the explanation leaves, on the judged rows."""
-    scene = case.search.scene(case.chosen() if chosen is None else chosen)
-    return case.y - case.library.columns[:, scene.active.index] @ scene.coefficients()
+    chosen = case.chosen() if chosen is None else chosen
+    scene = case.search.scene(chosen)
+    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in chosen]
+    return case.y - np.column_stack([case.recal, *blocks]) @ scene.coefficients()
 
 
 def needs_recalibration(case: Case) -> bool:

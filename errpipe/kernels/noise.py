@@ -1,0 +1,22 @@
+"""Coloured noise made white: an ARMA(1,1) filter over runs of rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.kernels import kernel
+
+
+@kernel
+def whiten(run, columns, phi, theta, gain):
+    """Columns (rows, k) filtered by (1 - phi B) / (1 - theta B) / gain; each run starts anew with its own value."""
+    n, k = columns.shape
+    out = np.empty((n, k))
+    for i in range(n):
+        if i == 0 or run[i] != run[i - 1]:
+            for j in range(k):
+                out[i, j] = columns[i, j]
+        else:
+            for j in range(k):
+                out[i, j] = (columns[i, j] - phi * columns[i - 1, j]) / gain + theta * out[i - 1, j]
+    return out
