@@ -21,7 +21,9 @@ NAMES = [
 
 
 def make(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["make", *arguments], capture_output=True, text=True, check=False)
+    # `make test` hands its own flags and depth down to us; this make must not know of them
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    return subprocess.run(["make", *arguments], capture_output=True, text=True, check=False, env=environment)
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not here")
