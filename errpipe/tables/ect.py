@@ -134,8 +134,8 @@ def _input_record(i: t.TableInput, first: int) -> bytes:
     valid = i.valid or (0.0, 0.0)
     return lay.INPUT.pack(
         i.name.encode(), i.axis.encode(), i.unit.encode(), lay.KINDS.index(i.kind), flags, first, len(i.substitute),
-        i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, i.hold_s or 0.0, i.default, i.substitute_offset,
-        *valid, i.margin or 0.0,
+        i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, 0.0 if i.hold_s is None else i.hold_s, i.default,
+        i.substitute_offset, *valid, i.margin or 0.0,
     )  # fmt: skip
 
 

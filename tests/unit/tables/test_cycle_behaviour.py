@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import position, sensor
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.tables import ComponentSource, Limits, compile_table
 from errpipe.tables.reference import Evaluator
 from errpipe.terms._base import Lowered
+from tests.unit.tables.made import position, sensor
 
 
 def thermal(channel, more=(), **options):

@@ -1,0 +1,301 @@
+"""The C runtime: warnings are errors, equal to the Numba cycle to the bit, never past the end of a damaged table."""
+
+from __future__ import annotations
+
+import ctypes
+import random
+import re
+import shutil
+import struct
+import subprocess
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe import tables
+from errpipe.errors import VerifyError
+from errpipe.kernels import table_cycle
+from errpipe.tables import ect, pack
+from tests.bench.bench_tables import machine
+from tests.unit.tables.made import everything, stimulus, ten_um_too_long
+
+HERE = Path(__file__).parent
+RUNTIME = Path(tables.__file__).parent / "runtime"
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+pytestmark = [
+    pytest.mark.toolchain,
+    pytest.mark.skipif(not COMPILERS, reason="no C compiler (gcc, clang) on this machine"),
+]
+
+
+def run(*command, **more):
+    return subprocess.run([str(c) for c in command], check=True, capture_output=True, text=True, **more)
+
+
+class Library:
+    """The runtime and the tests' driver as a shared library."""
+
+    def __init__(self, path: Path, real=np.float64):
+        self.dll = ctypes.CDLL(str(path))
+        self.dll.mutate.restype = ctypes.c_size_t
+        self.dll.ect_work_size.restype = ctypes.c_size_t
+        self.real = real
+
+    def load(self, data: bytes) -> tuple[int, int]:
+        where = ctypes.c_uint32()
+        return self.dll.load(data, ctypes.c_size_t(len(data)), ctypes.byref(where)), where.value
+
+    def stream(self, table, readings, fresh, enable):
+        data, cycles, outputs = ect.dumps(table), len(readings), len(table.outputs)
+        readings = np.ascontiguousarray(readings, dtype=self.real)
+        deviation, correction = np.empty((2, cycles, outputs), dtype=self.real)
+        status = np.empty(cycles, dtype=np.uint32)
+        arrays = (readings, fresh, enable, deviation, correction, status)
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in arrays]
+        error = self.dll.stream(data, ctypes.c_size_t(len(data)), ctypes.c_size_t(cycles), *pointers)
+        assert error == 0, error
+        return deviation, correction, status
+
+
+def build(folder: Path, *flags, compiler=None, name="libect.so", sources=("driver.c",)) -> Path:
+    out = folder / name
+    own = [RUNTIME / "ect.c", *(HERE / s for s in sources)]
+    run(compiler or COMPILERS[0], *STRICT, "-shared", "-fPIC", *flags, f"-I{RUNTIME}", *own, "-o", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return Library(build(tmp_path_factory.mktemp("c")))
+
+
+def numba_stream(table, readings, fresh, enable):
+    program = pack.program(table)
+    state = pack.state(program)
+    shape = (len(readings), len(table.outputs))
+    deviation, correction, status = np.empty(shape), np.empty(shape), np.empty(shape[0], dtype=np.int64)
+    table_cycle.stream(program, state, readings, fresh, enable, deviation, correction, status)
+    return deviation, correction, status
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+def test_compiles_without_a_warning_and_needs_only_memcpy_and_memset(tmp_path, compiler, single):
+    if compiler not in COMPILERS:
+        pytest.skip(f"{compiler} is not installed")
+    flags = ["-DECT_SINGLE"] if single else []
+    run(compiler, *STRICT, *flags, "-ffreestanding", "-c", RUNTIME / "ect.c", "-o", tmp_path / "ect.o")
+    wanted = run("nm", "-u", tmp_path / "ect.o").stdout.split()
+    assert set(wanted) - {"U", "w"} <= {"memcpy", "memset"}
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+def test_the_header_is_good_for_cpp(tmp_path):
+    (tmp_path / "use.cpp").write_text('#include "ect.h"\nint main() { return ect_find_input(nullptr, "x") < -1; }\n')
+    strict = ["-Wall", "-Wextra", "-Werror", "-pedantic"]
+    run("g++", *strict, f"-I{RUNTIME}", "-c", tmp_path / "use.cpp", "-o", tmp_path / "use.o")
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_equal_to_numba_to_the_bit(library, seed):
+    table = everything(seed)
+    case = stimulus(table, 2000, seed)
+    for ours, theirs in zip(library.stream(table, *case), numba_stream(table, *case), strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+@pytest.mark.slow
+def test_equal_to_numba_to_the_bit_over_a_million_cycles(library):
+    for seed in range(200, 220):
+        table = everything(seed)
+        case = stimulus(table, 50_000, seed)
+        for ours, theirs in zip(library.stream(table, *case), numba_stream(table, *case), strict=True):
+            assert np.array_equal(ours, theirs), seed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("optimise", ["-O0", "-O3"])
+def test_every_compiler_and_optimisation_gives_the_same_bits(tmp_path, compiler, optimise):
+    other = Library(build(tmp_path, optimise, compiler=compiler))
+    for seed in (3, 7, 11):
+        table = everything(seed)
+        case = stimulus(table, 500, seed)
+        for ours, theirs in zip(other.stream(table, *case), numba_stream(table, *case), strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+def warm_up(table, cycles, seed):
+    """Axes in motion and slowly warming sensors, a controller's ordinary day."""
+    rng = np.random.default_rng(seed)
+    readings = np.empty((cycles, len(table.inputs)))
+    for n, i in enumerate(table.inputs):
+        if i.kind == "position":
+            readings[:, n] = 300 + 290 * np.sin(rng.uniform(0, 6) + 0.002 * np.arange(cycles) * rng.uniform(0.5, 2))
+        else:
+            readings[:, n] = 20 + 15 * (1 - np.exp(-np.arange(cycles) / cycles * rng.uniform(1, 3)))
+    return readings, np.ones(readings.shape, dtype=np.uint8), np.ones(cycles, dtype=np.uint8)
+
+
+def test_single_precision_stays_within_a_few_nanometres(tmp_path):
+    single = Library(build(tmp_path, "-DECT_SINGLE"), np.float32)
+    table = machine(thermal=True)
+    readings, fresh, enable = warm_up(table, 20_000, 4)
+    readings = readings.astype(np.float32).astype(float)
+    deviation, correction, status = single.stream(table, readings, fresh, enable)
+    exact = numba_stream(table, readings, fresh, enable)
+    assert np.max(np.abs(deviation - exact[0])) < 0.005
+    assert np.max(np.abs(correction - exact[1])) < 5e-6
+    assert np.mean(status == exact[2]) > 0.999
+
+
+def test_a_machine_ten_um_too_long_is_moved_back(library):
+    """The sign, in C: at +X the correction is -0.010 mm."""
+    readings = np.array([[0.0], [500.0], [1000.0]])
+    ones = np.ones((3, 1), dtype=np.uint8)
+    deviation, correction, _ = library.stream(ten_um_too_long(), readings, ones, np.ones(3, dtype=np.uint8))
+    assert deviation[:, 0].tolist() == [0.0, 5.0, 10.0]
+    assert correction[:, 0].tolist() == [0.0, -0.005, -0.01]
+
+
+@pytest.mark.parametrize("count", [0, 7, 23, 300, 511, 512, 900])
+def test_a_cut_off_table_is_refused(library, count):
+    assert library.load(ect.dumps(everything(1))[:count])[0] in (1, 3)
+
+
+def test_a_single_flipped_bit_is_refused(library):
+    data = ect.dumps(everything(2))
+    for at in range(0, len(data), 31):
+        broken = bytearray(data)
+        broken[at] ^= 1 << at % 8
+        assert library.load(bytes(broken))[0] != 0
+
+
+def damaged(r: random.Random, data: bytes) -> bytes:
+    """A table damaged in a few places, its checksum mended."""
+    odd = [0.0, -0.0, 1e15, 1e-15, -1.0, float("nan"), float("inf"), 1e16]
+    special = [*(struct.pack("<d", v) for v in odd), b"\xff" * 4, bytes(4), b"\1\0\0\0", b"\xff\xff\xff\x7f"]
+    out = bytearray(data)
+    for _ in range(r.choice((1, 1, 1, 2, 3))):
+        at = r.randrange(len(out))
+        kind = r.random()
+        if kind < 0.3:
+            out[at] ^= 1 << r.randrange(8)
+        elif kind < 0.6:
+            value = r.choice(special)
+            out[at & ~7 : (at & ~7) + len(value)] = value
+        elif kind < 0.8:
+            out[at] = (out[at] + r.choice((1, -1))) % 256
+        else:
+            out[at] = r.randrange(256)
+    out = out[: len(data)]
+    struct.pack_into("<I", out, 20, zlib.crc32(out[24:]))
+    return bytes(out)
+
+
+def python_takes(data: bytes) -> bool:
+    try:
+        ect.loads(data)
+    except VerifyError:
+        return False
+    return True
+
+
+def test_both_readers_refuse_the_same_files(library):
+    """The C reader was written from the format page, the Python one beside it: they judge damaged files alike."""
+    r = random.Random(5)
+    sound = [ect.dumps(everything(s)) for s in range(50, 60)]
+    taken = 0
+    for _ in range(1500):
+        data = damaged(r, r.choice(sound))
+        ours, theirs = python_takes(data), library.load(data)
+        assert ours == (theirs[0] == 0), theirs
+        taken += ours
+    assert 50 < taken < 600
+
+
+@pytest.mark.parametrize("case", sorted((HERE / "seeds").glob("*.ect")), ids=lambda p: p.stem)
+def test_files_that_once_went_wrong(library, case):
+    data = case.read_bytes()
+    assert python_takes(data) == (library.load(data)[0] == 0)
+
+
+def sanitized(folder: Path, tables_) -> tuple[Path, list[Path]]:
+    flags = ["-g", "-O1", "-DALONE", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    try:
+        run(COMPILERS[0], *STRICT, *flags, f"-I{RUNTIME}", RUNTIME / "ect.c", HERE / "fuzz.c", "-o", folder / "fuzz")
+    except subprocess.CalledProcessError as err:
+        pytest.skip(f"no sanitizers here: {err.stderr.splitlines()[-1]}")
+    files = [folder / f"{n}.ect" for n in range(len(tables_))]
+    for table, file in zip(tables_, files, strict=True):
+        ect.write(table, file)
+    return folder / "fuzz", files
+
+
+def test_damaged_tables_never_read_out_of_bounds(tmp_path):
+    program, files = sanitized(tmp_path, [everything(s) for s in range(8)])
+    told = run(program, *files, 500).stdout
+    assert re.match(r"4000 executions, \d+ accepted", told)
+
+
+@pytest.mark.slow
+def test_many_damaged_tables_never_read_out_of_bounds(tmp_path):
+    program, files = sanitized(tmp_path, [everything(s) for s in range(20, 40)])
+    assert run(program, *files, 10_000).stdout.startswith("200000 executions")
+
+
+def test_memory_is_known_before_it_runs(library):
+    table = machine(thermal=True)
+    data = ect.dumps(table)
+    assert 1000 < library.dll.ect_work_size(data, ctypes.c_size_t(len(data))) < 40_000
+    assert library.dll.ect_work_size(data[:300], ctypes.c_size_t(300)) == 0
+
+
+# Cortex-M in an emulator -----------------------------------------------------------------------------
+
+ARM = [name for name in ("arm-none-eabi-gcc", "qemu-system-arm") if shutil.which(name) is None]
+BOARDS = {
+    "m4f": ("mps2-an386", ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]),
+    "m3": ("mps2-an385", ["-mcpu=cortex-m3", "-mthumb"]),
+}
+
+
+def case_header(table, readings, folder: Path, work: int) -> None:
+    data = ect.dumps(table)
+    rows = ",\n".join("{" + ", ".join(f"{float(v)!r}f" for v in row) + "}" for row in readings)
+    (folder / "case.h").write_text(
+        f"#define INPUTS {len(table.inputs)}\n#define CYCLES {len(readings)}\n#define WORK {work}\n"
+        f"static const unsigned char TABLE[] = {{{', '.join(map(str, data))}}};\n"
+        f"static const float READINGS[CYCLES][INPUTS] = {{{rows}}};\n"
+    )
+
+
+@pytest.mark.skipif(bool(ARM), reason=f"not installed: {', '.join(ARM)}")
+@pytest.mark.slow
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("single", [True, False], ids=["single", "double"])
+def test_a_cortex_m_gives_the_bits_of_this_machine(tmp_path, library, board, single, capsys):
+    table = machine(thermal=True)
+    readings, _, _ = warm_up(table, 60, 2)
+    data = ect.dumps(table)
+    work = library.dll.ect_work_size(data, ctypes.c_size_t(len(data)))
+    case_header(table, readings.astype(np.float32), tmp_path, work)
+    model, cpu = BOARDS[board]
+    common = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{tmp_path}", f"-I{RUNTIME}"]
+    common += ["-DECT_SINGLE"] if single else []
+    sources = [RUNTIME / "ect.c", HERE / "arm" / "main.c"]
+    run(COMPILERS[0], *common, *sources, "-o", tmp_path / "host")
+    start = ["-nostartfiles", "--specs=rdimon.specs", "-T", HERE / "arm" / "mps2.ld", HERE / "arm" / "startup.c"]
+    run("arm-none-eabi-gcc", *cpu, *common, *start, *sources, "-o", tmp_path / "board.elf")
+    quiet = ["-nographic", "-monitor", "none", "-serial", "none"]
+    semihosting = ["-semihosting-config", "enable=on,target=native", "-icount", "shift=0"]
+    kernel = ["-kernel", tmp_path / "board.elf"]
+    there = run("qemu-system-arm", "-M", model, *quiet, *semihosting, *kernel, timeout=120)
+    here = run(tmp_path / "host").stdout
+    assert here.startswith("exact 1\n") and here.count("\n") == 61
+    assert there.stdout == here
+    with capsys.disabled():
+        print(f"\n{board}, {'single' if single else 'double'}, 21 components and 8 sensors: {there.stderr.strip()}")
