@@ -376,6 +376,8 @@ def key_of(bench: Bench, story: Story, tier: str) -> dict[str, Any]:
     key["truth"] = [c.effect for c in story.hidden]
     for c in story.hidden:
         _one_effect(bench, story, c, included, noise, tier, key)
+    if len(key["effects"]) == 2 and set(key["effects"][0]) & set(key["effects"][1]):
+        raise Unfit("two effects that pass for each other")
     if len(story.hidden) == 1 and story.hidden[0].where:
         key["where"] = story.hidden[0].where
     if tier == "novel":

@@ -126,11 +126,11 @@ def markdown(judged: list[Judged], title: str) -> str:
     f = figures(judged)
     lines += [
         "",
-        f"False alarms on nulls {_p(f['alarms_on_nulls'], 1)}; known effects left unnamed",
-        f"{_p(f['abstained_on_known'])};",
-        f"novel mechanisms admitted as unknown {_p(f['admitted_on_novel'])}, named with confidence 0.8 or more",
-        f"{_p(f['bold_on_novel'])}; held-out residual above 1.15 of the noise in {_p(f['residual_over_1_15'])} of the",
-        "right cases.",
+        f"- false alarms on nulls: {_p(f['alarms_on_nulls'], 1)}",
+        f"- known effects left unnamed: {_p(f['abstained_on_known'])}",
+        f"- novel mechanisms admitted as unknown: {_p(f['admitted_on_novel'])}; "
+        f"named with confidence 0.8 or more: {_p(f['bold_on_novel'])}",
+        f"- right cases whose held-out residual is above 1.15 of the noise: {_p(f['residual_over_1_15'])}",
     ]
     lines += ["", "| stated confidence | findings | said | right |", "| --- | ---: | ---: | ---: |"]
     for r in reliability(judged):

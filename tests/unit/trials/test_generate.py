@@ -81,6 +81,8 @@ def test_keys_say_what_the_public_sample_says(drawn):
             for group, truth in zip(response["effects"], response["truth"], strict=True):
                 assert group[0] == truth or truth.startswith("outside the vocabulary")
             assert not set(response["truth"]) & set(response["in_the_simulation"])
+            if len(response["effects"]) == 2:
+                assert not set(response["effects"][0]) & set(response["effects"][1])
         missing = [r for r in key["responses"].values() if r["effects"]]
         assert len(missing) == (0 if key["tier"] == "null" else 1)
 

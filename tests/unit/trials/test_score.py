@@ -164,3 +164,12 @@ def test_agrees_with_the_public_judge(drawn, tmp_path, monkeypatch):
             assert ours["params"] == theirs["params"], name
             assert ours["location"] == pytest.approx(theirs["location"]), name
             assert ours["recovered"] == pytest.approx(theirs["recovered"]), name
+
+
+def test_a_greedy_regression_finds_the_easy_half_only(drawn, tmp_path):
+    from tests.trials.baseline import diagnose
+
+    for key in sealed_answers(drawn):
+        write(tmp_path, key["case"], diagnose(drawn / "cases" / key["case"]))
+    found = figures(score(drawn, tmp_path))
+    assert 0.35 < found["correct"] < 0.9
