@@ -65,7 +65,7 @@ class _Work:
     def run(self) -> Decomposition:
         if self.still or not self.library.hypotheses:
             return Decomposition((), 0.0, np.zeros_like(self.y))
-        self.data = Data.of(self.library.table, self.y)
+        self.data = Data(self.library.table, self.y)
         chosen, worth = [], self._worth([])
         for _ in range(4 * MOST_PARTS):
             chosen, better = self._best_move(chosen, worth)

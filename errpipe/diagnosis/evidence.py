@@ -11,6 +11,7 @@ All products of columns are formed once (`Table`); a search then never touches t
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,15 +39,17 @@ def whiten(columns: np.ndarray, run: np.ndarray, share: float = SHARE) -> np.nda
 class Table:
     """Whitened columns with all their products; columns can be added, and are addressed by index."""
 
-    def __init__(self, run: np.ndarray, blocks: list[np.ndarray], spare: int = 600):
-        self.run, self.n = run, run.size
+    def __init__(self, run: np.ndarray, blocks: list[np.ndarray], fold: np.ndarray, spare: int = 600):
+        self.run, self.n, self.fold = run, run.size, fold
+        self.rows = [np.flatnonzero(fold == f) for f in range(int(fold.max()) + 1)]
         width = sum(b.shape[1] for b in blocks)
         self._store = np.zeros((run.size, width + spare), order="F")
         self.width = 0
         for block in blocks:
             self._store[:, self.width : self.width + block.shape[1]] = whiten(block, run)
             self.width += block.shape[1]
-        self.G = self.W.T @ self.W
+        self.parts = [self.W[r].T @ self.W[r] for r in self.rows]
+        self.G = np.sum(self.parts, axis=0)
 
     @property
     def W(self) -> np.ndarray:
@@ -61,36 +64,62 @@ class Table:
             grown = np.zeros((self.n, last + 300), order="F")
             grown[:, :first] = self.W
             self._store = grown
-        cross = self.W.T @ fresh
-        G = np.empty((last, last))
-        G[:first, :first], G[:first, first:] = self.G, cross
-        G[first:, :first], G[first:, first:] = cross.T, fresh.T @ fresh
+        for f, rows in enumerate(self.rows):
+            cross, own = self.W[rows].T @ fresh[rows], fresh[rows].T @ fresh[rows]
+            self.parts[f] = np.block([[self.parts[f], cross], [cross.T, own]])
         self._store[:, first:last] = fresh
-        self.G, self.width = G, last
+        self.G, self.width = np.sum(self.parts, axis=0), last
         return np.arange(first, last)
 
 
-@dataclass(frozen=True)
 class Data:
-    """A signal to be explained: its products with the table's columns and with itself."""
+    """A signal to be explained: its products with the table's columns and with itself, fold by fold.
 
-    table: Table
-    y: np.ndarray
-    yy: float
-    known: list[np.ndarray]
+    without: a fold that takes no part (held out), or None.
+    """
 
-    @classmethod
-    def of(cls, table: Table, values: np.ndarray) -> Data:
-        """Whiten a signal of shape (rows,)."""
-        y = whiten(values, table.run)
-        return cls(table, y, float(y @ y), [np.zeros(0)])
+    def __init__(self, table: Table, values: np.ndarray):
+        self.table, self.y = table, whiten(values, table.run)
+        self.squares = np.array([float(self.y[r] @ self.y[r]) for r in table.rows])
+        self._known = np.zeros((len(table.rows), 0))
+        self.without: int | None = None
+        self._train: np.ndarray | None = None
+
+    def hold_out(self, fold: int) -> Data:
+        """The same signal, one fold taking no part."""
+        other = copy.copy(self)
+        other.without, other._train = fold, None
+        return other
+
+    @property
+    def n(self) -> int:
+        """Rows that take part."""
+        out = 0 if self.without is None else self.table.rows[self.without].size
+        return self.table.n - out
+
+    @property
+    def yy(self) -> float:
+        """Sum of squares."""
+        return float(self.squares.sum() - (0.0 if self.without is None else self.squares[self.without]))
+
+    @property
+    def G(self) -> np.ndarray:
+        """Products of the table's columns."""
+        if self.without is None:
+            return self.table.G
+        if self._train is None or self._train.shape[0] != self.table.width:
+            self._train = self.table.G - self.table.parts[self.without]
+        return self._train
 
     def products(self) -> np.ndarray:
         """Products with all columns that the table holds by now."""
-        done = self.known[0].size
-        if done < self.table.W.shape[1]:
-            self.known[0] = np.r_[self.known[0], self.table.W[:, done:].T @ self.y]
-        return self.known[0]
+        done = self._known.shape[1]
+        if done < self.table.width:
+            W = self.table.W[:, done:]
+            fresh = np.stack([W[r].T @ self.y[r] for r in self.table.rows])
+            self._known = np.column_stack([self._known, fresh])
+        total = self._known.sum(axis=0)
+        return total if self.without is None else total - self._known[self.without]
 
 
 @dataclass(frozen=True)
@@ -122,10 +151,11 @@ class Scene:
     def __init__(self, data: Data, active: Active, sigma: float):
         table = data.table
         self.table, self.data, self.active, self.sigma = table, data, active, sigma
-        self.n = table.n
+        self.n = data.n
+        self.G = data.G
         i = active.index
         self.Zy_all = data.products()
-        G = table.G[np.ix_(i, i)]
+        G = self.G[np.ix_(i, i)]
         prior = np.where(np.isinf(active.sd), 0.0, sigma**2 / np.maximum(active.sd, 1e-300) ** 2)
         self.M = G + np.diag(prior + 1e-11 * np.diag(G) + 1e-300)
         self.chol = np.linalg.cholesky(self.M)
@@ -144,7 +174,7 @@ class Scene:
     def freedom_used(self) -> float:
         """Effective number of coefficients."""
         i = self.active.index
-        return float(np.trace(np.linalg.solve(self.M, self.table.G[np.ix_(i, i)])))
+        return float(np.trace(np.linalg.solve(self.M, self.G[np.ix_(i, i)])))
 
     def rms(self) -> float:
         """Whitened residual rms, corrected for the coefficients used."""
@@ -159,8 +189,8 @@ class Scene:
 
     def exactly(self, index: int, value: float, sd: float) -> float:
         """Log Bayes factor of one column with a coefficient known to be `value` within `sd`."""
-        half = np.linalg.solve(self.chol, self.table.G[self.active.index, index])
-        S = self.table.G[index, index] - half @ half
+        half = np.linalg.solve(self.chol, self.G[self.active.index, index])
+        S = self.G[index, index] - half @ half
         s = self.Zy_all[index] - half @ self.half
         rest = s - value * S  # what the column still sees once `value` of it is taken away
         Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
@@ -172,7 +202,7 @@ class Scene:
         """Score hypotheses: columns of each (slice or indices into the table) and their relative freedoms."""
         index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
         used = np.concatenate(index) if index else np.zeros(0, dtype=int)
-        half = np.linalg.solve(self.chol, self.table.G[np.ix_(self.active.index, used)])
+        half = np.linalg.solve(self.chol, self.G[np.ix_(self.active.index, used)])
         s_all = self.Zy_all[used] - half.T @ self.half
         starts = np.cumsum([0, *[i.size for i in index]])
         out: list[Scored | None] = [None] * len(index)
@@ -181,7 +211,7 @@ class Scene:
             sizes.setdefault(i.size, []).append(k)
         for width, members in sizes.items():
             cols = np.stack([index[k] for k in members])
-            S = self.table.G[cols[:, :, None], cols[:, None, :]]
+            S = self.G[cols[:, :, None], cols[:, None, :]]
             place = np.stack([np.arange(starts[k], starts[k] + width) for k in members])
             h = half[:, place].transpose(1, 0, 2)
             S = S - h.transpose(0, 2, 1) @ h

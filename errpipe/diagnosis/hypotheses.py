@@ -53,14 +53,14 @@ class Library:
     """
 
     def __init__(self, hypotheses: list[Hypothesis], blocks: list[np.ndarray], freedoms: list[np.ndarray],
-                 scales: list[np.ndarray], cores: list[int], run: np.ndarray):  # fmt: skip
+                 scales: list[np.ndarray], cores: list[int], run: np.ndarray, fold: np.ndarray):  # fmt: skip
         self.hypotheses, self.cores = hypotheses, cores
         edges = np.cumsum([0, *[b.shape[1] for b in blocks]])
         self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         self.freedom = np.concatenate([*freedoms, [1.0]])
         self.scale = np.concatenate([*scales, [1.0]])
         self.datum = int(edges[-1])
-        self.table = Table(run, [*blocks, np.ones((run.size, 1))])
+        self.table = Table(run, [*blocks, np.ones((run.size, 1))], fold)
         self._families: dict[tuple, list[int]] = {}
         for i, h in enumerate(hypotheses):
             self._families.setdefault(h.key, []).append(i)
@@ -122,7 +122,25 @@ def build(
         freedoms.append(freedom)
         scales.append(scale)
         cores.append(core.shape[1])
-    return Library(kept, blocks, freedoms, scales, cores, recording.run_codes()[rows])
+    run = recording.run_codes()[rows]
+    return Library(kept, blocks, freedoms, scales, cores, run, folds(run)[0])
+
+
+FOLDS = 5
+
+
+def folds(run: np.ndarray) -> tuple[np.ndarray, str]:
+    """Who sits out together: whole runs where there are at least three, else blocks of a run; and the scheme's name.
+
+    Run after run (block after block) goes to the next of FOLDS folds, so that each fold is spread over the recording.
+    """
+    codes = np.unique(run)
+    if codes.size >= 3:
+        place = np.searchsorted(codes, run)
+        scheme = "leave-one-run-out" if codes.size <= FOLDS else f"leave-runs-out, {FOLDS} groups"
+        return place % FOLDS, scheme
+    block = np.arange(run.size) * 3 * FOLDS // run.size
+    return block % FOLDS, f"blocks, {FOLDS} groups"
 
 
 def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,8 +50,33 @@ class Case:
         return [(f.index, f.size) for f in self.explanation.found]
 
 
-def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
-    """Explain one response."""
+WILD = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
+
+
+def judge(
+    raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None
+) -> Case:
+    """Explain one response; outliers that only the explanation shows are set aside, and it is explained again."""
+    case = _judge(raw, conditioned, pair, progress)
+    wild = _lone(residual(case))
+    if not wild.any() or wild.mean() > 0.03:
+        return case
+    kept = replace(
+        pair, rows=pair.rows[~wild], mismatch=pair.mismatch[~wild],
+        outliers=np.sort(np.r_[pair.outliers, pair.rows[wild]]),
+    )  # fmt: skip
+    return _judge(raw, conditioned, kept, progress)
+
+
+def _lone(left: np.ndarray) -> np.ndarray:
+    """Rows far out whose neighbours are not."""
+    size = np.abs(left) / (1.4826 * np.median(np.abs(left)) + 1e-300)
+    out = size > WILD
+    beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
+    return out & (beside < size)
+
+
+def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> Case:
     rows = pair.rows
     progress(0.1, f"{pair.component}: listing what may be missing")
     simulated = conditioned.array(pair.simulated)[rows]
@@ -60,7 +85,7 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
     decomposition = parts.decompose(simulated, library, conditioned, rows)
     nuisance, names, recal = recalibration(simulated, decomposition, library)
     progress(0.5, f"{pair.component}: looking for what is missing")
-    data = Data.of(library.table, pair.mismatch)
+    data = Data(library.table, pair.mismatch)
     prior = log_prior(library, decomposition)
     run = conditioned.run_codes()[rows]
     sigma = rough = first_noise(pair.mismatch, run)

@@ -40,7 +40,7 @@ class Search:
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
         self.threshold, self.threshold_more = threshold, threshold_more
 
-    def explain(self) -> Explanation:
+    def explain(self, starts: int = SHORTLIST) -> Explanation:
         """Forward from each of the best starts, joint re-tuning, backward pruning."""
         everything = list(range(len(self.library.hypotheses)))
         scored = self.score([], everything)
@@ -48,7 +48,7 @@ class Search:
         if not scored or alone.max() < self.threshold:
             return Explanation((), alone, 0.0)
         best_total, best = -np.inf, []
-        for first in self.leaders(alone, SHORTLIST):
+        for first in self.leaders(alone, starts):
             if alone[first] < 0.3 * alone.max() - 5:
                 break
             chosen, total = self._forward([(first, scored[first].size)], alone[first], everything)
@@ -57,6 +57,19 @@ class Search:
         best = self.tune(best)
         found = sorted(self._worth(best), key=lambda f: -f.gain)
         return Explanation(tuple(found), alone, float(best_total))
+
+    def rivals(self, found: tuple[Found, ...], k: int) -> list[tuple[str, float, int]]:
+        """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
+        others = [(f.index, f.size) for j, f in enumerate(found) if j != k]
+        scored = self.score(others, list(range(len(self.library.hypotheses))))
+        gain = np.array([s.gain for s in scored]) + self.prior
+        best: dict[str, tuple[float, int]] = {}
+        for i in np.argsort(-gain):
+            effect = self.library.hypotheses[i].effect
+            if effect not in best:
+                best[effect] = (float(gain[i]), int(i))
+        own = max(best.pop(found[k].hypothesis.effect)[0], found[k].gain)
+        return [(e, own - g, i) for e, (g, i) in best.items()]
 
     def active(self, chosen: list[tuple[int, float]]) -> Active:
         """Nuisances and chosen hypotheses with their sizes."""
