@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field, model_validator
 
@@ -214,6 +214,7 @@ def test_a_unit_of_another_dimension_is_refused(text: str, unit: str, message: s
         convert(text, unit)
 
 
+@settings(deadline=None)
 @given(st.floats(allow_nan=False, allow_infinity=False, min_value=-1e9, max_value=1e9))
 def test_a_unit_that_is_the_fields_own_changes_no_bit(number: float) -> None:
     assert convert(f"{number!r} um", "um") == number
@@ -281,3 +282,22 @@ def test_values_can_be_assigned_and_keep_their_origin() -> None:
         document.assign(("terms", 4, "slope"), 1, "--set")
     with pytest.raises(UsageError, match="version is the number 1, not a mapping"):
         document.assign(("version", "x"), 1, "--set")
+
+
+# ---------------------------------------------------------------- anything at all
+
+_BITS = st.sampled_from(
+    ["a", "kind", ": ", ":", "- ", "\n", "\n  ", "[", "]", "{", "}", ", ", "&x ", "*x", "!!t ", "'", '"', "|", ">", "#",
+     "---\n", "%YAML 1.1\n", "1e-3", "~", "\t", "? ", "<<: ", "${A}", "version: 1\n", "terms:\n", "\ufeff", "\x00",
+     "ü", "@", "`", "..."]
+)  # fmt: skip
+
+
+@settings(deadline=None)
+@given(st.lists(_BITS, max_size=25).map("".join))
+def test_whatever_is_written_is_read_or_refused(text: str) -> None:
+    try:
+        document = parse(text, "f.yaml", environment={})
+        document.validate(Model)
+    except ConfigError as err:
+        assert err.problems and all(problem.message for problem in err.problems)
