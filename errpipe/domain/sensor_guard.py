@@ -1,0 +1,194 @@
+"""A sensor guard: which readings to expect from each sensor, and what to use instead of one that fails.
+
+After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the others. With x the readings and
+`start` the first reading of the run (on a controller: since it was switched on),
+
+    r_i = x_i - sum_j v_ij x_j, less its value at the start     departure from the best estimate
+    p_i = x_i - sum_j w_ij x_j, less its value at the start     departure that tells sensors apart
+    slow(r) = lag(r, filter)                        over minutes, so that noise says nothing
+    quick(r) = lag(r - lag(r, horizon), filter)     what came in the last hour: sees smaller faults
+
+    alarm    = 1 while |quick(r_k)| reaches its threshold for any sensor k; and one of slow(r_k) likewise
+    blamed_i = 1 for good once there is an alarm, and quick(p_i) is the largest of all quick(p_j), each
+               measured by its threshold, and no less than SURE of it; likewise slow
+    frozen_i = 1 while lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than ever when healthy,
+               no sooner than WARM_UP freeze times after the start
+    guarded reading = x_i, less r_i while blamed or frozen: the estimate, set to x_i at the start
+
+Two sets of weights, because the estimate that follows best cannot tell which of two close sensors failed: their
+departures are one and the same. The w give up some closeness, so that a fault of sensor i shows in no other
+p_j as much as in p_i. All of it is built of the operations of `errpipe.domain.driver`, so it is compiled, exported
+and evaluated like any driver, causally.
+
+Limits. Faults add up: of two sensors that fail within hours (or are swapped), the one that shows more is replaced.
+A fault that is there at the start and constant does not show, and does no harm to a model of rises. Empty,
+impossible and racing readings are caught before, by each input's own range, rate and hold (`low`, `high`,
+`max_rate`); a held reading is a frozen one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Frozen
+
+WARM_UP = 3.0  # freeze times after the start before stillness means anything
+AWAKE = 4.0  # times the stillness: a frozen sensor must be that alive again to be believed
+SURE = 0.7  # of its threshold that a sensor must depart by itself to be blamed for an alarm
+TIE = 1e-9
+MOST_OPERANDS = 8
+FOR_GOOD = -1.0  # a switch's lower level that no square ever reaches: once on, it stays on until the next start
+
+
+class GuardedSensor(Frozen):
+    """One sensor. Units: the sensor's own (degC; differences K), s."""
+
+    name: str
+    low: float = Field(description="No healthy reading lies below.")
+    high: float = Field(description="No healthy reading lies above.")
+    max_rate: float = Field(gt=0, description="No healthy reading changes faster, per s.")
+    sources: tuple[str, ...] = Field(description="The sensors it is estimated from.")
+    weights: tuple[float, ...] = Field(description="Their weights w_ij, which keep faults apart.")
+    estimate: tuple[float, ...] = Field(description="Their weights v_ij in the best estimate.")
+    offset: float = Field(description="Typical x_i - sum_j v_ij x_j, where no start is known.")
+    residual: float = Field(ge=0, description="Standard deviation of that since the start, on groups left out.")
+    quick: float = Field(gt=0, description="Threshold of |quick(r)|.")
+    slow: float = Field(gt=0, description="Threshold of |slow(r)|.")
+    quick_apart: float = Field(gt=0, description="Threshold of |quick(p)|.")
+    slow_apart: float = Field(gt=0, description="Threshold of |slow(p)|.")
+    still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
+
+
+class SensorGuard(Frozen):
+    """Format version 1. `false_alarms` is the rate the thresholds were set for, on healthy sensors."""
+
+    sensor_guard: Literal[1] = 1
+    sensors: tuple[GuardedSensor, ...]
+    filter_s: float = Field(gt=0, description="Time constant of the statistics.")
+    horizon_s: float = Field(gt=0, description="Time constant of what the quick statistic forgets.")
+    freeze_s: float = Field(gt=0, description="Time constant of the stillness.")
+    false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
+    hours: float = Field(description="Hours of healthy readings the thresholds come from.")
+    shows_elsewhere: float = Field(description="Largest share of a fault that shows in another sensor's p.")
+
+    def sensor(self, name: str) -> GuardedSensor:
+        """The sensor of a name. Raises KeyError."""
+        return {s.name: s for s in self.sensors}[name]
+
+    def names(self) -> tuple[str, ...]:
+        """Names of the guarded sensors."""
+        return tuple(s.name for s in self.sensors)
+
+
+def departure(sensor: GuardedSensor, weights: tuple[float, ...]) -> d.Driver:
+    """How far a reading has moved away from the weighted sum of the others since the start of the run."""
+    sources = tuple(d.Input(name=n) for n in sensor.sources)
+    unexplained = d.Affine(weights=(1.0, *(-w for w in weights)), of=(d.Input(name=sensor.name), *sources))
+    return d.Affine(weights=(1.0, -1.0), of=(unexplained, d.First(of=unexplained)))
+
+
+def _lag(of: d.Driver, tau: float) -> d.Driver:
+    return d.Lag(of=of, tau_up=tau, tau_down=tau)
+
+
+def quick(guard: SensorGuard, sensor: GuardedSensor, weights: tuple[float, ...], threshold: float) -> d.Driver:
+    """(quick / threshold) squared."""
+    scaled = d.Affine(weights=(1.0 / threshold,), of=(departure(sensor, weights),))
+    recent = d.Affine(weights=(1.0, -1.0), of=(scaled, _lag(scaled, guard.horizon_s)))
+    smooth = _lag(recent, guard.filter_s)
+    return d.Product(of=(smooth, smooth))
+
+
+def slow(guard: SensorGuard, sensor: GuardedSensor, weights: tuple[float, ...], threshold: float) -> d.Driver:
+    """(slow / threshold) squared."""
+    smooth = _lag(d.Affine(weights=(1.0 / threshold,), of=(departure(sensor, weights),)), guard.filter_s)
+    return d.Product(of=(smooth, smooth))
+
+
+def stillness(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
+    """How much alive a reading is: the lagged square of its own quick part, K2. Starts at 0."""
+    reading = d.Input(name=sensor.name)
+    moving = d.Affine(weights=(1.0, -1.0), of=(reading, _lag(reading, guard.freeze_s)))
+    return _lag(d.Product(of=(moving, moving)), guard.freeze_s)
+
+
+def alarm(guard: SensorGuard) -> tuple[d.Driver, d.Driver]:
+    """1 while any sensor departs too far from its estimate, else 0: quick and slow."""
+    calm_quick, calm_slow = [], []
+    for s in guard.sensors:
+        calm_quick.append(_not(_reaches(quick(guard, s, s.estimate, s.quick), 1.0)))
+        calm_slow.append(_not(_reaches(slow(guard, s, s.estimate, s.slow), 1.0)))
+    return _not(_all(calm_quick)), _not(_all(calm_slow))
+
+
+def blamed(guard: SensorGuard, name: str) -> d.Driver:
+    """1 once there was an alarm in which a sensor departed most, until the next start; else 0."""
+    most_quick = _most(guard, name, {s.name: quick(guard, s, s.weights, s.quick_apart) for s in guard.sensors})
+    most_slow = _most(guard, name, {s.name: slow(guard, s, s.weights, s.slow_apart) for s in guard.sensors})
+    alarm_quick, alarm_slow = alarm(guard)
+    accused = d.Affine(weights=(1.0, 1.0), of=(_all([alarm_quick, most_quick]), _all([alarm_slow, most_slow])))
+    return d.Switch(of=accused, on=0.5, off=FOR_GOOD)
+
+
+def _most(guard: SensorGuard, name: str, squares: dict[str, d.Driver]) -> d.Driver:
+    """1 while a sensor's square is SURE enough and no other is larger; else 0."""
+    ahead = [
+        d.Switch(of=d.Affine(weights=(1.0, -1.0), of=(squares[name], other)), on=0.0, off=-TIE)
+        for key, other in squares.items()
+        if key != name
+    ]
+    return _all([_reaches(squares[name], SURE**2), *ahead])
+
+
+def _reaches(square: d.Driver, level: float) -> d.Driver:
+    return d.Switch(of=square, on=level, off=level - TIE)
+
+
+def _all(flags: list[d.Driver]) -> d.Driver:
+    """Product of any number of flags, at most MOST_OPERANDS at a time."""
+    while len(flags) > 1:
+        flags = [d.Product(of=tuple(flags[i : i + MOST_OPERANDS])) for i in range(0, len(flags), MOST_OPERANDS)]
+    return flags[0]
+
+
+def _not(flag: d.Driver) -> d.Driver:
+    return d.Affine(offset=1.0, weights=(-1.0,), of=(flag,))
+
+
+def frozen(guard: SensorGuard, name: str) -> d.Driver:
+    """1 while a reading stands still as it never does when healthy; else 0."""
+    sensor = guard.sensor(name)
+    if sensor.still is None:
+        return d.Constant(value=0.0)
+    alive = d.Affine(weights=(-1.0,), of=(stillness(guard, sensor),))
+    still = d.Switch(of=alive, on=-sensor.still, off=-AWAKE * sensor.still)
+    age = d.Lag(of=d.ONE, tau_up=guard.freeze_s, tau_down=guard.freeze_s, start="zero")
+    awake_long_enough_to_tell = d.Switch(of=age, on=1.0 - math.exp(-WARM_UP), off=0.0)
+    return d.Product(of=(still, awake_long_enough_to_tell))
+
+
+def fault(guard: SensorGuard, name: str) -> d.Driver:
+    """1 while a reading is not believed; else 0."""
+    return _not(_all([_not(blamed(guard, name)), _not(frozen(guard, name))]))
+
+
+def reading(guard: SensorGuard, name: str) -> d.Driver:
+    """The reading while it is believed, else what stands in for it."""
+    sensor = guard.sensor(name)
+    departed = d.Product(of=(fault(guard, name), departure(sensor, sensor.estimate)))
+    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), departed))
+
+
+def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:
+    """The driver with every guarded sensor's reading replaced by its guarded one."""
+    if isinstance(driver, d.Input):
+        return reading(guard, driver.name) if driver.name in guard.names() else driver
+    of = getattr(driver, "of", None)
+    if of is None:
+        return driver
+    inside = tuple(guarded(child, guard) for child in of) if isinstance(of, tuple) else guarded(of, guard)
+    return driver.model_copy(update={"of": inside})
