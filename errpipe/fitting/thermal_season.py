@@ -8,7 +8,7 @@ correction   ridge on lagged differences to the room, fitted to what the core le
              runs left out that started about as warm, and takes it back to nothing where a run starts outside
              the temperatures seen
 share        1 inside; outside it fades to the slope that the core had on environments left out (at most 1)
-clip         causes stay within twice the span seen, the sum within half a span beyond the deviations seen
+clip         causes stay within twice the span seen, the sum within a quarter span beyond the deviations seen
 
 Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
 the run: a temperature cannot know where the probe was zeroed, so each run's first rows are a nuisance of the
@@ -37,7 +37,7 @@ from errpipe.terms import ProfileDriver
 from errpipe.terms._base import drive, plain
 
 BLOCKS = 5  # inner groups where there are fewer than three runs
-SPAN_BEYOND = 0.5  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
+SPAN_BEYOND = 0.25  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
 WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing

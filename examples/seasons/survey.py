@@ -1,0 +1,246 @@
+"""Does a thermal model survive the season? Every figure of the seasonal question, on a recording of yours.
+
+    python examples/seasons/survey.py RECORDING_FOLDER --component E_D --out out/seasons [table forward champions
+        readings sensors hours failures]
+
+Writes one JSON and one SVG per question into the output folder and prints the table. All of it takes minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from errpipe import jsonfile
+from errpipe.domain.recording import Recording
+from errpipe.fitting import recalibration, sensor_choice, thermal_causes, thermal_season
+from errpipe.formats import manifest_folder
+from errpipe.reporting import svg
+from errpipe.validation import champion, holdout, learning_curve, seasons
+
+SEASON = "leave-one-group-out:season"
+
+
+def bars(groups: list[str], series: dict[str, list[float]], label: str, title: str) -> str:
+    """Grouped bars as SVG text."""
+    with svg.figure() as (canvas, axes):
+        width = 0.8 / len(series)
+        shades = (svg.BEFORE, svg.AFTER, svg.FLOOR, svg.ALARM)
+        for k, (name, values) in enumerate(series.items()):
+            axes.bar(np.arange(len(groups)) + k * width, values, width, label=name, color=shades[k % 4])
+        axes.set_xticks(np.arange(len(groups)) + 0.4 - width / 2, groups)
+        axes.set_ylabel(label)
+        axes.legend()
+        return svg.to_svg(canvas, title)
+
+
+def lines(series: dict[str, tuple[list[float], list[float]]], across: str, up: str, title: str) -> str:
+    """Lines with dots as SVG text."""
+    with svg.figure() as (canvas, axes):
+        for (name, (x, y)), mark in zip(series.items(), "os^vDx" * 4, strict=False):
+            axes.plot(x, y, marker=mark, label=name)
+        axes.set_xlabel(across)
+        axes.set_ylabel(up)
+        axes.set_ylim(bottom=0)
+        axes.legend()
+        return svg.to_svg(canvas, title)
+
+
+def table(recording: Recording, component: str, scheme: str = SEASON, runs: bool = True) -> tuple[Any, str]:
+    """Item: left-out group x uncompensated, in season, out of season, ratio, bias, scatter, worst row, coverage."""
+    fit = champion.season(thermal_season.SeasonOptions())
+    told = seasons.table(recording, component, fit, scheme, in_season=runs)
+    print(seasons.text(told))
+    rows = told["groups"]
+    series = {"uncompensated": [r["uncompensated"] for r in rows]}
+    if runs:
+        series["own season known"] = [r["in_season"] for r in rows]
+    series["left out whole"] = [r["out_of_season"] for r in rows]
+    return told, bars([r["left_out"] for r in rows], series, "rms in um", f"Residual by {scheme}")
+
+
+def forward(recording: Recording, component: str) -> tuple[Any, str]:
+    """Trained on the past only, month by month."""
+    return table(recording, component, "forward:month", runs=False)
+
+
+def champions(recording: Recording, component: str) -> tuple[Any, str]:
+    """Who holds on seasons left out: doing nothing, physics, least squares, learners."""
+    told = champion.compare(recording, component, holdout.folds(recording, SEASON), champion.candidates())
+    for name, figures in told["rms"].items():
+        print(f"{name:32s}", {g: round(v, 2) for g, v in figures.items()}, told["verdict"][name])
+    print("champion:", told["champion"])
+    groups = list(told["groups"])
+    best = ["do nothing", told["champion"], "ridge on lagged rises", "gradient boosting"]
+    series = {n: [told["rms"][n][g] for g in groups] for n in dict.fromkeys(best)}
+    return told, bars(groups, series, "rms in um", "Champion and challengers on seasons left out")
+
+
+def left_out_values(recording: Recording, component: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Deviation, prediction by a model that never saw the row's season, and the season, per row."""
+    y = champion.target(recording, component)
+    value, label = np.zeros(y.size), np.full(y.size, "", dtype=object)
+    for fold in holdout.folds(recording, SEASON):
+        value[fold.test] = thermal_season.fit(recording, component, rows=fold.train).values(recording)[fold.test]
+        label[fold.test] = fold.label
+    return y, value, label
+
+
+def readings(recording: Recording, component: str) -> tuple[Any, str]:
+    """Residual against the number of probe readings a run, the season left out whole."""
+    y, value, label = left_out_values(recording, component)
+    found = thermal_causes.sensors(recording)
+    how = recalibration.Recalibration(
+        recalibration.RecalibrationOptions(), thermal_causes.running(recording, found)
+    )
+    told = recalibration.residual_by_readings(recording, value, y, how, groups=label)
+    for entry in told:
+        print(entry)
+    series = {}
+    for group in dict.fromkeys(label):
+        mine = [e for e in told if e["group"] == group]
+        number = [e["readings_per_run"] for e in mine]
+        series[f"{group}, model and readings"] = (number, [e["rms"] for e in mine])
+        series[f"{group}, readings alone"] = (number, [e["rms_readings_alone"] for e in mine])
+    return told, lines(series, "readings per run", "rms in um", "Residual against probe readings")
+
+
+def sensors(recording: Recording, component: str) -> tuple[Any, str]:
+    """Residual against number of sensors: best subset of each size, and the subset that a nested choice takes."""
+    folds = holdout.folds(recording, SEASON)
+    pareto = sensor_choice.pareto(recording, component, folds)
+    nested = {k: sensor_choice.nested(recording, component, folds, k) for k in range(2, len(pareto))}
+    told = {
+        "pareto": [{"sensors": c.sensors, "rms": c.rms, "groups": c.groups} for c in pareto],
+        "nested": {str(k): [{"sensors": c.sensors, "groups": c.groups} for c in v] for k, v in nested.items()},
+        "stability": sensor_choice.stability(recording, component),
+        "redundancy": sensor_choice.redundancy(recording),
+    }
+    for c in pareto:
+        print(f"{len(c.sensors)}  {c.rms:6.2f} um  {', '.join(c.sensors)}")
+    number = [float(len(c.sensors)) for c in pareto]
+    honest = [float(np.sqrt(np.mean([c.rms**2 for c in v]))) for v in nested.values()]
+    series = {
+        "best subset": (number, [c.rms for c in pareto]),
+        "chosen without the judged season": ([float(k) for k in nested], honest),
+    }
+    return told, lines(series, "sensors", "rms in um, season left out", "Residual against number of sensors")
+
+
+def hours(recording: Recording, component: str) -> tuple[Any, str]:
+    """Residual of a season left out against hours of data."""
+    fit = champion.season(thermal_season.SeasonOptions(correction=False))
+    told = learning_curve.curve(recording, component, fit, SEASON, orders=4)
+    series = {}
+    for group in dict.fromkeys(e["left_out"] for e in told):
+        mine = [e for e in told if e["left_out"] == group]
+        sizes = sorted({e["runs"] for e in mine})
+        middle = [float(np.median([e["rms"] for e in mine if e["runs"] == s])) for s in sizes]
+        spent = [float(np.median([e["hours"] for e in mine if e["runs"] == s])) for s in sizes]
+        series[f"{group} left out (median of 5 orders)"] = (spent, middle)
+        print(group, [(round(h), round(r, 1)) for h, r in zip(spent, middle, strict=True)])
+    return told, lines(series, "hours of measuring", "rms in um", "Residual against hours of characterisation")
+
+
+def failures(recording: Recording, component: str) -> tuple[Any, str]:
+    """Each sensor failed in five ways two hours into every run of a season left out: healthy, failed, recovered."""
+    told = []
+    y = champion.target(recording, component)
+    run, t = recording.run_codes(), recording.time()
+    for fold in holdout.folds(recording, SEASON):
+        model = thermal_season.fit(recording, component, rows=fold.train)
+        healthy = champion.rms((y - model.values(recording))[fold.test])
+        for name in recording.names("temperature"):
+            relation = _relation(recording, name, fold.train)
+            for way, spoil in WAYS.items():
+                reading = recording.array(name).copy()
+                for code in np.unique(run[fold.test]):
+                    rows = np.flatnonzero(run == code)
+                    after = rows[t[rows] - t[rows[0]] > 7200.0]
+                    reading[after] = spoil(reading[after], reading[after[0]], (t[after] - t[after[0]]) / 3600.0)
+                broken = Recording(recording.manifest, recording.frame.assign(**{name: reading}))
+                mended, seen_after = _recover(broken, name, relation)
+                told.append(
+                    {
+                        "left_out": fold.label, "sensor": name, "failure": way, "healthy": healthy,
+                        "failed": champion.rms((y - model.values(broken))[fold.test]),
+                        "recovered": champion.rms((y - model.values(mended))[fold.test]),
+                        "rows_to_detection": seen_after,
+                    }
+                )  # fmt: skip
+    worst = max(told, key=lambda e: e["recovered"] / e["healthy"])
+    for e in told:
+        print({k: round(v, 2) if isinstance(v, float) else v for k, v in e.items()})
+    print("worst ratio recovered / healthy:", round(worst["recovered"] / worst["healthy"], 2))
+    names = list(recording.names("temperature"))
+    series = {
+        word: [float(np.sqrt(np.mean([e[word] ** 2 for e in told if e["sensor"] == n]))) for n in names]
+        for word in ("failed", "recovered", "healthy")
+    }
+    return told, bars(names, series, "rms in um, season left out", "Sensors failed in turn")
+
+
+WAYS: dict[str, Callable[[np.ndarray, float, np.ndarray], np.ndarray]] = {
+    "dead": lambda x, first, hours: np.zeros_like(x),
+    "stuck": lambda x, first, hours: np.full_like(x, first),
+    "drifting": lambda x, first, hours: x + 1.5 * hours,
+    "stepped": lambda x, first, hours: x + 4.0,
+    "noisy": lambda x, first, hours: x + 3.0 * np.sign(np.sin(40.0 * hours)),
+}
+
+
+def _relation(recording: Recording, name: str, rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, float]:
+    """The sensor from the others by least squares on readings since the start of the run; and its tolerance, K."""
+    others = tuple(n for n in recording.names("temperature") if n != name)
+    run = recording.run_codes()
+    rise = {n: thermal_season.since_start(recording.array(n), run, 1)[0] for n in (name, *others)}
+    x = np.column_stack([rise[n] for n in others])
+    weights = np.linalg.lstsq(x[rows], rise[name][rows], rcond=None)[0]
+    left = np.abs(rise[name] - x @ weights)[rows]
+    return others, weights, 1.5 * float(left.max())
+
+
+def _recover(recording: Recording, name: str, relation) -> tuple[Recording, float | None]:
+    """Readings replaced by their estimate from the first one out of tolerance on; mean rows until then. Causal."""
+    others, weights, tolerance = relation
+    run = recording.run_codes()
+    start = {n: recording.array(n) - thermal_season.since_start(recording.array(n), run, 1)[0] for n in (name, *others)}
+    estimate = start[name] + np.column_stack([recording.array(n) - start[n] for n in others]) @ weights
+    reading, waits = recording.array(name).copy(), []
+    for code in np.unique(run):
+        rows = np.flatnonzero(run == code)
+        bad = np.flatnonzero(np.abs(reading[rows] - estimate[rows]) > tolerance)
+        if bad.size:
+            reading[rows[bad[0] :]] = estimate[rows[bad[0] :]]
+            failed = np.searchsorted(recording.time()[rows] - recording.time()[rows[0]], 7200.0)
+            waits.append(max(0, int(bad[0] - failed)))
+    mended = Recording(recording.manifest, recording.frame.assign(**{name: reading}))
+    return mended, float(np.mean(waits)) if waits else None
+
+
+QUESTIONS = {f.__name__: f for f in (table, forward, champions, readings, sensors, hours, failures)}
+
+
+def main() -> None:
+    """Answer the questions asked for, or all of them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("questions", nargs="*", choices=[*QUESTIONS, []], default=[])
+    parser.add_argument("--component", default="E_D")
+    parser.add_argument("--out", type=Path, default=Path("out/seasons"))
+    told = parser.parse_args()
+    recording = manifest_folder.read(told.folder)
+    told.out.mkdir(parents=True, exist_ok=True)
+    for name in told.questions or QUESTIONS:
+        print(f"-- {name}")
+        document, picture = QUESTIONS[name](recording, told.component)
+        jsonfile.write(told.out / f"{name}.json", {"survey": 1, "question": name, "answer": document})
+        jsonfile.write_text(told.out / f"{name}.svg", picture)
+
+
+if __name__ == "__main__":
+    main()
