@@ -50,9 +50,14 @@ class HeldOut:
 
 
 def judge(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOut]:
-    """Fit on one side of a fold, judge on the other, per component. Raises DataError where rows do both."""
+    """Fit on one side of a fold, judge on the other, per component. Raises DataError where rows do both.
+
+    Terms are selected anew on the rows that fit: rows that judge have no say in that either.
+    """
     check(fold)
     out = {}
+    if spec.selection == "held-out":
+        spec = select(recording, spec, fold.train)
     model = solved_plainly(recording, spec, fold.train)
     values = evaluate(model, recording)
     for group in groups_of(spec):

@@ -29,7 +29,7 @@ def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None
     if not calibrate:
         return model
     try:
-        judged = judge_all(recording, chosen, mask)
+        judged = judge_all(recording, spec, mask)
     except DataError as why:
         return _uncalibrated(model, str(why))
     return calibrated(model, judged)

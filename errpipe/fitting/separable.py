@@ -65,7 +65,10 @@ def search(
 
         def residual(inner: np.ndarray) -> np.ndarray:
             outer = np.array([u.outward(v) for u, v in zip(unknowns, inner, strict=True)])
-            columns = _without(basis, moving(outer))
+            columns = moving(outer)
+            if not np.isfinite(columns).all():  # outside of what the term can say on these rows
+                return left
+            columns = _without(basis, columns)
             return left - columns @ _coefficients(columns, left)
 
         starts = _sweep(residual, unknowns) if begin is None else [begin]

@@ -148,18 +148,22 @@ def robust(
 ) -> Solution:
     """Iteratively reweighted least squares: Huber's to a start, then Tukey's biweight, which drops gross outliers.
 
-    loss: "huber" or "tukey". `weights` of the solution are those of the last round.
+    loss: "huber" or "tukey". The biweight keeps the scale that Huber's rounds found (as MM-estimates do): a scale that
+    followed it would shrink onto the rows that agree best. `weights` of the solution are those of the last round.
     """
     found = least_squares(design, response, penalty=penalty, priors=priors)
+    least = 1e-12 * (1e-300 + np.abs(response).max())
+    scale = max(scale_of(found.residual, found.degrees), least)
     for stage in ("huber",) if loss == "huber" else ("huber", "tukey"):
         for _ in range(iterations):
-            scale = max(scale_of(found.residual, found.degrees), 1e-12 * (1e-300 + np.abs(response).max()))
             weights = row_weights(found.residual / scale, stage)
             new = least_squares(design, response, weights=weights, penalty=penalty, priors=priors, noise=scale)
             moved = np.abs(new.residual - found.residual).max(initial=0.0)
             found = new
             if moved < 1e-6 * scale:
                 break
+            if stage == "huber":
+                scale = max(scale_of(found.residual, found.degrees), least)
     return found
 
 
