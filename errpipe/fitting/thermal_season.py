@@ -31,13 +31,20 @@ from errpipe.domain.recording import Frozen, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_causes, thermal_network
 from errpipe.fitting.design import response_name
-from errpipe.fitting.solve import one_thread
+from errpipe.fitting.thermal_arithmetic import (
+    centred,
+    conformal_half_width,
+    inner_groups,
+    limits,
+    ridge_gains,
+    rms,
+    since_start,
+    slope,
+)
 from errpipe.fitting.validity import box, distance
 from errpipe.terms import ProfileDriver
 from errpipe.terms._base import drive, plain
 
-BLOCKS = 5  # inner groups where there are fewer than three runs
-SPAN_BEYOND = 0.25  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
 WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing
@@ -204,15 +211,15 @@ class _Problem:
         deviation = recording.array(response_name(recording, component))
         run = recording.run_codes()
         self.response, self.zero = since_start(deviation, run, options.datum_rows)
-        core = _centred(self.core, run, options.datum_rows)
-        extra = _centred(self.extra, run, options.datum_rows)
+        core = centred(self.core, run, options.datum_rows)
+        extra = centred(self.extra, run, options.datum_rows)
         good = np.isfinite(self.response) & np.isfinite(core).all(axis=1) & np.isfinite(extra).all(axis=1)
         if rows is not None:
             good &= rows
         if not good.any():
             raise DataError(f"thermal model of {component}: no row has a deviation and all temperatures")
         self.rows = good
-        self.group = _inner_groups(run, good)
+        self.group = inner_groups(run, good)
         self.groups = [int(g) for g in np.unique(self.group[good])]
         self.count = {g: int(np.count_nonzero(good & (self.group == g))) for g in self.groups}
         design = np.column_stack([core, extra])[good]
@@ -229,7 +236,7 @@ class _Problem:
         core_part = np.column_stack([triangle[:, :width], triangle[:, -1]])
         core = thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
         left = triangle[:, -1] - triangle[:, :width] @ core
-        correction = _ridge(triangle[:, width:-1], left, rows, self.options.correction_penalty)
+        correction = ridge_gains(triangle[:, width:-1], left, rows, self.options.correction_penalty)
         mask = self.rows & np.isin(self.group, list(groups))
         return _Gains(core, correction, np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0))
 
@@ -307,7 +314,7 @@ class _Problem:
         gains = self.solve(self.groups)
         near = np.abs(y - runs["core"] - runs["correction"])
         intervals = self._intervals(near, seen, np.abs(y - afar["core"]), far, afar["outside"])
-        limit = _limits(y[self.rows])
+        limit = limits(y[self.rows])
         parts = self._parts(gains, worth, share)
         total = d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
         terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
@@ -324,11 +331,11 @@ class _Problem:
             "causes": {c.name: float(g) for c, g in zip(self.causes, gains.core, strict=True) if abs(g) > 1e-9},
             "correction_worth": {f"{t:.2f}": float(w) for t, w in zip(*worth, strict=True)},
             "core_share_outside": share,
-            "rms_before": _rms(y[self.rows]),
-            "rms_after": _rms(after[self.rows]),
-            "rms_runs_left_out": _rms((y - runs["core"] - runs["correction"])[seen]) if seen.any() else None,
-            "rms_core_runs_left_out": _rms((y - runs["core"])[seen]) if seen.any() else None,
-            "rms_core_environments_left_out": _rms((y - afar["core"])[far]) if far.any() else None,
+            "rms_before": rms(y[self.rows]),
+            "rms_after": rms(after[self.rows]),
+            "rms_runs_left_out": rms((y - runs["core"] - runs["correction"])[seen]) if seen.any() else None,
+            "rms_core_runs_left_out": rms((y - runs["core"])[seen]) if seen.any() else None,
+            "rms_core_environments_left_out": rms((y - afar["core"])[far]) if far.any() else None,
         }
         return SeasonModel(**(model.__dict__ | {"report": report}))
 
@@ -337,8 +344,8 @@ class _Problem:
 
         The standard error is a jackknife over groups: rows of one run are one witness.
         """
-        whole = _slope(self.response, core, rows, 0.0, np.inf)
-        each = [_slope(self.response, core, rows & (self.group != g), 0.0, np.inf) for g in self.groups]
+        whole = slope(self.response, core, rows, 0.0, np.inf)
+        each = [slope(self.response, core, rows & (self.group != g), 0.0, np.inf) for g in self.groups]
         spread = float(np.sqrt((len(each) - 1) / len(each) * np.sum((np.array(each) - np.mean(each)) ** 2)))
         return float(np.clip(whole + spread, 0.0, 1.0))
 
@@ -407,34 +414,6 @@ def _start(name: str) -> d.First:
     return d.First(of=d.Input(name=name))
 
 
-def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values less the mean of each run's first `rows` finite rows, and that mean; shapes (n,), (n,)."""
-    zero = np.full(values.size, np.nan)
-    for code in np.unique(run):
-        mine = np.flatnonzero(run == code)
-        finite = mine[np.isfinite(values[mine])][:rows]
-        zero[mine] = values[finite].mean() if finite.size else np.nan
-    return values - zero, zero
-
-
-def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float) -> float:
-    """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
-
-    Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
-    exchangeable groups (split conformal prediction over groups), but by no more than half of what is left:
-    with a handful of groups the full level would be the worst row ever seen.
-    """
-    labels = np.unique(group)
-    level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size)
-    order = np.argsort(error)
-    weight = np.zeros(error.size)
-    for label in labels:
-        mine = group == label
-        weight[mine] = 1.0 / np.count_nonzero(mine)
-    reached = np.cumsum(weight[order]) / labels.size
-    return float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
-
-
 def _correction_drivers(
     recording: Recording, found: thermal_causes.Sensors, options: SeasonOptions
 ) -> tuple[d.Driver, ...]:
@@ -446,48 +425,3 @@ def _correction_drivers(
     if state is not None:
         nodes += [d.Lag(of=state, tau_up=tau, tau_down=tau, start="zero") for tau in options.correction_lags[:2]]
     return tuple(nodes)
-
-
-def _centred(columns: np.ndarray, run: np.ndarray, rows: int) -> np.ndarray:
-    out = columns.copy()
-    for code in np.unique(run):
-        mine = np.flatnonzero(run == code)
-        out[mine] -= columns[mine[:rows]].mean(axis=0)
-    return out
-
-
-def _inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Runs, or blocks of time inside them where there are fewer than three."""
-    if np.unique(run[rows]).size >= 3:
-        return run.copy()
-    group = run * BLOCKS
-    for code in np.unique(run[rows]):
-        mine = np.flatnonzero(rows & (run == code))
-        group[mine] += np.arange(mine.size) * BLOCKS // mine.size
-    return group
-
-
-def _ridge(triangle: np.ndarray, response: np.ndarray, rows: int, strength: float) -> np.ndarray:
-    if triangle.shape[1] == 0:
-        return np.empty(0)
-    size = np.sqrt(np.sum(triangle**2, axis=0) / rows)
-    size[size == 0] = 1.0
-    system = np.vstack([triangle / size, np.sqrt(strength * rows) * np.eye(size.size)])
-    with one_thread():
-        found = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
-    return found / size
-
-
-def _slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high: float = 1.0) -> float:
-    """Least-squares slope of y on x, held in low..high; 0 where x never moved."""
-    below = float(np.sum(x[rows] ** 2))
-    return float(np.clip(np.sum(x[rows] * y[rows]) / below, low, high)) if below > 0 else 0.0
-
-
-def _limits(y: np.ndarray) -> tuple[float, float]:
-    span = SPAN_BEYOND * float(y.max() - y.min())
-    return float(y.min()) - span, float(y.max()) + span
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -21,7 +21,11 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout as plain_holdout
+from errpipe.fitting import thermal_season
 from errpipe.fitting.holdout import Fold
+from errpipe.fitting.judging import HeldOut
+from errpipe.fitting.thermal_season import SeasonOptions
+from errpipe.fitting.validity import distance
 from errpipe.validation import holdout
 from errpipe.validation.champion import Fitter, rms, target
 
@@ -130,3 +134,16 @@ def _cell(value: Any) -> str:
     if isinstance(value, str):
         return value
     return "-" if value is None else f"{value:.2f}"
+
+
+def judge(recording: Recording, component: str, options: SeasonOptions, fold: Fold) -> HeldOut:
+    """A season model fitted on one side of a fold and judged on the other, as every other model is judged."""
+    plain_holdout.check(fold)
+    model = thermal_season.fit(recording, component, options, fold.train)
+    y = target(recording, component, options.datum_rows)
+    value = model.values(recording)
+    rows = np.flatnonzero(fold.test & np.isfinite(y) & np.isfinite(value))
+    if rows.size == 0:
+        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
+    away = distance(model.validity, recording)[rows]
+    return HeldOut(fold.label, rows, y[rows], (y - value)[rows], away, 0.0)

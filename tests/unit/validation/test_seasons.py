@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
+from errpipe.fitting.thermal_season import SeasonOptions
 from errpipe.validation import champion, conformal, holdout, learning_curve, seasons
 
 COLUMNS = {
@@ -93,6 +94,14 @@ def test_the_table_tells_a_season_that_fails(recording):
     assert not bad["never_worse"] and spring["out_of_season"] > spring["uncompensated"]
     assert bad["optimism"]["gap"] > 3.0
     assert "spring" in seasons.text(bad)
+
+
+def test_a_season_model_is_judged_like_every_other_model(recording):
+    fold = holdout.folds(recording, "leave-one-group-out:season")[1]
+    told = seasons.judge(recording, "E_D", SeasonOptions(correction=False), fold)
+    assert told.label == "spring" and (np.sort(told.rows) == np.flatnonzero(fold.test)).all()
+    assert_allclose(told.before, champion.target(recording, "E_D")[told.rows])
+    assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
 
 
 def test_nothing_wins_ties_and_a_model_that_hurts_one_season_never_wins():

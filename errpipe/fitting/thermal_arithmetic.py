@@ -1,0 +1,87 @@
+"""Small arithmetic of the season model: zeros of runs, groups, ridge on triangles, conformal widths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.fitting.solve import one_thread
+
+BLOCKS = 5  # inner groups where there are fewer than three runs
+SPAN_BEYOND = 0.25  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
+
+
+def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values less the mean of each run's first `rows` finite rows, and that mean; shapes (n,), (n,)."""
+    zero = np.full(values.size, np.nan)
+    for code in np.unique(run):
+        mine = np.flatnonzero(run == code)
+        finite = mine[np.isfinite(values[mine])][:rows]
+        zero[mine] = values[finite].mean() if finite.size else np.nan
+    return values - zero, zero
+
+
+def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float) -> float:
+    """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
+
+    Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
+    exchangeable groups (split conformal prediction over groups), but by no more than half of what is left:
+    with a handful of groups the full level would be the worst row ever seen.
+    """
+    labels = np.unique(group)
+    level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size)
+    order = np.argsort(error)
+    weight = np.zeros(error.size)
+    for label in labels:
+        mine = group == label
+        weight[mine] = 1.0 / np.count_nonzero(mine)
+    reached = np.cumsum(weight[order]) / labels.size
+    return float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
+
+
+def centred(columns: np.ndarray, run: np.ndarray, rows: int) -> np.ndarray:
+    """Columns (n, p) less the mean of each run's first `rows` rows."""
+    out = columns.copy()
+    for code in np.unique(run):
+        mine = np.flatnonzero(run == code)
+        out[mine] -= columns[mine[:rows]].mean(axis=0)
+    return out
+
+
+def inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Runs, or blocks of time inside them where there are fewer than three."""
+    if np.unique(run[rows]).size >= 3:
+        return run.copy()
+    group = run * BLOCKS
+    for code in np.unique(run[rows]):
+        mine = np.flatnonzero(rows & (run == code))
+        group[mine] += np.arange(mine.size) * BLOCKS // mine.size
+    return group
+
+
+def ridge_gains(triangle: np.ndarray, response: np.ndarray, rows: int, strength: float) -> np.ndarray:
+    """Ridge gains from a triangle (k, p) that stands for `rows` rows; strength on columns of unit root mean square."""
+    if triangle.shape[1] == 0:
+        return np.empty(0)
+    size = np.sqrt(np.sum(triangle**2, axis=0) / rows)
+    size[size == 0] = 1.0
+    system = np.vstack([triangle / size, np.sqrt(strength * rows) * np.eye(size.size)])
+    with one_thread():
+        found = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
+    return found / size
+
+
+def slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high: float = 1.0) -> float:
+    """Least-squares slope of y on x, held in low..high; 0 where x never moved."""
+    below = float(np.sum(x[rows] ** 2))
+    return float(np.clip(np.sum(x[rows] * y[rows]) / below, low, high)) if below > 0 else 0.0
+
+
+def limits(y: np.ndarray) -> tuple[float, float]:
+    """Lowest and highest deviation that may be predicted, um."""
+    span = SPAN_BEYOND * float(y.max() - y.min())
+    return float(y.min()) - span, float(y.max()) + span
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
