@@ -156,8 +156,8 @@ def _fit_group(recording, spec, group, mask) -> list[ComponentModel]:
 def _component(problem: Problem, found: Estimate, block: int, component: str, before, after) -> ComponentModel:
     unit = problem.recording.manifest.columns[response_name(problem.recording, component)].unit or "um"
     own = [s for s in problem.slots if s.block in (block, -1)]
-    terms = tuple(_fitted(s, found, problem.width, unit) for s in own if not s.nuisance)
-    nuisance = tuple(_fitted(s, found, problem.width, unit) for s in own if s.nuisance)
+    terms = tuple(fitted_term(s, found, problem.width, unit) for s in own if not s.nuisance)
+    nuisance = tuple(fitted_term(s, found, problem.width, unit) for s in own if s.nuisance)
     names, index = [], []
     for k, s in enumerate(s for s in own if not s.nuisance):
         names += [f"{s.term.term}[{k}].{p.name}" for p in (*s.free, *s.term.free())]
@@ -180,7 +180,7 @@ def _component(problem: Problem, found: Estimate, block: int, component: str, be
     )
 
 
-def _fitted(slot: Slot, found: Estimate, width: int, unit: str) -> FittedTerm:
+def fitted_term(slot: Slot, found: Estimate, width: int, unit: str) -> FittedTerm:
     """Parameters of one term with 95 % intervals; a non-linear one's by its logarithm where it cannot be negative."""
     term, out = slot.term, []
     gains = dict(zip((p.name for p in slot.free), range(slot.columns.start, slot.columns.stop), strict=True))

@@ -131,22 +131,26 @@ def covariance(
         if penalty is not None:
             spread = spread + noise.sigma**2 * noise.inflation() * penalty
         modelled = inverse @ spread @ inverse
-        between = _between(sequence, jacobian, inverse, scores)
-    if between is None:
+        runs, apart = between_runs(sequence, jacobian, scores)
+        return larger(modelled, inverse @ apart @ inverse, runs)
+
+
+def larger(modelled: np.ndarray, seen: np.ndarray, runs: int) -> np.ndarray:
+    """The noise model's covariance, widened where `runs` runs disagree by more than chance allows; (p, p)."""
+    if runs < FEWEST_RUNS:
         return modelled
-    runs, seen = between
-    ratio = np.sqrt(np.maximum(np.diag(seen), 0.0) / np.maximum(np.diag(modelled), 1e-300))
+    ratio = np.sqrt(np.maximum(np.diag(seen), 0.0) / np.maximum(np.diag(modelled), 1e-300) * runs / (runs - 1))
     doubt = np.sqrt(chi2.ppf(0.95, runs - 1) / (runs - 1))
     factor = np.where(ratio > doubt, ratio, 1.0)
     return modelled * np.outer(factor, factor)
 
 
-def _between(sequence, jacobian, inverse, scores) -> tuple[int, np.ndarray] | None:
-    runs = np.unique(sequence)
-    if runs.size < FEWEST_RUNS:
-        return None
-    moved = np.array([inverse @ (jacobian[sequence == k].T @ scores[sequence == k]) for k in runs])
-    return runs.size, moved.T @ moved * runs.size / (runs.size - 1)
+def between_runs(sequence: np.ndarray, jacobian: np.ndarray, scores: np.ndarray) -> tuple[int, np.ndarray]:
+    """(number of runs, sum over runs of the outer square of jacobian' scores), which adds up over chunks."""
+    order = np.argsort(sequence, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(sequence[order]) != 0])
+    pulls = np.add.reduceat(jacobian[order] * scores[order, None], starts, axis=0)
+    return starts.size, pulls.T @ pulls
 
 
 def rows_effective(sequence: np.ndarray, noise: Noise) -> float:

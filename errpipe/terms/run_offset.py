@@ -26,7 +26,7 @@ class RunOffset(Term):
 
     def settled(self, recording: Recording) -> RunOffset:
         """The term with the runs' labels written down."""
-        return self.model_copy(update={"runs": recording.run_labels()})
+        return self if self.runs else self.model_copy(update={"runs": recording.run_labels()})
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"level_{run}", "um", (0.0, 100.0), meaning=f"datum of run {run}") for run in self.runs)

@@ -29,7 +29,7 @@ class RunPose(Term):
 
     def settled(self, recording: Recording) -> RunPose:
         """The term with the runs' labels written down."""
-        return self.model_copy(update={"runs": recording.run_labels()})
+        return self if self.runs else self.model_copy(update={"runs": recording.run_labels()})
 
     def linear(self) -> tuple[Parameter, ...]:
         first, second = self.axes
