@@ -170,10 +170,10 @@ def _curve(recording: Recording, component: str, laser: Laser | None, known, cha
             p[rows], value[rows], laser, air=_air(recording, rows), turn=_turn(axis, p[rows], known),
             direction=chain.machine.direction(axis) if chain is not None else np.eye(3)["XYZ".index(c.direction)],
         )  # fmt: skip
-    side = _side(recording, axis, p)
+    side = _side(recording, axis, p, rows)
     targets, number = _targets(p[rows])
-    up, down = (_means(number, value[rows], side[rows] == s, len(targets)) for s in (1, -1))
-    error = _scatter(number, value[rows], side[rows], len(targets))
+    up, down = (_means(number, value[rows], side == s, len(targets)) for s in (1, -1))
+    error = _scatter(number, value[rows], side, len(targets))
     return _conventions(Curve(component, targets, up, down, error), zero.get(axis, _zero(chain, axis, targets)))
 
 
@@ -196,16 +196,16 @@ def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | 
     return np.column_stack([np.zeros(len(p)) if c is None else np.interp(p, c.position, c.mean) for c in curves])
 
 
-def _side(recording: Recording, axis: str, p: np.ndarray) -> np.ndarray:
+def _side(recording: Recording, axis: str, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Side each target was approached from, of the rows that count: the direction column, else the last step."""
     name = recording.name("direction", axis=axis)
     if name is not None:
-        return np.sign(recording.array(name))
-    step = np.diff(p, prepend=p[0])
-    step[0] = step[1] if len(step) > 1 else 1.0
-    side = np.sign(step)
-    for i in range(1, len(side)):
-        side[i] = side[i - 1] if side[i] == 0 else side[i]
-    return np.where(side == 0, 1.0, side)
+        return np.sign(recording.array(name)[rows])
+    step = np.diff(p[rows], prepend=p[rows][0])
+    step[0] = step[1]
+    for i in range(1, len(step)):
+        step[i] = step[i - 1] if step[i] == 0 else step[i]
+    return np.where(step < 0, -1.0, 1.0)
 
 
 def _targets(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +27,6 @@ FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle",
 TYPICAL = (4.0, 3.0, 12.0, 10.0, 20.0, 30.0, 50.0)
 SMOOTHNESS = 3.0  # coefficients fall with this power of the wave number, unless the readings say otherwise
 CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 3.0)  # spread of log(size by family, smoothness, noise)
-_LINE = {0: 3, 2: 4}
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,17 @@ class Parametrisation:
             for j, rough in enumerate(bases[chain.drives[c]].rough):
                 if rough > 0.0:
                     rows.append((f"{name}[{j}]", c, j, family, rough))
-                elif family in _LINE:  # the slope of a straightness is squareness
-                    rows.append((f"{name}[{j}]", c, j, _LINE[family], 1.0))
+                elif parse(name).kind != "straightness":  # the slope of a straightness is squareness
+                    rows.append((f"{name}[{j}]", c, j, {0: 3, 1: 1, 2: 4}[family], 1.0))
         names, *columns = zip(*rows, strict=True)
         return cls(chain, bases, Prior(names, *map(np.array, columns)))
+
+    @cached_property
+    def zeroed(self) -> np.ndarray:
+        """True for functions of a positioning deviation, which is zero at its axis' datum."""
+        kinds = [parse(self.chain.components[c]).kind for c in self.prior.component]
+        own = np.array([k in ("positioning", "angular positioning") for k in kinds])
+        return own & np.array([c < 0 or not self.bases[c].closed for c in self.chain.drives[self.prior.component]])
 
     def functions(self, q: np.ndarray) -> np.ndarray:
         """Value of each parameter's function at q, shape (n, parameters): d(component)/d(parameter)."""
@@ -91,7 +98,7 @@ class Parametrisation:
             if j < 0:
                 continue
             a = self.chain.drives[c]
-            own = not self.bases[a].closed and self.prior.family[i] in (0, 3)
+            own = self.zeroed[i]
             out[:, i] = values[a][:, j + (self.bases[a].size if own else 0)]
         return out
 
@@ -152,6 +159,13 @@ class Identified:
         rows = jac[:, :, self.model.prior.component] * self.model.functions(q)[:, None, :]
         value = rows @ self.mean
         return value, np.sqrt(np.einsum("nkp,pq,nkq->nk", rows, self.covariance, rows, optimize=True))
+
+    def covariance_at(self, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
+        """Covariance of the predicted tool point over all places, shape (3 n, 3 n), um2, X Y Z of a place together."""
+        q = np.atleast_2d(np.asarray(q, dtype=float))
+        jac = synthesis.jacobian(self.model.chain, q, tip)[:, :3]
+        rows = (jac[:, :, self.model.prior.component] * self.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
+        return rows @ self.covariance @ rows.T
 
     def errors(self, nodes: int = 201) -> MachineErrors:
         """The components as curves and constants, for synthesis and tables."""

@@ -20,6 +20,7 @@ from errpipe.kinematics.chain import Chain
 SHIFT = 1000.0  # um: a socket or artefact is placed within a few millimetres at worst
 TURN = 3000.0  # urad
 LENGTH = 200.0  # um
+BALL = 4.0  # um: run-out of the ball in the spindle, once averaged over two spindle orientations (ISO 230-7)
 
 
 @dataclass(frozen=True)
@@ -157,13 +158,16 @@ def points(
 
 
 def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) -> list:
-    """Place of the ball in the spindle: a shift fixed to the tool, where rotary axes turn it in the work's frame."""
+    """Run-out of the ball in the spindle: a shift fixed to the tool, where rotary axes turn it in the work's frame.
+
+    It looks like an offset of a rotary axis' line; so a rotary test is only as good as its ball is centred.
+    """
     if not any(a.kind == "rotary" for a in chain.machine.axes.values()):
         return []
     found = []
     for i, d in enumerate("XYZ"):
         column = np.einsum("nj,nj->n", pose[:, 1 + i], unit[:, 0])
-        found.append((f"{label}: ball {d}", SHIFT, column))
+        found.append((f"{label}: ball {d}", BALL, column))
     return found
 
 

@@ -18,6 +18,11 @@ from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 
+# Rise of the straight part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
+# travel, angles of some 70 urad (5.8), beside waves of 4 um and 12 urad.
+SLOPE = {"positioning": 8.7, "radial": 2.6, "axial": 2.6}
+RUN_OUT = 4.0  # um: ball in the spindle, after turning the spindle by half a turn and averaging
+
 Values = Mapping[str, Callable[[np.ndarray], np.ndarray] | float]
 
 
@@ -43,7 +48,7 @@ def smooth_machine(
     for c, name in enumerate(chain.components):
         a = int(chain.drives[c])
         if a < 0:
-            values[name] = float(rng.normal(0.0, 40.0 if chain.angular[c] else 25.0))
+            values[name] = float(rng.normal(0.0, 50.0 if chain.angular[c] else 30.0))
             continue
         size = (angle if chain.angular[c] else displacement) * np.exp(rng.normal(0.0, 0.3))
         values[name] = _smooth(rng, chain, a, name, size, correlation)
@@ -56,13 +61,15 @@ def _smooth(rng, chain: Chain, a: int, name: str, size: float, correlation: floa
     axis = chain.machine.axes[chain.axes[a]]
     closed = axis.kind == "rotary" and span > 359.0
     terms = 24
+    fading = np.ones(terms)
     if closed:
-        wave = rng.integers(1, 4, terms) * 2 * np.pi * span / 360.0
+        harmonic = rng.integers(1, 6, terms)
+        wave, fading = harmonic * 2 * np.pi * span / 360.0, 1.5 / harmonic**2
     else:
         wave = rng.normal(0.0, 1.0 / correlation, terms)
     phase = rng.uniform(0, 2 * np.pi, terms)
-    gain = size * np.sqrt(2.0 / terms) * rng.normal(size=terms)
-    slope = 0.0 if closed else size * rng.normal() * 5.0
+    gain = size * np.sqrt(2.0 / terms) * fading * rng.normal(size=terms)
+    slope = 0.0 if closed else size * rng.normal() * SLOPE.get(parse(name).kind, 5.8)
 
     def raw(p: np.ndarray) -> np.ndarray:
         t = (np.clip(np.asarray(p, dtype=float), low, high) - low) / span
@@ -70,7 +77,7 @@ def _smooth(rng, chain: Chain, a: int, name: str, size: float, correlation: floa
 
     grid = np.linspace(low, high, 2001)
     kind = parse(name).kind
-    if kind == "positioning":
+    if kind in ("positioning", "angular positioning") and not closed:
         zero = float(raw(np.array([axis.zero]))[0])
         return lambda p: raw(p) - zero
     if kind == "straightness":
@@ -120,7 +127,7 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
     ideal = synthesis.ideal_pose(chain, run.q, tip)
     actual = synthesis.actual_pose(chain, run.q, comps, tip)
     rotary = any(a.kind == "rotary" for a in chain.machine.axes.values())
-    point = actual[:, 0] + (np.einsum("k,nkj->nj", rng.normal(0, setup * 1e-3, 3), actual[:, 1:]) if rotary else 0.0)
+    point = actual[:, 0] + (np.einsum("k,nkj->nj", rng.normal(0, RUN_OUT * 1e-3, 3), actual[:, 1:]) if rotary else 0.0)
     shown = run.q - (0.0 if run.centre is None else run.centre)
     out = {"run": np.full(len(run.q), run.label, dtype=object)}
     out |= {a.lower(): shown[:, i] for i, a in enumerate(chain.axes)}
