@@ -181,6 +181,7 @@ def fit(
     """
     options = options or SeasonOptions()
     problem = _Problem(recording, component, options, rows)
+    problem.orient()
     return problem.model()
 
 
@@ -227,6 +228,17 @@ class _Problem:
         self.signs = np.array([c.sign for c in self.causes])
         self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
         self.core_centred, self.extra_centred = core, extra
+
+    def orient(self) -> None:
+        """Turn all signs round where runs left out say so: a response may count the other way."""
+        turned = -self.signs
+        errors = []
+        for signs in (self.signs, turned):
+            self.signs = signs
+            core = self.left_out([[g] for g in self.groups])["core"]
+            seen = self.rows & np.isfinite(core)
+            errors.append(rms((self.response - core)[seen]))
+        self.signs = turned if errors[1] < errors[0] else -turned
 
     def solve(self, groups: Sequence[int]) -> _Gains:
         """Gains from some of the groups."""

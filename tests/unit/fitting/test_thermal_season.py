@@ -99,6 +99,13 @@ def test_a_model_of_cold_days_holds_on_warm_days():
     assert -8.0 < sum(pulls.values()) < -4.0
 
 
+def test_a_response_that_counts_the_other_way_gives_the_mirrored_model():
+    recording = machine(6)
+    mirrored = Recording(recording.manifest, recording.frame.assign(E_D=-recording.frame["E_D"]))
+    one, two = thermal_season.fit(recording, "E_D"), thermal_season.fit(mirrored, "E_D")
+    assert_allclose(two.values(mirrored), -one.values(recording), atol=1e-9)
+
+
 def test_no_deviation_no_gain():
     recording = machine(4)
     flat = Recording(recording.manifest, recording.frame.assign(E_D=12.0))
