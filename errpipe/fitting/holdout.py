@@ -16,6 +16,8 @@ from pydantic import Field
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.errors import DataError, did_you_mean
 
+MOST_RUNS = 30  # more fits than that tell no more about the error, and take their time
+
 
 class Fold(NamedTuple):
     """One split: the label of what sits out, rows that fit, rows that judge (boolean masks, shape (rows,))."""
@@ -26,13 +28,19 @@ class Fold(NamedTuple):
 
 
 class HoldOut(Frozen):
-    """How a recording is split. `auto`: whole runs where there are at least three, else blocks of time."""
+    """How a recording is split.
 
-    scheme: Literal["auto", "leave-one-run-out", "leave-one-group-out", "blocks", "forward"] = Field(
-        "auto", description="leave-one-group-out leaves a day or season out; forward fits on the past alone."
+    `auto`: each run sits out by itself where there are 3 to 30, in ten batches where there are more; blocks of time
+    where there are fewer.
+    """
+
+    scheme: Literal["auto", "leave-one-run-out", "leave-one-group-out", "batches", "blocks", "forward"] = Field(
+        "auto",
+        description="leave-one-group-out leaves a day or season out; batches leave several whole groups out at once; "
+        "forward fits on the past alone.",
     )
     of: str | None = Field(None, description="Group that sits out: a column's name or its `of` (day, season, machine).")
-    blocks: int = Field(5, ge=2, description="Number of equal blocks (blocks, and forward without `of`).")
+    blocks: int = Field(5, ge=2, description="Number of blocks or batches (batches, blocks, and forward without `of`).")
     gap: float = Field(
         0.0, ge=0, description="Rows this close to a judged block do not fit.", json_schema_extra={"unit": "s"}
     )
@@ -71,7 +79,7 @@ def parse(text: str) -> HoldOut:
 
 def name(scheme: HoldOut) -> str:
     """Short form of a scheme, as `groups` reads it."""
-    if scheme.scheme == "blocks" or (scheme.scheme == "forward" and scheme.of is None):
+    if scheme.scheme in ("batches", "blocks") or (scheme.scheme == "forward" and scheme.of is None):
         return f"{scheme.scheme}:{scheme.blocks}"
     return f"{scheme.scheme}:{scheme.of}" if scheme.of else scheme.scheme
 
@@ -120,7 +128,10 @@ def block_numbers(recording: Recording, count: int) -> np.ndarray:
 
 
 def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
-    if np.unique(recording.run_codes()[measured(recording)]).size >= 3:
+    runs = np.unique(recording.run_codes()[measured(recording)]).size
+    if runs > MOST_RUNS:
+        return scheme.model_copy(update={"scheme": "batches", "blocks": 10})
+    if runs >= 3:
         return scheme.model_copy(update={"scheme": "leave-one-run-out"})
     return scheme.model_copy(update={"scheme": "blocks"})
 
@@ -137,6 +148,9 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         unique = list(dict.fromkeys(found))
         codes = _codes(found, unique)
         order = [(str(label), k) for k, label in enumerate(unique)]
+        if scheme.scheme == "batches":
+            codes = codes * min(scheme.blocks, len(unique)) // len(unique)
+            order = [(_batch(unique, codes, found, k), k) for k in range(int(codes.max()) + 1)]
     if len(order) < 2:
         return
     for label, k in order:
@@ -145,6 +159,12 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         train &= ~_near(recording, test, scheme.gap)
         if train.any() and test.any():
             yield Fold(label, train, test)
+
+
+def _batch(unique: list[str], codes: np.ndarray, found: np.ndarray, number: int) -> str:
+    """Label of a batch: its first and last group."""
+    inside = [label for label in unique if codes[found == label][0] == number]
+    return inside[0] if len(inside) == 1 else f"{inside[0]} to {inside[-1]}"
 
 
 def _codes(found: np.ndarray, unique: list[str]) -> np.ndarray:

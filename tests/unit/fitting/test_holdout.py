@@ -26,7 +26,9 @@ def recording(runs: int = 4, rows: int = 10) -> Recording:
     return Recording(Manifest(recording=1, tables=("r.csv",), columns=columns), frame)
 
 
-@pytest.mark.parametrize("scheme", ["auto", "leave-one-run-out", "leave-one-group-out:day", "blocks:4", "forward"])
+@pytest.mark.parametrize(
+    "scheme", ["auto", "leave-one-run-out", "leave-one-group-out:day", "batches:2", "blocks:4", "forward"]
+)
 def test_no_row_both_fits_and_judges(scheme):
     for fold in holdout.groups(recording(), scheme):
         assert not (fold.train & fold.test).any()
@@ -81,3 +83,14 @@ def test_runs_that_only_log_judge_nothing():
     silent = logged.frame["run"] == "r1"
     logged = Recording(logged.manifest, logged.frame.assign(E_Z=np.where(silent, np.nan, 0.0)))
     assert [fold.label for fold in holdout.groups(logged)] == ["r0", "r2", "r3"]
+
+
+def test_batches_keep_runs_whole_and_auto_takes_them_where_runs_are_many():
+    many = recording(runs=40, rows=3)
+    assert holdout.name(holdout.resolved(many)) == "batches:10"
+    folds = holdout.groups(many)
+    assert [fold.label for fold in folds][:2] == ["r0 to r3", "r4 to r7"]
+    run = many.run_codes()
+    for fold in folds:
+        assert not set(run[fold.train]) & set(run[fold.test])
+    assert (sum(fold.test.astype(int) for fold in folds) == 1).all()
