@@ -5,9 +5,11 @@ from __future__ import annotations
 from errpipe.stages.clean import Clean
 from errpipe.stages.export import Export
 from errpipe.stages.fit import Fit
+from errpipe.stages.fit_plate import FitPlate
+from errpipe.stages.fit_season import FitSeason
 from errpipe.stages.ingest import Ingest
 from errpipe.stages.report import Report
 from errpipe.stages.simulate import Simulate
 from errpipe.stages.validate import Validate
 
-STAGES = (Clean, Export, Fit, Ingest, Report, Simulate, Validate)
+STAGES = (Clean, Export, Fit, FitPlate, FitSeason, Ingest, Report, Simulate, Validate)

@@ -20,5 +20,5 @@ def diagnose(
         document = run(manifest_folder.read(Path(recording)), progress)
     except DataError as err:
         raise UsageError(str(err)) from None
-    jsonfile.write(Path(out) / "diagnosis.json", document)
+    jsonfile.write(Path(out) / "diagnosis.json", document.document())
     return {"written": str(Path(out) / "diagnosis.json")}

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.stages._families import FITS
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -40,7 +41,7 @@ class Export(Stage):
     )
     reads: ClassVar[Mapping[str, Need]] = {
         "recording": Need("clean", "ingest"),
-        "fit": Need("fit"),
+        "fit": Need(*FITS),
         "validate": Need("validate", optional=True),
     }
 

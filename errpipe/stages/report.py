@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.stages._families import FITS
 from errpipe.stages.validate import HELD_OUT
 
 ISO230_2 = {
@@ -26,7 +27,7 @@ class Report(Stage):
     reads: ClassVar[Mapping[str, Need]] = {
         "ingest": Need("ingest"),
         "clean": Need("clean", optional=True),
-        "fit": Need("fit"),
+        "fit": Need(*FITS),
         "validate": Need("validate"),
         "export": Need("export", optional=True),
     }

@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.fitting.holdout import HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.stages._families import FITS
 
 HELD_OUT = "held_out.parquet"
 
@@ -21,7 +22,7 @@ class Validate(Stage):
     kind: Literal["validate"]
     holdout: HoldOut | None = Field(None, description="Who sits out; default: as the fit says.")
     iso230_2: bool = Field(False, description="Add the figures of ISO 230-2 (bidirectional positioning tests).")
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest"), "fit": Need("fit")}
+    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest"), "fit": Need(*FITS)}
 
     def outputs(self) -> tuple[str, ...]:
         return ("validation.json", HELD_OUT)
@@ -49,24 +50,21 @@ def headline(component: Mapping[str, Any]) -> str:
 
 def judged(recording, fit_folder: Path, scheme: HoldOut | None, progress=lambda share, text: None):
     """The document of `validation.json`, and per component the rows that sat out with what was left on them."""
-    from errpipe import jsonfile
-    from errpipe.fitting import holdout, judging
-    from errpipe.fitting.spec import ModelSpec
+    from errpipe.stages._families import family_of
     from errpipe.validation import held_out
 
-    spec = ModelSpec.model_validate(jsonfile.read(fit_folder / "fit.json")["spec"])
-    chosen = scheme or spec.holdout
-    folds = holdout.groups(recording, chosen)
-    found: dict[str, list] = {c.component: [] for c in spec.components}
+    family = family_of(fit_folder)
+    name, folds = family.folds(recording, scheme)
+    found: dict[str, list] = {name: [] for name in family.components}
     for number, fold in enumerate(folds):
         progress(number / len(folds), f"without {fold.label}")
-        for component, left in judging.judge(recording, spec, fold).items():
+        for component, left in family.judge(recording, fold).items():
             found[component].append(left)
     document = {
         "validation": held_out.VERSION,
-        "scheme": holdout.name(holdout.resolved(recording, chosen)),
-        "method": spec.method,
-        "components": [held_out.component_figures(recording, name, left) for name, left in found.items()],
+        "scheme": name,
+        "method": family.method,
+        "components": [held_out.component_figures(recording, c, left) for c, left in found.items()],
     }
     return document, found
 

@@ -1,0 +1,151 @@
+"""The kinds of model a pipeline can fit, each judged by its own refit on the rows of a fold.
+
+What `fit`, `fit_season` and `fit_plate` leave in `fit.json` is enough to repeat them without a held-out group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.holdout import Fold, HoldOut
+
+FITS = ("fit", "fit_season", "fit_plate")
+
+
+class Family:
+    """One kind of fit, with what it was asked for. judge: fold -> component -> held-out residuals."""
+
+    components: tuple[str, ...]
+    holdout: HoldOut
+    method: str
+
+    def folds(self, recording: Recording, scheme: HoldOut | None) -> tuple[str, list[Fold]]:
+        """The scheme's name and its folds; without a scheme, the family's own."""
+        from errpipe.fitting import holdout
+
+        chosen = scheme or self.holdout
+        return holdout.name(holdout.resolved(recording, chosen)), holdout.groups(recording, chosen)
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
+        """Fit on one side of a fold, judge on the other."""
+        raise TypeError(f"{type(self).__name__} does not judge")
+
+
+class Terms(Family):
+    """Named terms (`fit`)."""
+
+    def __init__(self, document: Mapping[str, Any]):
+        from errpipe.fitting.spec import ModelSpec
+
+        self.spec = ModelSpec.model_validate(document["spec"])
+        self.components = tuple(c.component for c in self.spec.components)
+        self.holdout, self.method = self.spec.holdout, self.spec.method
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
+        from errpipe.fitting import judging
+
+        return judging.judge(recording, self.spec, fold)
+
+
+class Season(Family):
+    """A thermal model for all seasons (`fit_season`); deviations count from the start of each run."""
+
+    def __init__(self, document: Mapping[str, Any]):
+        from errpipe.fitting.holdout import HoldOut
+        from errpipe.fitting.thermal_season import SeasonOptions
+
+        self.options = SeasonOptions.model_validate(document["options"])
+        self.components = (document["component"],)
+        self.holdout = HoldOut(scheme="leave-one-group-out", of=self.options.environment)
+        self.method = "season"
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
+        from errpipe.fitting import thermal_season
+        from errpipe.fitting.design import response_name
+        from errpipe.fitting.validity import distance
+
+        (component,) = self.components
+        model = thermal_season.fit(recording, component, self.options, fold.train)
+        deviation = recording.array(response_name(recording, component))
+        since, _ = thermal_season.since_start(deviation, recording.run_codes(), self.options.datum_rows)
+        left = since - model.values(recording)
+        return {component: _held_out(fold, since, left, distance(model.validity, recording))}
+
+
+class Plate(Family):
+    """A planar map from hole patterns (`fit_plate`); each plate's shift and rotation is set-up, not machine."""
+
+    def __init__(self, document: Mapping[str, Any]):
+        from errpipe.fitting.holdout import HoldOut
+
+        self.modes, self.every = document["modes"], document["every"]
+        self.components = ("E_X", "E_Y")
+        self.holdout, self.method = HoldOut(scheme="leave-one-run-out"), "planar map"
+
+    def folds(self, recording: Recording, scheme: HoldOut | None) -> tuple[str, list[Fold]]:
+        """Without a scheme: every so many holes of each plate sit out while its other holes are fitted."""
+        import numpy as np
+
+        from errpipe.fitting.holdout import Fold
+
+        if scheme is not None:
+            return super().folds(recording, scheme)
+        run, out = recording.run_codes(), []
+        for code, label in enumerate(recording.run_labels()):
+            own = np.flatnonzero(run == code)
+            test = np.zeros(run.size, dtype=bool)
+            test[own[:: self.every]] = True
+            out.append(Fold(label, (run == code) & ~test, test))
+        return f"each plate by itself, every {self.every}th hole", out
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
+        """A plate's shift and rotation come from its fitted holes, else (a plate never seen) from the judged ones."""
+        import numpy as np
+
+        from errpipe.fitting.design import response_name
+        from errpipe.kinematics import planar
+
+        model = planar.fit_plate(recording, rows=fold.train, modes=self.modes)
+        x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
+        deviation = np.column_stack([recording.array(response_name(recording, c)) for c in self.components])
+        left = deviation - model.predict(x, y)
+        before, after, taken = np.full_like(deviation, np.nan), np.full_like(deviation, np.nan), 0.0
+        run, known = recording.run_codes(), np.isfinite(deviation).all(axis=1)
+        for code in np.unique(run[fold.test]):
+            rows, fitted = fold.test & known & (run == code), fold.train & known & (run == code)
+            decide = fitted if fitted.any() else rows
+            taken += 0.0 if fitted.any() else 1.5  # of three degrees of freedom a plate, half for each direction
+            both = rows | decide
+            for source, target in ((deviation, before), (left, after)):
+                target[both] = planar.without_setup(x[both], y[both], source[both], decide[both])
+        box = model.functions.box
+        outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
+        return {
+            c: _held_out(fold, before[:, k], after[:, k], outside, used=taken) for k, c in enumerate(self.components)
+        }
+
+
+def _held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndarray, used: float = 0.0) -> Any:
+    import numpy as np
+
+    from errpipe.fitting.judging import HeldOut
+
+    rows = np.flatnonzero(fold.test & np.isfinite(before) & np.isfinite(after))
+    return HeldOut(fold.label, rows, before[rows], after[rows], outside[rows], used)
+
+
+FAMILIES: dict[str, Callable[[Mapping[str, Any]], Family]] = {"terms": Terms, "season": Season, "plate": Plate}
+
+
+def family_of(folder: Path) -> Family:
+    """The family behind a fit stage's folder."""
+    from errpipe import jsonfile
+
+    document = jsonfile.read(folder / "fit.json")
+    return FAMILIES[document["family"]](document)
