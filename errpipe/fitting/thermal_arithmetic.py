@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import stats
 
 from errpipe.fitting.solve import one_thread
 
@@ -20,12 +21,16 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
     return values - zero, zero
 
 
-def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float) -> float:
+def conformal_half_width(
+    error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None
+) -> float:
     """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
 
     Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
     exchangeable groups (split conformal prediction over groups), but by no more than half of what is left:
-    with a handful of groups the full level would be the worst row ever seen.
+    with a handful of groups the full level would be the worst row ever seen. What a handful cannot know is
+    allowed for as Student does: the width grows by the ratio of his quantile to the normal one.
+    witnesses: independent groups where it is fewer than there are labels (blocks of one run count once).
     """
     labels = np.unique(group)
     level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size)
@@ -35,7 +40,9 @@ def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float) 
         mine = group == label
         weight[mine] = 1.0 / np.count_nonzero(mine)
     reached = np.cumsum(weight[order]) / labels.size
-    return float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
+    freedom = max((labels.size if witnesses is None else witnesses) - 1, 1)
+    few = float(stats.t.ppf((1.0 + coverage) / 2, freedom) / stats.norm.ppf((1.0 + coverage) / 2))
+    return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 
 
 def centred(columns: np.ndarray, run: np.ndarray, rows: int) -> np.ndarray:

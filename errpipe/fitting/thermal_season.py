@@ -368,12 +368,13 @@ class _Problem:
         runs left out and errors inside the box of environments left out weigh the same.
         """
         level = self.options.coverage
-        inside = conformal_half_width(near[seen], self.group[seen], level)
+        runs = np.unique(self.recording.run_codes()[self.rows]).size
+        inside = conformal_half_width(near[seen], self.group[seen], level, runs)
         unseen = far & (outside <= 0.0)
         if unseen.any():
             errors = np.r_[near[seen], afar[unseen]]
             groups = np.r_[self.group[seen], -1 - self.group[unseen]]
-            inside = max(inside, conformal_half_width(errors, groups, level))
+            inside = max(inside, conformal_half_width(errors, groups, level, runs))
         beyond = far & (outside > LEAST_OUTSIDE)
         least = inside * MARGIN / DOUBLED
         if np.count_nonzero(beyond) < 50:
