@@ -6,7 +6,7 @@ too, for the model and for doing nothing alike, and the degrees of freedom that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +21,14 @@ from errpipe.fitting.components import (
     solved_plainly,
     without_nuisance,
 )
-from errpipe.fitting.design import assemble
+from errpipe.fitting.design import Problem, assemble, response_name
 from errpipe.fitting.holdout import Fold, check
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
 
 TIE = 0.01  # a term must take at least this share of the held-out error away to stay (from taste)
+
+FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start: one alone would add its noise to all
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,10 @@ def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, valu
         raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
     problem = assemble(recording, [(c.component, ()) for c in group], spec.nuisance, usable)
     predicted = np.concatenate([values[c][r] for c, r in zip(problem.components, problem.rows, strict=True)])
-    before = without_nuisance(problem, problem.response)
-    after = without_nuisance(problem, problem.response - predicted)
+    response, left = problem.response, problem.response - predicted
+    if spec.datum == "run_start":
+        response, left = response - _starts(recording, problem), left - _starts(recording, problem, values)
+    before, after = without_nuisance(problem, response), without_nuisance(problem, left)
     used = float(np.linalg.matrix_rank(problem.design(np.empty(0)))) if problem.width else 0.0
     far, out, start = distance(model.validity, recording), {}, 0
     for component, rows in zip(problem.components, problem.rows, strict=True):
@@ -83,6 +87,20 @@ def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, valu
         out[component] = HeldOut(fold.label, rows, before[part], after[part], far[rows], share)
         start = part.stop
     return out
+
+
+def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+    """Mean of each run's first readings (less the model's values there), for every row of the problem, (n,)."""
+    run, out = recording.run_codes(), []
+    for component, rows in zip(problem.components, problem.rows, strict=True):
+        y = recording.array(response_name(recording, component))
+        y = y if values is None else y - values[component]
+        first = np.zeros(int(run.max()) + 1)
+        for code in np.unique(run[rows]):
+            readings = y[run == code]
+            first[code] = readings[np.isfinite(readings)][:FIRST_READINGS].mean()
+        out.append(first[run[rows]])
+    return np.concatenate(out)
 
 
 def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[str, list[HeldOut]]:

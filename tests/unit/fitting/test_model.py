@@ -6,6 +6,7 @@ from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, NotIdentifiable
+from errpipe.fitting.judging import judge_all
 from errpipe.fitting.lowering import left_behind, lower
 from errpipe.fitting.model import ModelSpec, evaluate, fit
 from errpipe.terms._base import drive, position
@@ -179,6 +180,17 @@ def test_run_start_counts_from_each_runs_first_row(axis):
     values = evaluate(model, axis)["EXX"]
     first = np.flatnonzero(np.r_[True, run[1:] != run[:-1]])
     assert_allclose(values[first], 0.0, atol=0)
+
+
+def test_run_start_is_judged_from_each_runs_first_readings(axis):
+    level = np.array([30.0, -20, 5, 60, -80, 12, 7, 1])[axis.run_codes()]
+    y = with_response(axis, 4.0 * (axis.array("T_nut") - 20.0) + level, 0.01)
+    judged = judge_all(
+        y, spec_of({"term": "thermal_drift", "sensor": "T_nut"}, datum="run_start"), axis.array("x") < 1e9
+    )
+    for fold in judged["EXX"]:
+        assert 1.5 < fold.rms(fold.before) < 3.0  # a rise of 1 K in each run, whatever its level
+        assert fold.rms(fold.after) < 0.03
 
 
 def test_a_datum_per_run_is_nuisance_and_not_part_of_the_model(axis):
