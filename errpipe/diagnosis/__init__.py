@@ -15,20 +15,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
+from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Recording
 
 
-def diagnose(recording: Recording, progress: Callable[[float, str], None] = lambda share, text: None) -> dict[str, Any]:
-    """diagnosis.json as plain data. Raises DataError where no response can be judged."""
+def diagnose(recording: Recording, progress: Callable[[float, str], None] = lambda share, text: None) -> Diagnosis:
+    """Every response with a simulated twin, judged. Raises DataError where none can be."""
     from errpipe.diagnosis import judge, prepare, report
 
-    pairs = prepare.pairs(recording)
+    pairs, notes = prepare.pairs(recording)
     conditioned = prepare.condition(recording)
     responses = []
     for k, pair in enumerate(pairs):
         done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
         case = judge.judge(recording, conditioned, pair, done)
         responses.append(report.response(case))
-    return {"diagnosis": 1, "recording": recording.manifest.title, "responses": responses}
+    return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes))

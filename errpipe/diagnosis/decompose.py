@@ -15,7 +15,7 @@ COARSE = 0.01  # what textbook forms cannot reach, relative to the signal: taken
 ROWS = 300.0  # what is left is no noise: it counts as this many rows
 PRICE = 6.0  # log prior odds against each part
 NEVER = ("clock_offset", "sensor_fault")  # faults of recordings, not parts of simulations
-STRANGE = {"thermal_interaction": -8.0, "sensor_drift": -4.0, "local_wear": -3.0, "gradient_bending": -2.0}
+STRANGE = {"thermal_interaction": -6.0, "sensor_drift": -4.0, "local_wear": -3.0, "gradient_bending": -2.0}
 
 
 @dataclass(frozen=True)

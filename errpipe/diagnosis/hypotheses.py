@@ -169,8 +169,11 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, waves: W
             groups.append(tuple(bound))
         for group in groups:
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
-            for values in grid(group[0], recording, waves):
-                odds = prior_of(group[0], component)
+            points = grid(group[0], recording, waves)
+            # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
+            shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
+            odds = prior_of(group[0], component) + float(shared)
+            for values in points:
                 yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds)
     if component.startswith("F_"):
         for column in recording.names("acceleration", axis=component[2:]):
@@ -290,10 +293,8 @@ def _free_grid(term: Term, name: str, recording: Recording, waves: Waves) -> tup
 
 def prior_of(term: Term, component: str) -> float:
     """Log prior odds of a binding beside its like: the stranger, the lower."""
-    if term.term == "thermal_interaction":
-        return -2.0
     if term.term == "torque_ripple" or (term.term == "pitch_cyclic" and not term.fixed):
-        return -5.0  # the strongest of some hundred waves was picked
+        return -3.0  # the strongest of some hundred waves was picked
     if term.term == "sensor_fault":
         return -3.0
     if term.term == "clock_offset":
@@ -373,6 +374,8 @@ def slacks(
         if name == "feed_heating":
             for column, freedom in decays(recording, nl[0], 0.1, 0.5):
                 yield column * x, freedom
+            for factor in (0.3, 3.0):
+                yield term.basis(recording, nl[0] * factor)[:, 0], 0.25
         else:
             rise = recording.array(term.sensor)
             for tau in (400.0, 1500.0):
@@ -393,9 +396,12 @@ def slacks(
             yield term.basis(recording, nl[0] * factor, nl[1])[:, 0], 0.25
     elif name == "thermal_interaction":
         for sensor in dict.fromkeys((term.first, term.second)):
-            yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.25
+            yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.12
     elif name == "coolant_effect":
         yield from decays(recording, nl[0], 0.2, 0.2)
+    elif name == "reversal_spike":
+        # a real spike takes a moment to rise
+        yield base[:, 0] - term.basis(recording, nl[0] / 3, *nl[1:])[:, 0], 0.4
     elif name == "thermal_drift":
         rise = recording.array(term.sensor)
         yield responses.lag(sessions(recording), recording.time(), rise, 300.0, 300.0, True) - rise, 0.2

@@ -118,9 +118,9 @@ def recalibration(
 ) -> tuple[Active, list[str], np.ndarray]:
     """Datum, gain of the whole simulated signal, gain of each of its parts; their names and columns."""
     columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
-    for part in d.parts:
+    for part in together(d.parts):
         for what, values in (("", part.core), (", not textbook", part.slack)):
-            if np.std(values) > 1e-3 * np.std(simulated):
+            if np.std(values) > 0.02 * np.std(simulated):
                 columns.append(values)
                 sd.append(GAIN_SD)
                 names.append(part.hypothesis.effect + what)
@@ -132,9 +132,23 @@ def recalibration(
     return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names], every
 
 
+def together(found: tuple[parts.Part, ...]) -> list[parts.Part]:
+    """Parts that nearly cancel are one part: their own gains would let anything pass for a recalibration."""
+    out: list[parts.Part] = []
+    for part in found:
+        for k, other in enumerate(out):
+            if np.corrcoef(part.contribution, other.contribution)[0, 1] < -0.9:
+                out[k] = replace(other, core=other.core + part.core, slack=other.slack + part.slack)
+                break
+        else:
+            out.append(part)
+    return out
+
+
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
     """Log prior odds: what the simulation already holds is seldom what it lacks."""
-    present = {p.hypothesis.effect for p in d.parts}
+    held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
+    present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > 15.0}
     prior = np.array([h.prior for h in library.hypotheses])
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:

@@ -52,6 +52,19 @@ def modelled(case: Case, k: int) -> Modelled:
     return Modelled(hypothesis, tuple(estimates), contribution, share)
 
 
+def core_share(case: Case, k: int) -> float:
+    """Share of the textbook form in the contribution of finding k, as it was searched."""
+    found = case.explanation.found
+    scene = case.search.scene(case.chosen())
+    b = scene.coefficients()
+    first = case.nuisance.index.size + sum(case.library.indices(f.index).size for f in found[:k])
+    at = case.library.indices(found[k].index)
+    weights = b[first : first + at.size]
+    cores = case.library.cores[found[k].index]
+    core, slack = float(np.abs(weights[:cores]).sum()), float(np.sqrt((weights[cores:] ** 2).sum()))
+    return core / max(core + slack, 1e-12)
+
+
 def _columns(case: Case, h: Hypothesis):
     core, slack, rel = columns_of(h, case.recording)
     made = scaled(core[case.pair.rows], slack[case.pair.rows], rel)

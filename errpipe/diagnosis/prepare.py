@@ -32,8 +32,8 @@ class Pair:
     outliers: np.ndarray
 
 
-def pairs(recording: Recording) -> list[Pair]:
-    """Every response with a simulated twin. Raises DataError where there is none, or none that can be used."""
+def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
+    """Every response with a simulated twin, and why others cannot be used. Raises DataError where none can."""
     found, refused = [], []
     for error in recording.names("error"):
         component = recording.manifest.columns[error].component
@@ -51,7 +51,7 @@ def pairs(recording: Recording) -> list[Pair]:
             refused.append(str(err))
     if not found:
         raise DataError("diagnose: no pair of responses\n" + "\n".join(f"  {line}" for line in refused))
-    return found
+    return found, refused
 
 
 def _pair(recording: Recording, component: str, error: str, twin: str, unit: str) -> Pair:

@@ -1,69 +1,230 @@
-"""The findings as the plain data of diagnosis.json, version 1."""
+"""The findings as diagnosis.json: verdict, names with their confidence, rivals, parameters, what to measure next."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from errpipe.diagnosis import confidence, holdout, locate, model, separate
 from errpipe.diagnosis.judge import Case, needs_recalibration, residual
+from errpipe.domain.diagnosis import (
+    Finding,
+    FoundParameter,
+    HoldOutFigures,
+    ResponseDiagnosis,
+    Rival,
+    Where,
+)
+
+CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
+ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
+NEVER = ("moving_mass",)
 
 
-def response(case: Case) -> dict[str, Any]:
+def response(case: Case) -> ResponseDiagnosis:
     """One response of diagnosis.json."""
+    before, after = case.y, residual(case)
+    held = holdout.held_out(case)
+    signs = [signs_of(case, k, held) for k in range(len(case.explanation.found))]
+    findings = [finding(case, k, signs) for k in range(len(signs))]
+    strange = confidence.unknown(signs[0]) if signs else _strange_alone(case, held)
+    findings, verdict = _verdict(case, findings, strange)
+    figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
+    out = ResponseDiagnosis(
+        component=case.pair.component, unit=case.pair.unit, verdict=verdict, rms_before_um=_rms(before),
+        rms_after_um=_rms(after), noise_floor_um=float(min(case.sigma, case.rough) if signs else case.sigma),
+        holdout=figures, findings=tuple(findings),
+        regimes=locate.regimes(case.recording, case.pair.rows, before, after),
+    )  # fmt: skip
+    return out.model_copy(update={"says": in_words(out)})
+
+
+def _rms(v: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(v))))
+
+
+def signs_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Signs:
+    """What the search says about finding k."""
     found = case.explanation.found
-    off = needs_recalibration(case)
-    verdict = "missing_physics" if found else ("recalibrate" if off else "no_mismatch")
-    left = residual(case)
-    rms = lambda v: float(np.sqrt(np.mean(np.square(v))))  # noqa: E731
-    findings = [finding(case, k) for k in range(len(found))]
-    return {
-        "component": case.pair.component,
-        "unit": case.pair.unit,
-        "verdict": verdict,
-        "rms_before_um": rms(case.y),
-        "rms_after_um": rms(left),
-        "noise_floor_um": case.sigma,
-        "holdout": {"scheme": "blocks", "rms_before_um": rms(case.y), "rms_after_um": rms(left)},
-        "findings": findings,
-    }
+    rivals = [r for r in case.search.rivals(found, k) if r[0] not in NEVER]
+    own = {f.hypothesis.effect for f in found}
+    margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
+    shaped = case.remainder
+    return confidence.Signs(
+        gain=found[k].gain, margin=margin, leftover=case.sigma / max(case.rough, 1e-12), share=shaped.share,
+        shapes=sum(g for _, g in shaped.shapes), others=len(found) - 1,
+        core=model.core_share(case, k), agreement=held.agreement, rank=k, rows=int(case.y.size),
+        unreached=unreached(case, case.sigma), fast=int(is_fast(case)),
+    )  # fmt: skip
 
 
-def finding(case: Case, k: int) -> dict[str, Any]:
-    """One finding."""
-    f = case.explanation.found[k]
-    return {
-        "effect": f.hypothesis.effect,
-        "confidence": 0.7,
-        "drivers": list(f.hypothesis.drivers),
-        "where": {},
-        "parameters": parameters(case, k),
-        "indistinguishable_from": [],
-        "would_separate": "",
-        "says": f.hypothesis.effect,
-    }
+def unreached(case: Case, left: float) -> float:
+    """Share of the structured variance that is still there at a residual rms of `left`."""
+    noise = 1.05 * case.rough
+    base = case.search.scene([]).rms()
+    if base <= noise:
+        return 0.0
+    return float(np.clip((left**2 - noise**2) / (base**2 - noise**2), 0.0, 1.0))
 
 
-def parameters(case: Case, k: int) -> list[dict[str, Any]]:
-    """Linear parameters of the core with 95 % intervals."""
-    f = case.explanation.found[k]
-    scene = case.search.scene(case.chosen())
-    b = scene.coefficients()
-    cov = scene.covariance()
-    first = case.nuisance.index.size + sum(
-        case.library.indices(o.index).size for o in case.explanation.found[:k]
+def is_fast(case: Case) -> bool:
+    """Is this a trace of motion, where the mismatch may change from row to row?"""
+    t = case.recording.time()[case.pair.rows]
+    step = np.diff(t)
+    return bool(step.size and np.median(step) < 0.1)
+
+
+def _strange_alone(case: Case, held: holdout.HeldOut) -> float:
+    """Chance of a mechanism without a name where no effect was accepted."""
+    gain = sum(g for _, g in case.remainder.shapes)
+    base = case.search.scene([]).rms()
+    drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
+    rough = base / max(case.rough, 1e-12)
+    z = -3.0 + 0.08 * gain + 3.0 * drop + 6.0 * max(rough - 1.15, 0.0)
+    return float(np.clip(1 / (1 + np.exp(-z)), 0.01, 0.97))
+
+
+def finding(case: Case, k: int, signs: list[confidence.Signs]) -> Finding:
+    """One finding, with its rivals and what would tell them apart."""
+    found = case.explanation.found
+    h = found[k].hypothesis
+    made = model.modelled(case, k)
+    rivals = sorted((r for r in case.search.rivals(found, k) if r[0] not in NEVER), key=lambda r: r[1])
+    own = {f.hypothesis.effect for f in found}
+    close = [r for r in rivals if r[0] not in own and (r[1] < CLOSE or _alike(case, made, r[2]))][:4]
+    sentence = ""
+    if rivals:
+        rival = close[0] if close else rivals[0]
+        fitted = (made.hypothesis, np.array([e.value for e in made.estimates[: _cores(made)]]))
+        sentence = separate.would_separate(
+            case.recording, fitted, _fitted_rival(case, made, rival[2]), case.sigma, case.pair.unit
+        )
+    term = made.hypothesis.terms[0]
+    values = dict(zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True))
+    return Finding(
+        effect=h.effect,
+        confidence=round(confidence.naming(signs[k]), 3),
+        drivers=h.drivers,
+        where=locate.where(h, case.recording, made.hypothesis.nonlinear[0]),
+        parameters=tuple(
+            FoundParameter(name=e.name, value=e.value, unit=e.unit, ci95=(e.low, e.high)) for e in made.estimates
+        ),
+        indistinguishable_from=tuple(r[0] for r in close),
+        would_separate=sentence,
+        says=_says(case, h.effect, h.drivers, made, signs[k]),
+        rms_um=float(np.std(made.contribution)),
+        rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
+        compensable=term.compensable and bool(term.lower(_parameters(made, values))) and not h.mask,
+        term=term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term},
     )
-    at = np.arange(first, first + case.library.indices(f.index).size)
-    scale = case.library.scale[case.library.slices[f.index]]
-    out = []
-    place = 0
-    for term in f.hypothesis.terms:
-        for p in term.linear():
-            value, sd = b[at[place]] / scale[place], np.sqrt(cov[at[place], at[place]]) / scale[place]
-            out.append({"name": p.name, "value": float(value), "unit": p.unit,
-                        "ci95": [float(value - 2 * sd), float(value + 2 * sd)]})  # fmt: skip
-            place += 1
-    for term, nl in zip(f.hypothesis.terms, f.hypothesis.nonlinear, strict=True):
-        for p, value in zip(term.nonlinear(), nl, strict=True):
-            out.append({"name": p.name, "value": float(value), "unit": p.unit, "ci95": [0.7 * value, 1.4 * value]})
-    return out
+
+
+def _cores(made: model.Modelled) -> int:
+    return sum(len(t.linear()) for t in made.hypothesis.terms)
+
+
+def _parameters(made: model.Modelled, values: dict[str, float]) -> dict[str, float]:
+    return {e.name: e.value for e in made.estimates} | values
+
+
+def _alike(case: Case, made: model.Modelled, rival: int) -> bool:
+    """Does the rival's textbook form explain nearly all of the finding's contribution?"""
+    at = case.library.slices[rival]
+    core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
+    columns = np.column_stack([np.ones(core.shape[0]), core])
+    target = made.contribution
+    b, *_ = np.linalg.lstsq(columns, target, rcond=None)
+    _ = at
+    return float(np.var(target - columns @ b)) < (1 - ALIKE) * float(np.var(target))
+
+
+def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
+    """The rival's textbook form, fitted to the finding's contribution."""
+    h = case.library.hypotheses[rival]
+    core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
+    columns = np.column_stack([np.ones(core.shape[0]), core])
+    b, *_ = np.linalg.lstsq(columns, made.contribution, rcond=None)
+    scale = case.library.scale[case.library.slices[rival]][: core.shape[1]]
+    return h, b[1:] / scale
+
+
+def _verdict(case: Case, findings: list[Finding], strange: float) -> tuple[list[Finding], str]:
+    """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
+    recalibrated = needs_recalibration(case)
+    if findings and strange > 0.5:
+        named = [f.model_copy(update={"confidence": round(min(f.confidence, 1.0 - strange), 3)}) for f in findings]
+        return [_unknown(case, strange), *named, *_recalibration(case, recalibrated)], "unexplained"
+    if findings:
+        return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
+    if strange > 0.5:
+        return [_unknown(case, strange), *_recalibration(case, recalibrated)], "unexplained"
+    return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
+
+
+def _recalibration(case: Case, needed: bool) -> list[Finding]:
+    """The gains and the datum of the simulation, as a finding of their own."""
+    if not needed:
+        return []
+    scene = case.search.scene(case.chosen())
+    b, cov = scene.coefficients(), scene.covariance()
+    parameters = []
+    m = case.nuisance.index.size
+    size = np.r_[1.0, np.ones(m - 1)]
+    for j, name in enumerate(case.names):
+        width = 1.0 if j == 0 else float(case.nuisance.sd[j]) / 0.10
+        value, sd = b[j] / (width * size[j]), np.sqrt(cov[j, j]) / width
+        unit = case.pair.unit if j == 0 else "1"
+        label = "datum" if j == 0 else f"gain of {name} less 1"
+        low, high = float(value - 2 * sd), float(value + 2 * sd)
+        parameters.append(FoundParameter(name=label, value=float(value), unit=unit, ci95=(low, high)))
+    moved = float(np.std(case.recal @ b[:m]))
+    return [
+        Finding(
+            effect="recalibration", confidence=0.95, drivers=(case.pair.simulated,), parameters=tuple(parameters),
+            says="Datum or gains of the simulation are off; setting them right moves it by "
+            f"{moved:.3g} {case.pair.unit} rms.",
+            rms_um=moved, compensable=False,
+        )
+    ]  # fmt: skip
+
+
+def _unknown(case: Case, chance: float) -> Finding:
+    """Structure that no effect carries: its drivers, and the shape that still explains."""
+    shapes = case.remainder.shapes
+    drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
+        case.recording.name("time") or "row",
+    )
+    kinds = " and ".join(dict.fromkeys(s.kind for s, _ in shapes[:2])) or "no single input"
+    return Finding(
+        effect="unknown", confidence=round(chance, 3), drivers=drivers, where=Where(),
+        says=f"Structure remains that no effect of the vocabulary carries; it goes with {kinds} "
+        f"({', '.join(drivers)}). A data-driven shape brings it from {case.sigma:.3g} to "
+        f"{case.remainder.rms:.3g} {case.pair.unit} rms.",
+        rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))), compensable=False,
+    )  # fmt: skip
+
+
+def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Signs) -> str:
+    numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in made.estimates[:3])
+    size = float(np.std(made.contribution))
+    return (
+        f"The simulation lacks {effect.replace('_', ' ')}, driven by {', '.join(drivers)}: {numbers}; "
+        f"it makes up {size:.3g} {case.pair.unit} rms of the mismatch."
+    )
+
+
+def in_words(r: ResponseDiagnosis) -> str:
+    """The response in one sentence."""
+    unit = r.unit
+    if r.verdict == "no_mismatch":
+        return f"{r.component}: recording and simulation agree within the noise ({r.noise_floor_um:.3g} {unit} rms)."
+    if r.verdict == "recalibrate":
+        return (
+            f"{r.component}: nothing is missing; with datum and gains set right {r.rms_before_um:.3g} becomes "
+            f"{r.rms_after_um:.3g} {unit} rms."
+        )
+    names = [f.effect.replace("_", " ") for f in r.findings if f.effect != "recalibration"]
+    what = " and ".join(names[:2])
+    return (
+        f"{r.component}: {what} explains the mismatch; held out it falls from {r.holdout.rms_before_um:.3g} to "
+        f"{r.holdout.rms_after_um:.3g} {unit} rms."
+    )

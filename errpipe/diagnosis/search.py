@@ -9,7 +9,8 @@ import numpy as np
 from errpipe.diagnosis.evidence import Active, Data, Scene, Scored
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
-MOST = 3  # findings looked for
+MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
+SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason
 SHORTLIST = 10  # first findings tried
 
 
@@ -116,10 +117,11 @@ class Search:
             taken = {self.library.hypotheses[i].effect for i, _ in chosen}
             gain[[h.effect in taken for h in self.library.hypotheses]] = -np.inf
             k = int(np.argmax(gain))
-            if gain[k] < self.threshold_more:
+            price = self.threshold_more + SHARE_OF_FIRST * max(total, 0.0)
+            if gain[k] < price:
                 break
             chosen.append((k, more[k].size))
-            total += gain[k] - self.threshold_more
+            total += gain[k] - price
         return chosen, total
 
     def tune(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:

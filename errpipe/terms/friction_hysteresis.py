@@ -9,15 +9,28 @@ import numpy as np
 
 from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, direction_column, drive
+from errpipe.kernels.events import approach_overrun
+from errpipe.terms._base import (
+    Lowered,
+    Parameter,
+    Term,
+    direction,
+    direction_column,
+    drive,
+    position,
+    sessions,
+)
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
+
+OVERRUN = 0.4  # mm; how far past a target machines run to approach it from the other side (from taste, 0.1..1)
 
 
 class FrictionHysteresis(Term):
     """Guide and screw give way before they slip: after a reversal the deviation builds up over a short travel.
 
     Equation   z -> d over the travelled length: dz = (d - z) |dx| / length;  deviation = -lost_motion / 2 * z
-    Assumes    the last move was long, or is recorded; no dependence on speed
+    Assumes    the last move was long, or is recorded; no dependence on speed. Where a direction column tells from
+               which side a target was approached, `overrun` mm of travel went unrecorded at each change of side
     Typical    1..10 um, length 0.02..0.5 mm
     Moves      positive lost motion: as `backlash`, but soft; the same after long moves
     Source     Dahl 1968 (pre-sliding friction)
@@ -26,6 +39,7 @@ class FrictionHysteresis(Term):
     term: Literal["friction_hysteresis"] = "friction_hysteresis"
     axis: str
     radial: bool = False
+    overrun: float = 0.0
     reports_as = "friction_hysteresis"
     family = "reversal"
 
@@ -42,10 +56,15 @@ class FrictionHysteresis(Term):
     def bind(cls, recording: Recording, component: str) -> Iterator[FrictionHysteresis]:
         for axis in axes_acting(recording, component):
             if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
-                yield cls(axis=axis, radial=is_radial(component))
+                sided = bool(recording.names("direction", axis=axis)) and not is_radial(component)
+                yield cls(axis=axis, radial=is_radial(component), overrun=OVERRUN if sided else 0.0)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        z = drive(Approach(axis=self.axis, length=nonlinear[0]), recording)
+        if self.overrun:
+            run, side = sessions(recording), direction(recording, self.axis)
+            z = approach_overrun(run, position(recording, self.axis), side, nonlinear[0], self.overrun)
+        else:
+            z = drive(Approach(axis=self.axis, length=nonlinear[0]), recording)
         return (-0.5 * z * share(recording, self.axis, self.radial))[:, None]
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:

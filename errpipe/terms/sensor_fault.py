@@ -41,7 +41,7 @@ class SensorFault(Term):
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
         if component.startswith("E"):
             for sensor in recording.names("temperature"):
-                for first, last in suspicious(recording.array(sensor), recording.run_codes()):
+                for first, last in suspicious(recording.array(sensor), recording.time()):
                     yield cls(sensor=sensor, first=first, last=last)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
@@ -81,7 +81,7 @@ def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.n
     return A @ weights
 
 
-def suspicious(values: np.ndarray, run: np.ndarray, least: int = 8) -> list[tuple[int, int]]:
+def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[int, int]]:
     """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps."""
     n = values.size
     finite = np.isfinite(values)
@@ -92,8 +92,13 @@ def suspicious(values: np.ndarray, run: np.ndarray, least: int = 8) -> list[tupl
     step = np.abs(np.diff(filled))
     usual = np.median(step) + 1e-9
     wide = _rolling_median(step, 25)
-    jumps = np.flatnonzero((step > 10 * np.maximum(wide, usual)) & (step > 0.35)) + 1
+    pause = np.diff(t)
+    beside = np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
+    jumps = np.flatnonzero((step > 10 * np.maximum(wide, usual)) & (step > 0.35) & (pause <= 2.0 * beside)) + 1
     jumps = jumps[finite[np.minimum(jumps, n - 1)] & finite[np.maximum(jumps - 1, 0)]]
+    typical = np.median(np.abs(filled))
+    if typical > 5.0:  # a dead channel reads nought
+        out += [ab for ab in _stretches(finite & (np.abs(values) < 0.05 * typical)) if ab[1] - ab[0] + 1 >= least]
     calm = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
     still = [ab for ab in _stretches(calm & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
     strongest = jumps[np.argsort(-step[jumps - 1], kind="stable")][:5]

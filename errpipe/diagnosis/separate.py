@@ -1,0 +1,107 @@
+"""What to measure next so that two rivals come apart: the conditions under which their fitted models differ most."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from errpipe.diagnosis.hypotheses import Hypothesis
+from errpipe.domain.recording import Recording
+
+STEPS = 240
+REVERSALS = (0.01, 0.03, 0.1, 0.3, 1.0)  # mm
+
+
+def would_separate(
+    recording: Recording, first: tuple[Hypothesis, np.ndarray], second: tuple[Hypothesis, np.ndarray],
+    noise: float, unit: str,
+) -> str:  # fmt: skip
+    """A sentence: the extra measurement in which two fitted hypotheses differ most, and by how much.
+
+    first, second: a hypothesis and the coefficients of its core columns, each.
+    """
+    best = (0.0, "")
+    for what, trial in _trials(recording, (*first[0].drivers, *second[0].drivers)):
+        try:
+            gap = _predict(first, trial) - _predict(second, trial)
+        except (KeyError, ValueError, IndexError):
+            continue
+        if not np.isfinite(gap).all():
+            continue
+        size = float(np.std(gap))
+        if size > best[0]:
+            best = (size, what)
+    if not best[1]:
+        return ""
+    word = "differ" if best[0] > noise else "still differ only"
+    return f"{best[1]}; the two then {word} by {2 * best[0]:.2g} {unit} (noise {noise:.2g} {unit})"
+
+
+def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndarray:
+    h, b = fitted
+    columns = np.column_stack([t.basis(trial, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)])
+    return columns @ b
+
+
+def _trials(recording: Recording, drivers: tuple[str, ...]):
+    """Recordings that were not made: one driver changes, the others stand still."""
+    wanted = dict.fromkeys(drivers)
+    columns = recording.manifest.columns
+    rest = _rest(recording)
+    t = recording.time()
+    duration = float(np.nanmax(t) - np.nanmin(t)) or 3600.0
+    clock = recording.name("time")
+    rest[clock or "t"] = np.linspace(0.0, duration, STEPS)
+    for name in wanted:
+        kind = columns.get(name)
+        if kind is None or name not in recording.frame.columns or kind.role in ("time", "run", "direction"):
+            continue
+        values = recording.array(name)
+        low, high = np.nanquantile(values, [0.02, 0.98])
+        frame = rest.copy()
+        if kind.role == "position":
+            frame[name] = np.linspace(low, high, STEPS)
+            yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", _made(recording, frame)
+            continue
+        frame[name] = np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)
+        for position in recording.names("position"):
+            x = recording.array(position)
+            frame[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
+        yield f"step {name} between {low:.4g} and {high:.4g} and hold every other input still", _made(recording, frame)
+    for axis in {columns[n].axis for n in wanted if n in columns and columns[n].role in ("direction", "position")}:
+        made = _short_reversals(recording, rest, axis)
+        if made is not None:
+            yield "approach the same target after reversals of 0.01, 0.1 and 1 mm", made
+
+
+def _rest(recording: Recording) -> pd.DataFrame:
+    """Every input still, at its median."""
+    frame = pd.DataFrame(index=range(STEPS))
+    for name in recording.frame.columns:
+        if recording.manifest.columns[name].role in ("run", "group"):
+            frame[name] = "1"
+        else:
+            frame[name] = float(np.nanmedian(recording.array(name)))
+    return frame
+
+
+def _made(recording: Recording, frame: pd.DataFrame) -> Recording:
+    return Recording(recording.manifest, frame)
+
+
+def _short_reversals(recording: Recording, rest: pd.DataFrame, axis: str | None) -> Recording | None:
+    place, side = recording.name("position", axis=axis), recording.name("direction", axis=axis)
+    if place is None or side is None:
+        return None
+    x, d, at = [0.0], [1.0], 0.0
+    way = 1.0
+    while len(x) < STEPS:
+        for step in REVERSALS:
+            at += way * step
+            way = -way
+            x.append(at)
+            d.append(1.0 if x[-1] >= x[-2] else -1.0)
+    frame = rest.copy()
+    frame[place] = frame[place].to_numpy() + np.array(x[:STEPS])
+    frame[side] = np.array(d[:STEPS])
+    return _made(recording, frame)
