@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Frozen, Recording
@@ -59,7 +60,7 @@ class Term(Frozen):
     """Base of all terms. A subclass sets `term: Literal[id]`, binds columns by fields, and states its basis."""
 
     term: str
-    fixed: dict[str, float] = {}
+    fixed: dict[str, float] = Field({}, description="Parameters that are not solved for: name -> value, in its unit.")
 
     reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
     family: ClassVar[str] = ""

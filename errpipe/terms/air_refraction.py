@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial, position_name
 from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
@@ -26,9 +28,9 @@ class AirRefraction(Term):
     """
 
     term: Literal["air_refraction"] = "air_refraction"
-    axis: str
-    sensor: str | None = None
-    pressure: str | None = None
+    axis: Axis
+    sensor: str | None = Field(None, description="Column of the air's temperature.")
+    pressure: str | None = Field(None, description="Column of the air's pressure.")
     reports_as = "air_refraction"
     family = "measurement"
     compensable = False

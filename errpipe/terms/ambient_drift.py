@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, scaled, sensors
 
 
@@ -24,8 +25,8 @@ class AmbientDrift(Term):
     """
 
     term: Literal["ambient_drift"] = "ambient_drift"
-    sensor: str
-    reference: float | None = REFERENCE
+    sensor: Sensor
+    reference: Reference = REFERENCE
     reports_as = "ambient_drift"
     family = "thermal"
 

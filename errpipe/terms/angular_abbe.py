@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes, direction_of, own_axis, position_name, travel
 
 
@@ -25,11 +27,13 @@ class AngularAbbe(Term):
     """
 
     term: Literal["angular_abbe"] = "angular_abbe"
-    axis: str
-    lever: str
-    low: float
-    high: float
-    order: int = 3
+    axis: Axis
+    lever: str = Field(description="Column or constant of the offset that the angle acts on.")
+    low: float = Field(
+        description="Lower end of the axis, where the polynomial's scale starts.", json_schema_extra={"unit": "mm"}
+    )
+    high: float = Field(description="Upper end of the axis.", json_schema_extra={"unit": "mm"})
+    order: int = Field(3, description="Highest degree of the angle over the axis.")
     reports_as = "angular_abbe"
     family = "geometric"
 

@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, share
 
 
@@ -25,8 +26,8 @@ class Backlash(Term):
     """
 
     term: Literal["backlash"] = "backlash"
-    axis: str
-    radial: bool = False
+    axis: Axis
+    radial: Radial = False
     reports_as = "backlash"
     family = "reversal"
 

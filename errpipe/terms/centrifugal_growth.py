@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input, Power
 from errpipe.domain.recording import Recording
@@ -24,8 +25,8 @@ class CentrifugalGrowth(Term):
     """
 
     term: Literal["centrifugal_growth"] = "centrifugal_growth"
-    column: str
-    full_speed: float
+    column: str = Field(description="Column of the spindle speed.")
+    full_speed: float = Field(description="Speed at which the parameter is stated.", json_schema_extra={"unit": "rpm"})
     reports_as = "centrifugal_growth"
     family = "spindle"
 

@@ -12,6 +12,7 @@ from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import position_name
 
 
@@ -26,7 +27,7 @@ class Chebyshev(Term):
     """
 
     term: Literal["chebyshev"] = "chebyshev"
-    axis: str
+    axis: Axis
     degree: int = Field(4, ge=1, le=40)
     lowest: int = Field(1, ge=0, description="1 leaves out the level, 2 the straight line too.")
     span: tuple[float, float] | None = Field(None, description="Ends of the curve; the positions seen otherwise.")

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term, sessions
@@ -22,9 +23,9 @@ class ClockOffset(Term):
     """
 
     term: Literal["clock_offset"] = "clock_offset"
-    column: str
-    shortest: float = 10.0
-    longest: float = 600.0
+    column: str = Field(description="Column of the simulated values.")
+    shortest: float = Field(10.0, description="Smallest shift that is tried.", json_schema_extra={"unit": "s"})
+    longest: float = Field(600.0, description="Largest shift that is tried.", json_schema_extra={"unit": "s"})
     reports_as = "clock_offset"
     family = "measurement"
     compensable = False

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Affine, Driver, Input, Lag, Product
 from errpipe.domain.recording import Recording
@@ -25,9 +26,9 @@ class CoolantEffect(Term):
     """
 
     term: Literal["coolant_effect"] = "coolant_effect"
-    flow: str
-    sensor: str | None = None
-    other: str | None = None
+    flow: str = Field(description="Column that is 1 while coolant flows.")
+    sensor: str | None = Field(None, description="Column of the coolant's temperature.")
+    other: str | None = Field(None, description="Column of the temperature it is compared with.")
     reports_as = "coolant_effect"
     family = "thermal"
 

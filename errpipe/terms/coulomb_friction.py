@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._fields import Axis
 
 
 class CoulombFriction(Term):
@@ -22,8 +24,8 @@ class CoulombFriction(Term):
     """
 
     term: Literal["coulomb_friction"] = "coulomb_friction"
-    axis: str
-    column: str
+    axis: Axis
+    column: str = Field(description="Column of the velocity.")
     reports_as = "coulomb_friction"
     family = "friction"
     compensable = False

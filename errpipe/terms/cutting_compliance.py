@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Affine, Driver, Input, Power, Product
 from errpipe.domain.recording import Recording
@@ -24,8 +25,8 @@ class CuttingCompliance(Term):
     """
 
     term: Literal["cutting_compliance"] = "cutting_compliance"
-    force: str
-    overhang: str | None = None
+    force: str = Field(description="Column of the cutting force.")
+    overhang: str | None = Field(None, description="Column of the overhang, where stiffness falls with its cube.")
     reports_as = "cutting_compliance"
     family = "process"
 

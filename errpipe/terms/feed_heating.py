@@ -6,11 +6,13 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
 from errpipe.terms._base import Parameter, Term, position, sessions
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial, position_name
 
 
@@ -25,8 +27,10 @@ class FeedHeating(Term):
     """
 
     term: Literal["feed_heating"] = "feed_heating"
-    axis: str
-    column: str | None = None
+    axis: Axis
+    column: str | None = Field(
+        None, description="Column of the feed or velocity that heats; none: the axis' own travel."
+    )
     reports_as = "feed_heating"
     family = "thermal"
 

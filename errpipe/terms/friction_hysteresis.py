@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
@@ -20,6 +21,7 @@ from errpipe.terms._base import (
     position,
     sessions,
 )
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
 
 OVERRUN = 0.4  # mm; how far past a target machines run to approach it from the other side (from taste, 0.1..1)
@@ -37,9 +39,13 @@ class FrictionHysteresis(Term):
     """
 
     term: Literal["friction_hysteresis"] = "friction_hysteresis"
-    axis: str
-    radial: bool = False
-    overrun: float = 0.0
+    axis: Axis
+    radial: Radial = False
+    overrun: float = Field(
+        0.0,
+        description="Travel that the approach has already made when the target is read.",
+        json_schema_extra={"unit": "mm"},
+    )
     reports_as = "friction_hysteresis"
     family = "reversal"
 

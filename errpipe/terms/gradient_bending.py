@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input
 from errpipe.domain.recording import Recording
@@ -24,8 +25,8 @@ class GradientBending(Term):
     """
 
     term: Literal["gradient_bending"] = "gradient_bending"
-    first: str
-    second: str
+    first: str = Field(description="Column of one temperature.")
+    second: str = Field(description="Column of the other temperature, taken off.")
     reports_as = "gradient_bending"
     family = "thermal"
 

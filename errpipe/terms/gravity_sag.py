@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Input, Power
 from errpipe.domain.recording import Recording
@@ -25,10 +26,10 @@ class GravitySag(Term):
     """
 
     term: Literal["gravity_sag"] = "gravity_sag"
-    column: str
-    start: float = 0.0
-    length: float
-    sign: Literal[-1, 1] = 1
+    column: str = Field(description="Column of the overhang or position that bends.")
+    start: float = Field(0.0, description="Position without overhang.", json_schema_extra={"unit": "mm"})
+    length: float = Field(description="Overhang at which the parameter is stated.", json_schema_extra={"unit": "mm"})
+    sign: Literal[-1, 1] = Field(1, description="+1 where the overhang grows with the column, -1 where it shrinks.")
     reports_as = "gravity_sag"
     family = "load"
 

@@ -12,6 +12,7 @@ from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import position_name
 
 MOST_STARTS = 4000  # trial periods; from taste: a second of search on 10 000 rows
@@ -28,7 +29,7 @@ class Harmonics(Term):
     """
 
     term: Literal["harmonics"] = "harmonics"
-    axis: str
+    axis: Axis
     period: float | None = Field(
         None, gt=0, description="Repeat length; searched for where not given.", json_schema_extra={"unit": "mm"}
     )

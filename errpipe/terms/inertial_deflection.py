@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, share
 from errpipe.terms._warm import scaled
 
@@ -25,9 +27,9 @@ class InertialDeflection(Term):
     """
 
     term: Literal["inertial_deflection"] = "inertial_deflection"
-    axis: str
-    column: str
-    radial: bool = False
+    axis: Axis
+    column: str = Field(description="Column of the acceleration.")
+    radial: Radial = False
     reports_as = "inertial_deflection"
     family = "servo"
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
 
 
@@ -24,9 +26,9 @@ class Interpolation(Term):
     """
 
     term: Literal["interpolation"] = "interpolation"
-    axis: str
-    radial: bool = False
-    harmonics: int = 2
+    axis: Axis
+    radial: Radial = False
+    harmonics: int = Field(2, description="How many harmonics of the signal period.")
     reports_as = "interpolation"
     family = "geometric"
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes, axes_acting, direction_of, is_radial, own_axis, position_name, share, travel
 
 
@@ -24,9 +26,11 @@ class LocalWear(Term):
     """
 
     term: Literal["local_wear"] = "local_wear"
-    axis: str
-    radial: bool = False
-    length: float = 1000.0
+    axis: Axis
+    radial: Radial = False
+    length: float = Field(
+        1000.0, description="Length of the axis, which bounds the worn stretch.", json_schema_extra={"unit": "mm"}
+    )
     reports_as = "local_wear"
     family = "geometric"
 

@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
 
 
@@ -30,8 +31,8 @@ class PitchCyclic(Term):
     """
 
     term: Literal["pitch_cyclic"] = "pitch_cyclic"
-    axis: str
-    radial: bool = False
+    axis: Axis
+    radial: Radial = False
     reports_as = "pitch_cyclic"
     family = "geometric"
 

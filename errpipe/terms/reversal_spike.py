@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.kernels.events import since_turn
 from errpipe.terms._base import Parameter, Term, direction, direction_column, sessions
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, share
 
 
@@ -24,9 +26,9 @@ class ReversalSpike(Term):
     """
 
     term: Literal["reversal_spike"] = "reversal_spike"
-    axis: str
-    feed: str | None = None
-    radial: bool = False
+    axis: Axis
+    feed: str | None = Field(None, description="Column of the feed that the spike's size follows.")
+    radial: Radial = False
     reports_as = "reversal_spike"
     family = "reversal"
 

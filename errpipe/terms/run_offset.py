@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
@@ -21,7 +22,7 @@ class RunOffset(Term):
     """
 
     term: Literal["run_offset"] = "run_offset"
-    runs: tuple[str, ...] = ()
+    runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
     compensable = False
 
     def settled(self, recording: Recording) -> RunOffset:

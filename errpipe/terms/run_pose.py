@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term, position
@@ -23,8 +24,8 @@ class RunPose(Term):
     """
 
     term: Literal["run_pose"] = "run_pose"
-    axes: tuple[str, str] = ("X", "Y")
-    runs: tuple[str, ...] = ()
+    axes: tuple[str, str] = Field(("X", "Y"), description="The two axes of the plane.")
+    runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
     compensable = False
 
     def settled(self, recording: Recording) -> RunPose:

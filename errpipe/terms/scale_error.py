@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
 
 
@@ -25,8 +26,8 @@ class ScaleError(Term):
     """
 
     term: Literal["scale_error"] = "scale_error"
-    axis: str
-    radial: bool = False
+    axis: Axis
+    radial: Radial = False
     reports_as = "scale_error"
     family = "geometric"
 

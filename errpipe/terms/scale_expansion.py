@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, drive, position
+from errpipe.terms._fields import Axis, Radial, Reference, Sensor
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
 from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
@@ -24,10 +25,10 @@ class ScaleExpansion(Term):
     """
 
     term: Literal["scale_expansion"] = "scale_expansion"
-    axis: str
-    sensor: str
-    reference: float | None = REFERENCE
-    radial: bool = False
+    axis: Axis
+    sensor: Sensor
+    reference: Reference = REFERENCE
+    radial: Radial = False
     reports_as = "scale_expansion"
     family = "thermal"
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column, position
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, position_name, share, travel
 
 
@@ -24,10 +26,12 @@ class ScrewWindup(Term):
     """
 
     term: Literal["screw_windup"] = "screw_windup"
-    axis: str
-    drive_end: float
-    length: float
-    radial: bool = False
+    axis: Axis
+    drive_end: float = Field(description="Position of the screw's drive end.", json_schema_extra={"unit": "mm"})
+    length: float = Field(
+        description="Length of the screw, at whose far end the parameter is stated.", json_schema_extra={"unit": "mm"}
+    )
+    radial: Radial = False
     reports_as = "screw_windup"
     family = "reversal"
 

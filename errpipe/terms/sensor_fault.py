@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.kernels.responses import lag
@@ -24,9 +25,9 @@ class SensorFault(Term):
     """
 
     term: Literal["sensor_fault"] = "sensor_fault"
-    sensor: str
-    first: int
-    last: int
+    sensor: str = Field(description="Column of the faulty sensor.")
+    first: int = Field(description="First faulty row.")
+    last: int = Field(description="Last faulty row.")
     reports_as = "sensor_fault"
     family = "measurement"
     compensable = False

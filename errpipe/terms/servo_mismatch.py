@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
@@ -24,8 +25,8 @@ class ServoMismatch(Term):
     """
 
     term: Literal["servo_mismatch"] = "servo_mismatch"
-    first: str
-    second: str
+    first: str = Field(description="Letter of the one axis.")
+    second: str = Field(description="Letter of the other axis.")
     reports_as = "servo_mismatch"
     family = "servo"
 

@@ -12,6 +12,7 @@ from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import position_name
 
 
@@ -26,7 +27,7 @@ class SmoothCurve(Term):
     """
 
     term: Literal["smooth_curve"] = "smooth_curve"
-    axis: str
+    axis: Axis
     segments: int = Field(20, ge=2, le=400)
     line: bool = Field(True, description="The curve may hold a straight part; false where another term has it.")
     span: tuple[float, float] | None = Field(None, description="Ends of the curve; the positions seen otherwise.")

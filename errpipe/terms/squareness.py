@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes, direction_of, is_radial, own_axis, position_name
 
 
@@ -24,8 +25,8 @@ class Squareness(Term):
     """
 
     term: Literal["squareness"] = "squareness"
-    axis: str
-    radial: bool = False
+    axis: Axis
+    radial: Radial = False
     reports_as = "squareness"
     family = "geometric"
 

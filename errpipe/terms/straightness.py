@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes, direction_of, is_radial, own_axis, position_name, share
 
 
@@ -31,9 +32,11 @@ class Straightness(Term):
     """
 
     term: Literal["straightness"] = "straightness"
-    axis: str
-    low: float
-    high: float
+    axis: Axis
+    low: float = Field(
+        description="Lower end of the axis, where the polynomial's scale starts.", json_schema_extra={"unit": "mm"}
+    )
+    high: float = Field(description="Upper end of the axis.", json_schema_extra={"unit": "mm"})
     order: int = Field(4, ge=2, le=12)
     across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
     reports_as = "straightness"

@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._fields import Axis
 
 
 class StribeckFriction(Term):
@@ -22,8 +24,8 @@ class StribeckFriction(Term):
     """
 
     term: Literal["stribeck_friction"] = "stribeck_friction"
-    axis: str
-    column: str
+    axis: Axis
+    column: str = Field(description="Column of the velocity.")
     reports_as = "stribeck_friction"
     family = "friction"
     compensable = False

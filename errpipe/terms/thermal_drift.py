@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 
@@ -23,8 +24,8 @@ class ThermalDrift(Term):
     """
 
     term: Literal["thermal_drift"] = "thermal_drift"
-    sensor: str
-    reference: float | None = REFERENCE
+    sensor: Sensor
+    reference: Reference = REFERENCE
     reports_as = "thermal_drift"
     family = "thermal"
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.terms._fields import Reference
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 
@@ -24,9 +26,9 @@ class ThermalInteraction(Term):
     """
 
     term: Literal["thermal_interaction"] = "thermal_interaction"
-    first: str
-    second: str
-    reference: float | None = REFERENCE
+    first: str = Field(description="Column of one temperature.")
+    second: str = Field(description="Column of the other temperature; the same one for a square.")
+    reference: Reference = REFERENCE
     reports_as = "thermal_interaction"
     family = "thermal"
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Lowered, Parameter, Term, drive, position
+from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._place import axes_acting, is_radial, position_name
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
@@ -26,9 +28,9 @@ class ThermalLag(Term):
     """
 
     term: Literal["thermal_lag"] = "thermal_lag"
-    sensor: str
-    reference: float | None = REFERENCE
-    along: str | None = None
+    sensor: Sensor
+    reference: Reference = REFERENCE
+    along: str | None = Field(None, description="Axis along which the lagged temperature stretches; none: it shifts.")
     reports_as = "thermal_lag"
     family = "thermal"
 

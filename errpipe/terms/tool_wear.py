@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input, Power
 from errpipe.domain.recording import Recording
@@ -24,7 +25,7 @@ class ToolWear(Term):
     """
 
     term: Literal["tool_wear"] = "tool_wear"
-    column: str
+    column: str = Field(description="Column of the length cut.")
     reports_as = "tool_wear"
     family = "process"
 

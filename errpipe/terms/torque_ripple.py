@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term, position
+from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes, position_name
 
 
@@ -23,7 +24,7 @@ class TorqueRipple(Term):
     """
 
     term: Literal["torque_ripple"] = "torque_ripple"
-    axis: str
+    axis: Axis
     reports_as = "torque_ripple"
     family = "friction"
     compensable = False

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
@@ -25,11 +26,13 @@ class WorkpieceLoad(Term):
     """
 
     term: Literal["workpiece_load"] = "workpiece_load"
-    column: str
-    axis: str | None = None
-    low: float = 0.0
-    high: float = 1.0
-    order: int = 0
+    column: str = Field(description="Column of the mass on the table.")
+    axis: str | None = Field(None, description="Axis over which the load's effect changes; none: the same everywhere.")
+    low: float = Field(
+        0.0, description="Lower end of the axis over which the load acts.", json_schema_extra={"unit": "mm"}
+    )
+    high: float = Field(1.0, description="Upper end of that axis.", json_schema_extra={"unit": "mm"})
+    order: int = Field(0, description="Highest degree over that axis; 0: the same everywhere.")
     reports_as = "workpiece_load"
     family = "load"
 
