@@ -19,8 +19,8 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_causes, thermal_season
 from errpipe.fitting.holdout import Fold, check
+from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_season import SeasonOptions
 
 MOST_SENSORS = 10  # beyond it the subsets are grown one by one instead of all being tried
 TIE = 1.05  # a smaller set within 5 % of the best is as good (held-out figures are that uncertain)

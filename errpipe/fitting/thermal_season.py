@@ -19,18 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from errpipe import __version__
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_causes, thermal_network
 from errpipe.fitting.design import response_name
+from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.thermal_arithmetic import (
     centred,
     conformal_half_width,
@@ -52,39 +52,6 @@ WORTH_STEPS = 16
 LEAST_OUTSIDE = 0.01  # margins: rows nearer to the box tell nothing of how errors grow outside of it
 DOUBLED = 12.0  # K summed over sensors: this far outside the interval is at least twice as wide (2 K on each of six)
 MARGIN = 50.0  # K: the drivers fade by themselves, so a table's own fade has next to nothing left to do
-
-
-class SeasonOptions(Frozen):
-    """How a thermal model for all seasons is fitted."""
-
-    kind: Literal["thermal_season"] = "thermal_season"
-    sensors: tuple[str, ...] = Field((), description="Temperatures to use; all of them where empty.")
-    room: str | None = Field(None, description="Sensor of the room; found by its location where not given.")
-    spindle: str | None = Field(None, description="Sensor nearest to the spindle's heat; found where not given.")
-    bed: str | None = Field(None, description="Sensor of the bed; found by its location where not given.")
-    late: tuple[float, ...] = Field(
-        (900.0,), description="Lags of heat while the spindle runs.", json_schema_extra={"unit": "s"}
-    )
-    slow: tuple[float, ...] = Field(
-        (3600.0, 7200.0, 14400.0, 28800.0),
-        description="Lags of parts without a sensor that follow the room.",
-        json_schema_extra={"unit": "s"},
-    )
-    penalty: float = Field(
-        1e-3, gt=0, description="Shrinks causes that moved less than its root.", json_schema_extra={"unit": "K2"}
-    )
-    correction: bool = Field(True, description="Whether a data-driven part may be added where it was learnt.")
-    correction_lags: tuple[float, ...] = Field(
-        (900.0, 3600.0, 14400.0), description="Lags of its temperatures.", json_schema_extra={"unit": "s"}
-    )
-    correction_penalty: float = Field(1e-3, gt=0, description="Ridge strength on columns of unit root mean square.")
-    fade: float = Field(
-        0.4, gt=0, description="Start this much outside what was seen (mean over sensors): the correction is gone.",
-        json_schema_extra={"unit": "K"},
-    )  # fmt: skip
-    environment: str = Field("season", description="Group whose members stand for different surroundings.")
-    coverage: float = Field(0.9, gt=0.5, lt=1, description="Coverage of the prediction interval.")
-    datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Season(Family):
 
     def __init__(self, document: Mapping[str, Any]):
         from errpipe.fitting.holdout import HoldOut
-        from errpipe.fitting.thermal_season import SeasonOptions
+        from errpipe.fitting.season_options import SeasonOptions
 
         self.options = SeasonOptions.model_validate(document["options"])
         self.components = (document["component"],)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.fitting.thermal_season import SeasonOptions
+from errpipe.fitting.season_options import SeasonOptions
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 

@@ -24,7 +24,7 @@ from errpipe.fitting import holdout as plain_holdout
 from errpipe.fitting import thermal_season
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
-from errpipe.fitting.thermal_season import SeasonOptions
+from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.validity import distance
 from errpipe.validation import holdout
 from errpipe.validation.champion import Fitter, rms, target
