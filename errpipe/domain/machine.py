@@ -93,6 +93,7 @@ class Machine(Frozen):
     datum_axes: tuple[str, ...] = Field(
         (), description="linear axes in the order squareness refers to: the first is the datum; X, Y, Z where left out"
     )
+    up: Literal["X", "Y", "Z"] = Field("Z", description="axis that points up, for sketches")
     workpiece: Vector = Field((0.0, 0.0, 0.0), description="origin of the workpiece frame, mm")
     spindle: Spindle = Spindle()
     tool: Tool = Tool()

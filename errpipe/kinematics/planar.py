@@ -12,14 +12,17 @@ smooth map of its own, so that one plate's peculiarity does not pass for the mac
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.domain.driver import ONE, Input, Lookup
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.kinematics import evidence
 from errpipe.kinematics.basis import beam_modes, wave_numbers
+from errpipe.terms._base import Lowered
 
 FAMILIES = ("scale and squareness", "curves", "map", "own map")
 TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # um rms; power; noise um
@@ -175,6 +178,33 @@ class PlanarModel:
             for i in np.flatnonzero(s > 0.02):
                 out.append((name, x, fx @ u[:, i] * s[i], y, fy @ vt[i]))
         return sorted(out, key=lambda item: -float(np.ptp(item[2])))
+
+    def lowered(self, inputs: tuple[str, str] = ("X", "Y"), step: float = 10.0) -> dict[str, tuple[Lowered, ...]]:
+        """E_X and E_Y as sums of profile(position) x driver, for a compensation table.
+
+        inputs: the controller's names of the coordinates, mm as in the recording. Products become a profile over
+        X times a small lookup over Y.
+        """
+        parts, (_, middle) = self.components(257), self.functions.box.middle
+        out: dict[str, list[Lowered]] = {"E_X": [], "E_Y": []}
+        for k, d in enumerate("XY"):
+            for axis in "XY":
+                grid, curve = parts[f"E{d}{axis}"]
+                if k == 0 and axis == "Y":
+                    curve = curve - parts["C0Y"] * 1e-3 * (grid - middle)
+                out[f"E_{d}"].append(Lowered(ONE, axis, _reader(grid, curve)))
+        low, high = self.functions.box.y
+        count = max(3, int(np.ceil((high - low) / step)) + 1)
+        at = np.linspace(low, high, count)
+        for name, x, along, y, across in self.products():
+            values = tuple(float(v) for v in np.interp(at, y, across))
+            driver = Lookup(of=Input(name=inputs[1]), start=low, step=(high - low) / (count - 1), values=values)
+            out[name].append(Lowered(driver, "X", _reader(x, along)))
+        return {name: tuple(pairs) for name, pairs in out.items()}
+
+
+def _reader(grid: np.ndarray, curve: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda x: np.interp(x, grid, curve)
 
 
 def fit_plate(

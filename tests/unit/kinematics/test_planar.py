@@ -130,6 +130,22 @@ def test_products_and_components_add_up_to_the_map():
     assert_allclose(total, model.predict(x, y), atol=0.15)
 
 
+def test_the_table_says_what_the_map_says():
+    from errpipe.domain.table import TableInput
+    from errpipe.tables.compile import ComponentSource, compile_table
+    from errpipe.tables.reference import Evaluator
+
+    recording, _ = plate(7)
+    model = planar.fit_plate(recording)
+    inputs = [TableInput(name=a, kind="position", axis=a, unit="mm", low=-330, high=330, default=0) for a in "XY"]
+    box = {"X": model.functions.box.x, "Y": model.functions.box.y}
+    sources = [ComponentSource(n, "um", pairs) for n, pairs in model.lowered().items()]
+    table = compile_table(sources, inputs=inputs, travel=box, error_bound=0.02)
+    for x, y in ((-250.0, 100.0), (0.0, 0.0), (180.0, -240.0), (300.0, 270.0)):
+        got = Evaluator(table).cycle({"X": x, "Y": y}, dt=1.0).deviation
+        assert_allclose([got["E_X"], got["E_Y"]], model.predict([x], [y])[0], atol=0.3)
+
+
 def test_too_few_holes_are_refused():
     recording, _ = plate(5, holes=8)
     with pytest.raises(DataError, match="at least 12 holes"):

@@ -107,7 +107,8 @@ def test_squareness_and_servo_mismatch_are_told_apart_by_the_sense():
 def test_intervals_cover():
     inside = []
     for seed in range(120):
-        found = effects(test_recording(squareness=15.0, backlash=(4.0, 2.0), noise=0.5, seed=seed, count=120))
+        recording = test_recording(squareness=15.0, backlash=(4.0, 2.0), noise=0.5, seed=seed, count=120)
+        found = {(e.effect, e.where): e for e in iso230_4.read(list(iso230_4.circles(recording)))[0]}
         for key, value in ((("squareness", "C0Y"), 15.0), (("backlash", "X"), 4.0), (("backlash", "Y"), 2.0)):
             low, high = found[key].ci95
             inside.append(low < value < high)
@@ -119,3 +120,24 @@ def test_one_axis_is_no_circle():
     line = Recording(recording.manifest, recording.frame.assign(b=0.0))
     with pytest.raises(DataError, match="moves two axes"):
         iso230_4.evaluate(line)
+
+
+def test_a_simulated_machine_is_read_with_the_signs_of_its_components():
+    """Circles on a machine with full transforms: squareness and scale come out under their ISO names and signs."""
+    from pathlib import Path
+
+    from errpipe import yamlfile
+    from errpipe.domain.machine import Machine
+    from errpipe.kinematics.chain import compile_chain
+    from errpipe.simulation import metrology
+
+    path = Path(__file__).parents[3] / "examples" / "machines" / "cmm.yaml"
+    chain = compile_chain(yamlfile.load(path, Machine))
+    values = {"C0Y": 20.0, "B0Z": -15.0, "A0Z": 10.0, "EXX": lambda p: 0.03 * np.asarray(p)}
+    runs = metrology.circles(chain, chain.travel.mean(axis=1), 200.0, 100.0, 180)
+    recording = metrology.record(chain, values, "ballbar_circle", runs, 1, noise=0.1)
+    found = {(e.effect, e.where): e.value for t in iso230_4.evaluate(recording) for e in t.effects}
+    for name in ("C0Y", "B0Z", "A0Z"):
+        assert_allclose(found["squareness", name], values[name], atol=0.5)
+    assert_allclose(found["scale_error", "X-Y"], 30.0, atol=0.5)
+    assert_allclose(found["scale_error", "Y-Z"], 0.0, atol=0.5)

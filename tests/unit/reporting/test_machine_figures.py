@@ -1,0 +1,75 @@
+"""Figures of the machine: same bytes for same data, every axis named, what they claim in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from errpipe import yamlfile
+from errpipe.domain.machine import Machine
+from errpipe.kinematics import synthesis
+from errpipe.kinematics.chain import compile_chain
+from errpipe.kinematics.errors import MachineErrors
+from errpipe.reporting import machine_figures
+from errpipe.simulation import metrology
+
+READY = sorted((Path(__file__).parents[3] / "examples" / "machines").glob("*.yaml"))
+
+
+def ready(name: str):
+    return compile_chain(yamlfile.load(next(p for p in READY if p.stem == name), Machine))
+
+
+def words(svg: str) -> set[str]:
+    """All texts of a figure."""
+    root = ElementTree.fromstring(svg)
+    return {"".join(e.itertext()).strip() for e in root.iter() if e.tag.endswith("text")}
+
+
+@pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
+def test_a_sketch_names_every_link(path):
+    chain = ready(path.stem)
+    svg = machine_figures.sketch(chain)
+    marks = {n for n in chain.machine.chain if n not in ("workpiece", "bed", "tool")}
+    assert marks | {"bed", "tool", "work"} <= words(svg)
+    assert svg == machine_figures.sketch(chain)
+    assert len(svg) < 40_000
+
+
+@pytest.fixture(scope="module")
+def measured():
+    chain = ready("vertical-centre")
+    errors = MachineErrors.of(chain, metrology.smooth_machine(chain, 1))
+    q = metrology.volume_points(chain, [4, 4, 4])
+    return chain, errors, q, synthesis.first_order(chain, q, errors.at(q))[:, :3]
+
+
+def test_vectors_say_before_and_after(measured):
+    chain, _, q, deviation = measured
+    svg = machine_figures.vectors(chain, q, deviation, deviation / 20)
+    largest = np.linalg.norm(deviation, axis=1).max()
+    assert any(w.startswith("before:") and f"{largest:.1f} um largest" in w for w in words(svg))
+    assert any(w.startswith("after:") and f"{largest / 20:.1f} um largest" in w for w in words(svg))
+    assert svg == machine_figures.vectors(chain, q, deviation, deviation / 20)
+
+
+def test_slices_of_three_planes(measured):
+    chain, errors, *_ = measured
+    svg = machine_figures.slices(chain, errors, errors.scaled(0.1))
+    assert {"X mm", "Y mm", "Z mm"} <= words(svg)
+    assert svg == machine_figures.slices(chain, errors, errors.scaled(0.1))
+
+
+def test_components_have_their_iso_names(measured):
+    chain, errors, *_ = measured
+    band = (np.array([0.0, 800.0]), np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
+    assert set(chain.components[:18]) <= words(machine_figures.components(errors, {"EXX": band}))
+
+
+def test_a_ball_bar_plot_carries_its_reading():
+    angle = np.linspace(-np.pi, np.pi, 90)
+    svg = machine_figures.ballbar([("ccw", angle, 4 * np.sin(2 * angle))], 150.0, ["C0Y = 20 urad"], "XY")
+    assert {"C0Y = 20 urad", "2 um per division", "ccw", "XY"} <= words(svg)
