@@ -13,6 +13,7 @@ from errpipe.targets.beckhoff_volumetric import BeckhoffVolumetric
 from errpipe.targets.fanuc_pitch import FanucPitch
 from errpipe.targets.heidenhain_com import HeidenhainCom
 from errpipe.targets.klipper_sections import KlipperSections
+from errpipe.targets.linuxcnc_hal import LinuxcncHal
 from errpipe.targets.linuxcnc_screw import LinuxcncScrew
 from errpipe.targets.mach4_screw_map import Mach4ScrewMap
 from errpipe.targets.sinumerik_cec import SinumerikCec
@@ -23,6 +24,6 @@ from errpipe.targets.twincat_nc_table import TwincatNcTable
 
 TARGETS: tuple[type[Target], ...] = (
     BeckhoffCrosscomp, BeckhoffSsfk, BeckhoffTemperature, BeckhoffVolumetric, FanucPitch, HeidenhainCom,
-    KlipperSections, LinuxcncScrew, Mach4ScrewMap, SinumerikCec, SinumerikLec, SinumerikTemperature, SmoothiePitch,
-    TwincatNcTable,
+    KlipperSections, LinuxcncHal, LinuxcncScrew, Mach4ScrewMap, SinumerikCec, SinumerikLec, SinumerikTemperature,
+    SmoothiePitch, TwincatNcTable,
 )  # fmt: skip

@@ -167,7 +167,9 @@ def loss(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss]:
         if i.valid is not None:
             states[i.name] = rng.uniform(*i.valid, LATTICE)
     at = {axis: states[name] for axis, name in names.items()}
-    sensors = {s: states.get(s, np.full(LATTICE, middle(table)[s])) for s in sensors_of(table)}
+    start = middle(table)
+    others = [i.name for i in table.inputs if i.name in start and i.name not in names.values()]
+    sensors = {name: states.get(name, np.full(LATTICE, start[name])) for name in others}
     out = []
     for axis in outputs_by_axis(table):
         want = corrections(table, axis, states, side)

@@ -8,13 +8,14 @@ from errpipe.targets import TARGETS, _sample
 from tests.unit.targets import machines
 
 SCREW = {
-    "beckhoff_ssfk", "beckhoff_volumetric", "fanuc_pitch", "heidenhain_com", "linuxcnc_screw", "mach4_screw_map",
-    "sinumerik_cec", "sinumerik_lec", "smoothie_pitch", "twincat_nc_table",
+    "beckhoff_ssfk", "beckhoff_volumetric", "fanuc_pitch", "heidenhain_com", "linuxcnc_hal", "linuxcnc_screw",
+    "mach4_screw_map", "sinumerik_cec", "sinumerik_lec", "smoothie_pitch", "twincat_nc_table",
 }  # fmt: skip
 BOTH_WAYS = {
-    "beckhoff_ssfk", "heidenhain_com", "linuxcnc_screw", "mach4_screw_map", "sinumerik_cec", "twincat_nc_table",
+    "beckhoff_ssfk", "heidenhain_com", "linuxcnc_hal", "linuxcnc_screw", "mach4_screw_map", "sinumerik_cec",
+    "twincat_nc_table",
 }  # fmt: skip
-CROSS = {"beckhoff_crosscomp", "heidenhain_com", "sinumerik_cec"}
+CROSS = {"beckhoff_crosscomp", "heidenhain_com", "linuxcnc_hal", "sinumerik_cec"}
 WARM = {"beckhoff_temperature", "sinumerik_temperature"}
 ROUNDING_UM = {"fanuc_pitch": 1.0, "beckhoff_crosscomp": 0.2, "beckhoff_ssfk": 0.15}
 
@@ -89,7 +90,7 @@ def test_cross_curves_move_the_right_axis_the_right_way(target):
     assert lean == pytest.approx(+10.0, abs=0.25)  # pushed by -25 urad * 400 mm = -10 um, so moved +10
 
 
-@by_name(WARM)
+@by_name(WARM | {"linuxcnc_hal"})
 def test_a_warm_scale_is_told_to_go_less_far(target):
     found = read(target, machines.warm())
     growth = correction(found, "X", X=500.0, sensors={"T": 30.0}) - correction(found, "X", X=500.0)

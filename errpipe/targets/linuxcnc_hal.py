@@ -1,0 +1,243 @@
+"""LinuxCNC HAL component: the whole table and its C runtime in one `.comp` file, with HAL files that connect it.
+
+Value     `errpipe.correction-L` in mm (deg), ADDED to the command of axis L (minus the deviation).
+Ways      errpipe-joints.hal adds it to the joints' motor commands; errpipe-origin-shift.hal hands it over as external
+          offsets (`axis.L.eoffset-counts`), the origin-shift method of 1997.
+Pins      one `in-NAME` per input of the table, `enable`, `status`, `heartbeat`, `wrong-rate`, `fault-NAME` per input.
+Traps     an unconnected pin reads 1e31, which is a missing reading, not 0; a thread at another rate than the table's
+          raises wrong-rate and leaves the corrections at 0; machine units are mm (LINEAR_UNITS = mm).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from errpipe.domain import table as t
+from errpipe.errors import GateError
+from errpipe.tables import ect
+from errpipe.targets import _sample
+from errpipe.targets._base import ReadBack, Target, expect
+
+COMPONENT = "errpipe.comp"
+JOINTS = "errpipe-joints.hal"
+SHIFT = "errpipe-origin-shift.hal"
+THREAD = "servo-thread"
+COUNT_SIZE = "0.0001"  # mm per count of an external offset
+MOST_BYTES = 1 << 20  # of a table as C source: more takes the compiler too long
+LONGEST_PIN = 24  # of HAL's 47 characters, with room for the component's name and a prefix
+_TABLE = re.compile(r"errpipe_table\[(\d+)\][^{]*\{([^}]*)\}")
+
+
+@dataclass(frozen=True)
+class Whole(ReadBack):
+    """What a controller makes of a file that holds the table itself: the reference evaluator's answer."""
+
+    table: t.CompensationTable | None = None
+
+    def axes(self) -> tuple[str, ...]:
+        """Axes that would be moved."""
+        return tuple(_sample.outputs_by_axis(self.table)) if self.table else ()
+
+    def correction(
+        self, axis: str, positions: Mapping[str, np.ndarray], side: np.ndarray, sensors: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Correction of one axis, mm (deg), in settled states, shape (n,)."""
+        if self.table is None or axis not in self.axes():
+            return np.zeros(side.size)
+        names = _sample.positions_of(self.table)
+        known = {i.name for i in self.table.inputs}
+        states = {names[letter]: values for letter, values in positions.items() if letter in names}
+        states |= {name: values for name, values in sensors.items() if name in known}
+        return _sample.corrections(self.table, axis, states, side)
+
+
+class LinuxcncHal(Target):
+    """Everything a table can say, once per servo cycle, for LinuxCNC 2.8 and newer."""
+
+    name = "linuxcnc_hal"
+    controller = "LinuxCNC"
+    confidence = "verified"
+    sign = "a positive value moves the joint further in plus"
+    limits = "nothing is lost; machine units mm; the servo thread must run at the table's position cycle"
+    source = "LinuxCNC: docs hal/comp, config/ini-config (OFFSET_AV_RATIO), man motion (axis.L.eoffset)"
+    activation = (
+        "halcompile --install errpipe.comp (package linuxcnc-uspace-dev)",
+        "[EMCMOT] SERVO_PERIOD = the table's position cycle in ns",
+        f"[HAL] HALFILE = {JOINTS} after the machine's own, its DRIVE lines connected; or {SHIFT} instead, with "
+        "[AXIS_L] OFFSET_AV_RATIO = 0.1",
+        "no COMP_FILE for the same joint: both would be added",
+        "halcmd getp errpipe.table-crc is the table's checksum; errpipe.heartbeat grows; errpipe.wrong-rate is FALSE",
+        "halcmd getp errpipe.fault-NAME of every sensor is 0; errpipe.tmax (CPU clocks) is small against the period",
+    )
+
+    @classmethod
+    def write(cls, table: t.CompensationTable) -> dict[str, str]:
+        if not _sample.outputs_by_axis(table):
+            raise GateError("linuxcnc_hal: no output of the table moves an axis")
+        data = ect.dumps(table)
+        if len(data) > MOST_BYTES:
+            raise GateError(
+                f"linuxcnc_hal: the table has {len(data)} bytes (at most {MOST_BYTES}); allow a larger error_bound"
+            )
+        facts = _facts(table, data)
+        return {
+            COMPONENT: _fill("errpipe.comp.j2", facts | _source(data)),
+            JOINTS: _fill("errpipe-joints.hal.j2", facts),
+            SHIFT: _fill("errpipe-origin-shift.hal.j2", facts),
+        }
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> Whole:
+        found = _TABLE.search(files[COMPONENT])
+        expect(found is not None and files[COMPONENT].rstrip().endswith("}"), COMPONENT, "holds no whole table")
+        assert found is not None
+        data = bytes(int(v, 16) for v in re.findall(r"0x([0-9a-f]{2})", found[2]))
+        expect(len(data) == int(found[1]), COMPONENT, f"{len(data)} bytes of table where {found[1]} are announced")
+        table = ect.loads(data)
+        curves = tuple(
+            _sample.curve(table, axis, axis, np.linspace(*_sample.span(table, axis), 3))
+            for axis in _sample.outputs_by_axis(table)
+            if axis in _sample.positions_of(table)
+        )
+        return Whole(curves=curves, table=table)
+
+
+def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
+    """What the templates need to know of a table."""
+    inputs = _input_pins(table)
+    outputs = _output_pins(table)
+    letters = {p["axis"]: p for p in outputs if p["axis"]}
+    joint = {letter: n for n, letter in enumerate(_sample.axes_of(table))}
+    pins = {p["input"]: p for p in inputs}
+    return {
+        "machine": _plain(table.machine),
+        "version": _plain(table.version),
+        "crc": ect.fingerprint(table),
+        "crc_number": int(ect.fingerprint(table), 16),
+        "period_ns": round(table.position_cycle_s * 1e9),
+        "bits": ", ".join(f"{n} {name}" for n, name in enumerate(t.STATUS)),
+        "thread": THREAD,
+        "count_size": COUNT_SIZE,
+        "inputs": inputs,
+        "outputs": outputs,
+        "room": _room(table),
+        "positions": [
+            {"letter": letter.lower(), "joint": joint[letter], "pin": f"errpipe.{hal(pins[name]['name'])}"}
+            for letter, name in _sample.positions_of(table).items()
+        ],
+        "joints": [
+            {"letter": letter.lower(), "joint": joint[letter], "pin": f"errpipe.{hal(p['name'])}",
+             "counts": f"errpipe.{hal(p['counts'])}"}
+            for letter, p in letters.items()
+        ],
+        "others": _other_lines(table, pins),
+    }  # fmt: skip
+
+
+def _input_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
+    taken: set[str] = set()
+    pins = []
+    for i in table.inputs:
+        short = _identifier(i.name, taken)
+        unit = f", {_plain(i.unit)}" if i.unit else ""
+        pins.append(
+            {"input": _plain(i.name), "name": f"in_{short}", "fresh": f"fresh_{short}", "fault": f"fault_{short}",
+             "stale": i.stale_after_s is not None, "text": f"{_plain(i.name)}: {i.kind}{unit}"}
+        )  # fmt: skip
+    return pins
+
+
+def _output_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
+    """One pin per axis (the sum of its outputs), then one per output without an axis."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for n, output in enumerate(table.outputs):
+        groups.setdefault((output.axis, "" if output.axis else output.name), []).append(n)
+    taken: set[str] = set()
+    pins = []
+    for (axis, name), numbers in groups.items():
+        short = _identifier(axis or name, taken)
+        unit = table.outputs[numbers[0]].correction_unit
+        counts = f"counts_{short}" if axis else ""
+        text = f"{_plain(axis or name)}: correction in {unit}, to be added to the command"
+        pins.append({"axis": axis, "name": f"correction_{short}", "counts": counts, "of": numbers, "text": text})
+    return pins
+
+
+def _other_lines(table: t.CompensationTable, pins: Mapping[str, dict[str, Any]]) -> list[str]:
+    """How each further input is connected: what LinuxCNC knows is proposed, the rest is for the machine's builder."""
+    lines = []
+    for i in table.inputs:
+        if i.kind == "position":
+            continue
+        pin = hal(pins[_plain(i.name)]["name"])
+        known = {"speed": "spindle.0.speed-out", "tool": "motion.tooloffset.z"}.get(i.kind, f"(your {i.kind} signal)")
+        unit = f" in {_plain(i.unit)}" if i.unit else ""
+        lines.append(f"# INPUT: net errpipe-{pin} {known} => errpipe.{pin}    # {_plain(i.name)}{unit}")
+    return lines
+
+
+def _room(table: t.CompensationTable) -> list[tuple[int, str]]:
+    """Counts and C types of the runtime's work area, in the order in which it lays them out."""
+    operands = sum(len(n.of) for n in table.nodes)
+    lookups = sum(len(n.values) for n in table.nodes if isinstance(n, t.LookupNode))
+    counts = (
+        (len(table.inputs), "ect_input"), (sum(len(i.substitute) for i in table.inputs), "ect_weighted"),
+        (len(table.nodes), "ect_node"), (operands, "ect_weighted"), (lookups, "ect_real"),
+        (len(table.profiles), "ect_profile"), (len(table.components), "ect_real"), (len(table.pairs), "ect_pair"),
+        (len(table.outputs), "ect_output"), (sum(len(o.terms) for o in table.outputs), "ect_term"),
+        (len(table.nodes), "uint32_t"),
+    )  # fmt: skip
+    return [c for c in counts if c[0]]
+
+
+def _source(data: bytes) -> dict[str, Any]:
+    """The runtime without its own include, and the table's bytes as C."""
+    folder = resources.files("errpipe.tables").joinpath("runtime")
+    header, source = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c"))
+    rows = [data[k : k + 20] for k in range(0, len(data), 20)]
+    return {
+        "header": header,
+        "source": source.replace('#include "ect.h"\n', ""),
+        "size": len(data),
+        "bytes": "\n".join("    " + " ".join(f"0x{b:02x}," for b in row) for row in rows),
+    }
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("errpipe.targets"), trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True, undefined=jinja2.StrictUndefined, autoescape=False,
+    )  # fmt: skip
+
+
+def _fill(name: str, facts: Mapping[str, Any]) -> str:
+    return _templates().get_template(name).render(facts)
+
+
+def hal(name: str) -> str:
+    """HAL's spelling of a component's identifier."""
+    return name.replace("_", "-")
+
+
+def _identifier(name: str, taken: set[str]) -> str:
+    """Lower-case letters, digits and single underscores, unique among `taken`."""
+    base = re.sub("_+", "_", re.sub("[^a-z0-9]", "_", name.lower())).strip("_")[:LONGEST_PIN].rstrip("_") or "pin"
+    found, n = base, 2
+    while found in taken:
+        found, n = f"{base}_{n}", n + 1
+    taken.add(found)
+    return found
+
+
+def _plain(text: str) -> str:
+    """Text that may stand inside a quoted string and a comment of the component."""
+    return re.sub(r'["\\\n\r*]', " ", text)
