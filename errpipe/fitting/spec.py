@@ -18,8 +18,8 @@ class PriorSpec(Frozen):
 
     term: str = Field(description="Id of the term.")
     parameter: str = Field(description="Name of one of its linear parameters.")
-    value: float = Field(description="In the parameter's unit.")
-    spread: float = Field(gt=0, description="One standard deviation, in the parameter's unit.")
+    value: float = Field(description="What it is thought to be.", json_schema_extra={"unit": "of the parameter"})
+    spread: float = Field(gt=0, description="One standard deviation.", json_schema_extra={"unit": "of the parameter"})
 
 
 class ComponentSpec(Frozen):

@@ -60,7 +60,9 @@ class Term(Frozen):
     """Base of all terms. A subclass sets `term: Literal[id]`, binds columns by fields, and states its basis."""
 
     term: str
-    fixed: dict[str, float] = Field({}, description="Parameters that are not solved for: name -> value, in its unit.")
+    fixed: dict[str, float] = Field(
+        {}, description="Parameters not solved for: name -> value.", json_schema_extra={"unit": "of each"}
+    )
 
     reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
     family: ClassVar[str] = ""

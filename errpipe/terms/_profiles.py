@@ -69,7 +69,7 @@ class Polynomial(Frozen):
     """
 
     kind: Literal["polynomial"] = "polynomial"
-    degree: int = Field(4, ge=1, le=40)
+    degree: int = Field(4, ge=1, le=40, description="Highest degree.")
     lowest: int = Field(1, ge=0, description="1 leaves out the level, 2 the straight line too.")
     span: tuple[float, float] | None = Field(
         None, description="Ends of the curve; the positions seen, where not given.", json_schema_extra={"unit": "mm"}
@@ -106,7 +106,7 @@ class Curve(Frozen):
     """
 
     kind: Literal["curve"] = "curve"
-    segments: int = Field(20, ge=2, le=400)
+    segments: int = Field(20, ge=2, le=400, description="Stretches of equal length; more than the shape needs.")
     line: bool = Field(True, description="The curve may hold a straight part.")
     span: tuple[float, float] | None = Field(
         None, description="Ends of the curve; the positions seen, where not given.", json_schema_extra={"unit": "mm"}
@@ -154,7 +154,7 @@ class Harmonics(Frozen):
 
     kind: Literal["harmonics"] = "harmonics"
     period: float = Field(gt=0, json_schema_extra={"unit": "mm"}, description="Repeat length, such as the screw lead.")
-    orders: tuple[int, ...] = Field((1,), min_length=1)
+    orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
 
     def names(self) -> tuple[str, ...]:
         return tuple(f"{wave}{k}" for k in self.orders for wave in ("sin", "cos"))

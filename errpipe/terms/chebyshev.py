@@ -28,9 +28,11 @@ class Chebyshev(Term):
 
     term: Literal["chebyshev"] = "chebyshev"
     axis: Axis
-    degree: int = Field(4, ge=1, le=40)
+    degree: int = Field(4, ge=1, le=40, description="Highest degree.")
     lowest: int = Field(1, ge=0, description="1 leaves out the level, 2 the straight line too.")
-    span: tuple[float, float] | None = Field(None, description="Ends of the curve; the positions seen otherwise.")
+    span: tuple[float, float] | None = Field(
+        None, description="Ends of the curve; the positions seen otherwise.", json_schema_extra={"unit": "mm"}
+    )
 
     def _profile(self) -> shapes.Polynomial:
         return shapes.Polynomial(degree=self.degree, lowest=self.lowest, span=self.span)

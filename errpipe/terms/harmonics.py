@@ -33,9 +33,13 @@ class Harmonics(Term):
     period: float | None = Field(
         None, gt=0, description="Repeat length; searched for where not given.", json_schema_extra={"unit": "mm"}
     )
-    search: tuple[float, float] = Field((2.0, 50.0), description="Shortest and longest period tried.")
-    orders: tuple[int, ...] = Field((1,), min_length=1)
-    spacing: float | None = Field(None, gt=0, description="Step between trial periods in 1/mm; from the travel.")
+    search: tuple[float, float] = Field(
+        (2.0, 50.0), description="Shortest and longest period tried.", json_schema_extra={"unit": "mm"}
+    )
+    orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
+    spacing: float | None = Field(
+        None, gt=0, description="Step between trials; from the travel.", json_schema_extra={"unit": "1/mm"}
+    )
 
     def settled(self, recording: Recording) -> Harmonics:
         """The term with the step of its search written down: a quarter of what the travel can resolve."""

@@ -19,13 +19,17 @@ class Factor(Frozen):
     """One factor of a driver: an input, from where it counts, how late it acts and to what power."""
 
     input: str = Field(description="Column of the recording, channel of the controller.")
-    reference: float | Literal["first"] = Field(0.0, description="What is taken off: a value, or the first one seen.")
+    reference: float | Literal["first"] = Field(
+        0.0,
+        description="What is taken off: a value, or the first one seen.",
+        json_schema_extra={"unit": "of the input"},
+    )
     minus: str | None = Field(None, description="Second input taken off: a gradient.")
     lag: bool = Field(False, description="Acts through a first-order lag whose time constant is solved for.")
     tau: tuple[float, float] = Field(
         (60.0, 30000.0), description="Bounds of that time constant.", json_schema_extra={"unit": "s"}
     )
-    power: float | None = Field(None, gt=0, description="sign(u) |u|^power.")
+    power: float | None = Field(None, gt=0, description="sign(u) |u|^power.", json_schema_extra={"unit": "1"})
     unit: str = Field("K", description="Unit of the input, as it stands in the parameter's unit.")
 
     def driver(self, tau: float | None) -> d.Driver:
@@ -66,7 +70,7 @@ class ProfileDriver(Term):
 
     term: Literal["profile_driver"] = "profile_driver"
     axis: str | None = Field(None, description="Axis of the profile; none for a level.")
-    profile: shapes.Profile = shapes.Level()
+    profile: shapes.Profile = Field(shapes.Level(), description="Shape over position.")
     driver: tuple[AnyFactor, ...] = Field((), description="Factors; none for a static profile.")
     rotary: bool = Field(False, description="The axis turns: lengths in deg.")
 

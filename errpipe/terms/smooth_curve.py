@@ -28,9 +28,11 @@ class SmoothCurve(Term):
 
     term: Literal["smooth_curve"] = "smooth_curve"
     axis: Axis
-    segments: int = Field(20, ge=2, le=400)
+    segments: int = Field(20, ge=2, le=400, description="Stretches of equal length; more than the shape needs.")
     line: bool = Field(True, description="The curve may hold a straight part; false where another term has it.")
-    span: tuple[float, float] | None = Field(None, description="Ends of the curve; the positions seen otherwise.")
+    span: tuple[float, float] | None = Field(
+        None, description="Ends of the curve; the positions seen otherwise.", json_schema_extra={"unit": "mm"}
+    )
 
     def _profile(self) -> shapes.Curve:
         return shapes.Curve(segments=self.segments, line=self.line, span=self.span)
