@@ -5,30 +5,30 @@ After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the 
 
     r_i = x_i - sum_j v_ij x_j, less its value at the start     departure from the best estimate
     p_i = x_i - sum_j w_ij x_j, less its value at the start     departure that tells sensors apart
-    slow(r) = lag(r, filter)                        over minutes, so that noise says nothing
-    quick(r) = lag(r - lag(r, horizon), filter)     what came in the last hour: sees smaller faults
+    slow_i  = lag(p_i, filter) / its threshold                  over minutes, so that noise says nothing
+    quick_i = lag(p_i - lag(p_i, horizon), filter) / its threshold     what came in the last hour: smaller faults
 
-    alarm    = 1 while |quick(r_k)| reaches its threshold for any sensor k; and one of slow(r_k) likewise
-    blamed_i = 1 for good once there is an alarm, and quick(p_i) is the largest of all quick(p_j), each
-               measured by its threshold, and no less than SURE of it; likewise slow
+    blamed_i = 1 for good once |quick_i| >= 1 + c_ij |quick_j| for every other j; or so for slow
     frozen_i = 1 while lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than ever when healthy,
                no sooner than WARM_UP freeze times after the start
-    guarded reading = x_i, less r_i while blamed or frozen: the estimate, set to x_i at the start
+    guarded reading = x_i, less (r_i + sum_j v_ij r_j over failed j) while it is blamed or frozen:
+               its estimate from what stands in for the others, set to x_i at the start
 
 Two sets of weights, because the estimate that follows best cannot tell which of two close sensors failed: their
-departures are one and the same. The w give up some closeness, so that a fault of sensor i shows in no other
-p_j as much as in p_i. All of it is built of the operations of `errpipe.domain.driver`, so it is compiled, exported
-and evaluated like any driver, causally.
+departures are one and the same. The w give up some closeness, so that a fault of sensor j shows in p_i less than
+in p_j. How much less is known, so c_ij = MARGIN x that share keeps i from being blamed for j's fault, and leaves
+it free to be blamed for its own beside it (two that are swapped). All of it is built of the operations of
+`errpipe.domain.driver`, so it is compiled, exported and evaluated like any driver, causally.
 
-Limits. Faults add up: of two sensors that fail within hours (or are swapped), the one that shows more is replaced.
-A fault that is there at the start and constant does not show, and does no harm to a model of rises. Empty,
-impossible and racing readings are caught before, by each input's own range, rate and hold (`low`, `high`,
-`max_rate`); a held reading is a frozen one.
+Limits. What is blamed stays out until the next start. A fault that is there at the start and constant does not
+show, and does no harm to a model of rises. Empty, impossible and racing readings are caught before, by each
+input's own range, rate and hold (`low`, `high`, `max_rate`); a held reading is a frozen one.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Literal
 
 from pydantic import Field
@@ -38,7 +38,7 @@ from errpipe.domain.recording import Frozen
 
 WARM_UP = 3.0  # freeze times after the start before stillness means anything
 AWAKE = 4.0  # times the stillness: a frozen sensor must be that alive again to be believed
-SURE = 0.7  # of its threshold that a sensor must depart by itself to be blamed for an alarm
+MARGIN = 1.2  # times what another sensor's fault makes of a departure: only what is beyond is one's own
 TIE = 1e-9
 MOST_OPERANDS = 8
 FOR_GOOD = -1.0  # a switch's lower level that no square ever reaches: once on, it stays on until the next start
@@ -56,10 +56,8 @@ class GuardedSensor(Frozen):
     estimate: tuple[float, ...] = Field(description="Their weights v_ij in the best estimate.")
     offset: float = Field(description="Typical x_i - sum_j v_ij x_j, where no start is known.")
     residual: float = Field(ge=0, description="Standard deviation of that since the start, on groups left out.")
-    quick: float = Field(gt=0, description="Threshold of |quick(r)|.")
-    slow: float = Field(gt=0, description="Threshold of |slow(r)|.")
-    quick_apart: float = Field(gt=0, description="Threshold of |quick(p)|.")
-    slow_apart: float = Field(gt=0, description="Threshold of |slow(p)|.")
+    quick: float = Field(gt=0, description="Threshold of the quick departure.")
+    slow: float = Field(gt=0, description="Threshold of the slow departure.")
     still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
 
 
@@ -95,18 +93,21 @@ def _lag(of: d.Driver, tau: float) -> d.Driver:
     return d.Lag(of=of, tau_up=tau, tau_down=tau)
 
 
-def quick(guard: SensorGuard, sensor: GuardedSensor, weights: tuple[float, ...], threshold: float) -> d.Driver:
-    """(quick / threshold) squared."""
-    scaled = d.Affine(weights=(1.0 / threshold,), of=(departure(sensor, weights),))
+def quick(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
+    """|quick_i|: 1 and more is a fault somewhere."""
+    scaled = d.Affine(weights=(1.0 / sensor.quick,), of=(departure(sensor, sensor.weights),))
     recent = d.Affine(weights=(1.0, -1.0), of=(scaled, _lag(scaled, guard.horizon_s)))
-    smooth = _lag(recent, guard.filter_s)
-    return d.Product(of=(smooth, smooth))
+    return _size(_lag(recent, guard.filter_s))
 
 
-def slow(guard: SensorGuard, sensor: GuardedSensor, weights: tuple[float, ...], threshold: float) -> d.Driver:
-    """(slow / threshold) squared."""
-    smooth = _lag(d.Affine(weights=(1.0 / threshold,), of=(departure(sensor, weights),)), guard.filter_s)
-    return d.Product(of=(smooth, smooth))
+def slow(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
+    """|slow_i|: 1 and more is a fault somewhere."""
+    return _size(_lag(d.Affine(weights=(1.0 / sensor.slow,), of=(departure(sensor, sensor.weights),)), guard.filter_s))
+
+
+def _size(of: d.Driver) -> d.Driver:
+    """The absolute value."""
+    return d.Power(of=d.Product(of=(of, of)), exponent=0.5)
 
 
 def stillness(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
@@ -116,36 +117,28 @@ def stillness(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     return _lag(d.Product(of=(moving, moving)), guard.freeze_s)
 
 
-def alarm(guard: SensorGuard) -> tuple[d.Driver, d.Driver]:
-    """1 while any sensor departs too far from its estimate, else 0: quick and slow."""
-    calm_quick, calm_slow = [], []
-    for s in guard.sensors:
-        calm_quick.append(_not(_reaches(quick(guard, s, s.estimate, s.quick), 1.0)))
-        calm_slow.append(_not(_reaches(slow(guard, s, s.estimate, s.slow), 1.0)))
-    return _not(_all(calm_quick)), _not(_all(calm_slow))
-
-
 def blamed(guard: SensorGuard, name: str) -> d.Driver:
-    """1 once there was an alarm in which a sensor departed most, until the next start; else 0."""
-    most_quick = _most(guard, name, {s.name: quick(guard, s, s.weights, s.quick_apart) for s in guard.sensors})
-    most_slow = _most(guard, name, {s.name: slow(guard, s, s.weights, s.slow_apart) for s in guard.sensors})
-    alarm_quick, alarm_slow = alarm(guard)
-    accused = d.Affine(weights=(1.0, 1.0), of=(_all([alarm_quick, most_quick]), _all([alarm_slow, most_slow])))
-    return d.Switch(of=accused, on=0.5, off=FOR_GOOD)
+    """1 once a sensor has departed by itself, until the next start; else 0."""
+    by_quick = _by_itself(guard, name, quick, {s.name: s.quick for s in guard.sensors})
+    by_slow = _by_itself(guard, name, slow, {s.name: s.slow for s in guard.sensors})
+    return d.Switch(of=d.Affine(weights=(1.0, 1.0), of=(by_quick, by_slow)), on=0.5, off=FOR_GOOD)
 
 
-def _most(guard: SensorGuard, name: str, squares: dict[str, d.Driver]) -> d.Driver:
-    """1 while a sensor's square is SURE enough and no other is larger; else 0."""
-    ahead = [
-        d.Switch(of=d.Affine(weights=(1.0, -1.0), of=(squares[name], other)), on=0.0, off=-TIE)
-        for key, other in squares.items()
-        if key != name
-    ]
-    return _all([_reaches(squares[name], SURE**2), *ahead])
-
-
-def _reaches(square: d.Driver, level: float) -> d.Driver:
-    return d.Switch(of=square, on=level, off=level - TIE)
+def _by_itself(
+    guard: SensorGuard,
+    name: str,
+    statistic: Callable[[SensorGuard, GuardedSensor], d.Driver],
+    thresholds: dict[str, float],
+) -> d.Driver:
+    """1 while a sensor's statistic is 1 or more beyond what a fault of any other sensor would make it; else 0."""
+    sensor = guard.sensor(name)
+    own = statistic(guard, sensor)
+    flags: list[d.Driver] = []
+    for source, weight in zip(sensor.sources, sensor.weights, strict=True):
+        share = MARGIN * abs(weight) * thresholds[source] / thresholds[name]
+        other = statistic(guard, guard.sensor(source))
+        flags.append(d.Switch(of=d.Affine(weights=(1.0, -share), of=(own, other)), on=1.0, off=1.0 - TIE))
+    return _all(flags)
 
 
 def _all(flags: list[d.Driver]) -> d.Driver:
@@ -179,8 +172,15 @@ def fault(guard: SensorGuard, name: str) -> d.Driver:
 def reading(guard: SensorGuard, name: str) -> d.Driver:
     """The reading while it is believed, else what stands in for it."""
     sensor = guard.sensor(name)
-    departed = d.Product(of=(fault(guard, name), departure(sensor, sensor.estimate)))
-    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), departed))
+    own = departure(sensor, sensor.estimate)
+    others = tuple(_failed_departure(guard, source) for source in sensor.sources)
+    off = d.Product(of=(fault(guard, name), d.Affine(weights=(1.0, *sensor.estimate), of=(own, *others))))
+    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), off))
+
+
+def _failed_departure(guard: SensorGuard, name: str) -> d.Driver:
+    sensor = guard.sensor(name)
+    return d.Product(of=(fault(guard, name), departure(sensor, sensor.estimate)))
 
 
 def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:

@@ -122,10 +122,8 @@ def learn(
                 estimate=tuple(float(close.weights[i, j]) for j in others),
                 offset=float(np.median(x[:, i] - x[:, others] @ close.weights[i, others])),
                 residual=float(np.sqrt(np.mean(close.residual[:, i] ** 2))),
-                quick=float(close.quick[i]),
-                slow=float(close.slow[i]),
-                quick_apart=float(apart.quick[i]),
-                slow_apart=float(apart.slow[i]),
+                quick=float(apart.quick[i]),
+                slow=float(apart.slow[i]),
                 still=_still(alive[:, i], run, t, rate, freeze_s),
             )
         )
