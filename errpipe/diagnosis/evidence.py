@@ -166,6 +166,10 @@ class Scene:
         """Posterior mean of the active columns' coefficients."""
         return np.linalg.solve(self.chol.T, self.half)
 
+    def residual(self) -> np.ndarray:
+        """What is left, whitened, shape (rows,)."""
+        return self.data.y - self.table.W[:, self.active.index] @ self.coefficients()
+
     def covariance(self) -> np.ndarray:
         """Posterior covariance of the coefficients."""
         inverse = np.linalg.inv(self.chol)
@@ -187,14 +191,15 @@ class Scene:
         prior = 2 * np.log(np.maximum(self.active.sd[finite], 1e-300) / self.sigma).sum()
         return -0.5 * (logdet + prior) - 0.5 * (rows or self.n) * np.log(self.Q)
 
-    def exactly(self, index: int, value: float, sd: float) -> float:
+    def exactly(self, index: int, value: float, sd: float, rows: float | None = None) -> float:
         """Log Bayes factor of one column with a coefficient known to be `value` within `sd`."""
         half = np.linalg.solve(self.chol, self.G[self.active.index, index])
         S = self.G[index, index] - half @ half
         s = self.Zy_all[index] - half @ self.half
         rest = s - value * S  # what the column still sees once `value` of it is taken away
         Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
-        return float(-0.5 * np.log1p(S * sd**2 / self.sigma**2) - 0.5 * self.n * np.log(max(Q, 1e-9 * self.Q) / self.Q))
+        price = 0.5 * np.log1p(S * sd**2 / self.sigma**2)
+        return float(-price - 0.5 * (rows or self.n) * np.log(max(Q, 1e-9 * self.Q) / self.Q))
 
     def score(
         self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None
@@ -234,3 +239,19 @@ class Scene:
         peak = log_bf.max(axis=1)
         mean = peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
         return mean, SIZES[top]
+
+
+def correlation_time(left: np.ndarray, run: np.ndarray) -> float:
+    """Rows per independent row of a whitened residual: 1 + 2 sum of its autocorrelation while that is positive."""
+    centred = left - left.mean()
+    power = float(centred @ centred)
+    if power <= 0 or left.size < 20:
+        return 1.0
+    total = 1.0
+    for lag in range(1, left.size // 4):
+        same = run[lag:] == run[:-lag]
+        rho = float(centred[lag:][same] @ centred[:-lag][same]) / power
+        if rho < 0.05:
+            break
+        total += 2 * rho
+    return total

@@ -32,7 +32,7 @@ def held_out(case: Case) -> HeldOut:
         if test.size == 0:
             continue
         part = Search(library, search.data.hold_out(f), search.nuisance, search.sigma, search.prior,
-                      search.threshold, search.threshold_more)  # fmt: skip
+                      search.threshold, search.threshold_more, search.rows)  # fmt: skip
         if any(found.hypothesis.mask for found in case.explanation.found):
             chosen = part.tune(case.chosen())  # where a partial effect acts cannot be found without its runs
             effects = [library.hypotheses[i].effect for i, _ in chosen]

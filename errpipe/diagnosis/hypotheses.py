@@ -399,6 +399,8 @@ def slacks(
             yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.12
     elif name == "coolant_effect":
         yield from decays(recording, nl[0], 0.2, 0.2)
+    elif name == "viscous_friction":
+        yield np.abs(base[:, 0]), 0.4  # it may differ by direction
     elif name == "reversal_spike":
         # a real spike takes a moment to rise
         yield base[:, 0] - term.basis(recording, nl[0] / 3, *nl[1:])[:, 0], 0.4

@@ -10,7 +10,7 @@ import numpy as np
 
 from errpipe.diagnosis import admit, hypotheses, partial
 from errpipe.diagnosis import decompose as parts
-from errpipe.diagnosis.evidence import Active, Data, Scene
+from errpipe.diagnosis.evidence import Active, Data, Scene, correlation_time
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -48,6 +48,31 @@ class Case:
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
         return [(f.index, f.size) for f in self.explanation.found]
+
+
+WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
+WIDE_PRICE = 10.0  # log Bayes factor it takes to believe so
+
+
+def _settled(library, data, nuisance, prior, rough, recal, run) -> tuple[Search, Explanation]:
+    """Search until the noise level agrees with what the explanation leaves, and the rows with their correlation."""
+    sigma, rows = rough, None
+    for _ in range(5):
+        search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
+        explanation = search.explain()
+        scene = search.scene([(f.index, f.size) for f in explanation.found])
+        left = scene.rms()
+        time = correlation_time(scene.residual(), run)
+        worth = None if time < 2.0 else max(run.size / time, 30.0)
+        if abs(left / sigma - 1) < 0.03 and (worth is None or (rows and abs(worth / rows - 1) < 0.3)):
+            break
+        sigma, rows = max(left, 1e-9), worth or rows
+    return search, explanation
+
+
+def _doubtful(search: Search, explanation: Explanation) -> bool:
+    """Is so much left over, and so smooth, that the gains may be further off than usual?"""
+    return search.rows is not None
 
 
 WILD = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
@@ -88,18 +113,20 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     data = Data(library.table, pair.mismatch)
     prior = log_prior(library, decomposition)
     run = conditioned.run_codes()[rows]
-    sigma = rough = first_noise(pair.mismatch, run)
+    rough = first_noise(pair.mismatch, run)
     loose: list[Shape] = shapes(conditioned, pair.component, rows)
     every = library.add(np.column_stack([s.columns for s in loose]))
     edges = np.cumsum([0, *[s.columns.shape[1] for s in loose]])
     places = [every[a:b] for a, b in itertools.pairwise(edges)]
-    for _ in range(4):
-        search = Search(library, data, nuisance, sigma, prior, MISSING, MORE)
-        explanation = search.explain()
-        left = search.scene([(f.index, f.size) for f in explanation.found]).rms()
-        if abs(left / sigma - 1) < 0.03:
-            break
-        sigma = max(left, 1e-9)
+    search, explanation = _settled(library, data, nuisance, prior, rough, recal, run)
+    wide = Active(nuisance.index, nuisance.sd * np.r_[1.0, np.full(nuisance.sd.size - 1, WIDE)])
+    if _doubtful(search, explanation):
+        other, loose_gains = _settled(library, data, wide, prior, rough, recal, run)
+        other.rows = search.rows
+        chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
+        if other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
+            search, explanation, nuisance = other, loose_gains, wide
+    sigma = search.sigma
     fresh = partial.add_parts(search, conditioned, rows, explanation.alone)
     if fresh:
         in_part = search.explain()

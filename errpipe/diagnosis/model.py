@@ -43,6 +43,7 @@ def modelled(case: Case, k: int) -> Modelled:
     hypothesis, spans = _refine(case, scene, f.hypothesis, f.size)
     block, freedom, scale, cores = _columns(case, hypothesis)
     b, cov = _fit(scene, block, freedom, f.size, case.sigma)
+    cov = cov * _dependence(case, scene, block, b)
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
     estimates = _linear(hypothesis, b, cov, scale)
@@ -96,6 +97,18 @@ def _fit(scene: Scene, block, freedom, size: float, sigma: float) -> tuple[np.nd
     M = S + np.diag(1.0 / sd**2)
     b = np.linalg.solve(M, s)
     return b, sigma**2 * np.linalg.inv(M)
+
+
+def _dependence(case: Case, scene: Scene, block, b) -> float:
+    """How much larger the variance is than independent rows would have it: block sums of the scores."""
+    W = whiten(block[:, :1], case.run)
+    inside = scene.table.W[:, scene.active.index]
+    column = W[:, 0] - inside @ np.linalg.lstsq(inside, W[:, 0], rcond=None)[0]
+    left = scene.residual() - whiten(block @ b, case.run)
+    score = column * left
+    length = max(score.size // 40, 1)
+    sums = np.add.reduceat(score, np.arange(0, score.size, length))
+    return float(np.clip(np.sum(sums**2) / max(np.sum(score**2), 1e-300), 1.0, 200.0))
 
 
 def _linear(h: Hypothesis, b, cov, scale) -> list[Estimate]:

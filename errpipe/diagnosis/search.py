@@ -37,8 +37,9 @@ class Search:
     """One response, its nuisances, a noise level: explanations are looked for here."""
 
     def __init__(self, library: Library, data: Data, nuisance: Active, sigma: float, prior: np.ndarray,
-                 threshold: float, threshold_more: float):  # fmt: skip
+                 threshold: float, threshold_more: float, rows: float | None = None):  # fmt: skip
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
+        self.rows = rows  # how many rows' worth of evidence the rows hold, where they are not independent
         self.threshold, self.threshold_more = threshold, threshold_more
 
     def explain(self, starts: int = SHORTLIST) -> Explanation:
@@ -72,6 +73,10 @@ class Search:
         own = max(best.pop(found[k].hypothesis.effect)[0], found[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
+    def evidence(self, chosen: list[tuple[int, float]]) -> float:
+        """Log evidence of the nuisances' priors with these hypotheses in place, up to a constant."""
+        return self.scene(chosen).evidence(self.rows) + sum(float(self.prior[i]) for i, _ in chosen)
+
     def active(self, chosen: list[tuple[int, float]]) -> Active:
         """Nuisances and chosen hypotheses with their sizes."""
         active = self.nuisance
@@ -88,13 +93,14 @@ class Search:
         """What each candidate would add."""
         scene = self.scene(chosen)
         slices = [self.library.slices[k] for k in candidates]
-        scored = scene.score(slices, [self.library.freedom_of(k) for k in candidates])
+        freedom = [self.library.freedom_of(k) for k in candidates]
+        scored = scene.score(slices, freedom, self.rows)
         for place, k in enumerate(candidates):
             if self.library.hypotheses[k].effect == "clock_offset":
                 # a shift has no size of its own: the difference of the shifted signals counts once
                 at = self.library.slices[k].start
                 unit = float(self.library.scale[at])
-                scored[place] = Scored(scene.exactly(at, unit, 0.15 * unit), unit / self.sigma)
+                scored[place] = Scored(scene.exactly(at, unit, 0.15 * unit, self.rows), unit / self.sigma)
         return scored
 
     def leaders(self, gain: np.ndarray, most: int) -> list[int]:
