@@ -1,0 +1,244 @@
+"""IEC 61131-3 Structured Text: one pair of function blocks that interprets any compensation table.
+
+Value     corrections in each output's unit (mm), to be added to the commanded positions: minus the deviation.
+Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index) into a structure, FB_EctCycle runs it
+          once per position cycle. A new table is new bytes: nothing is compiled again.
+Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL; PLCopen XML (TC6 2.01). The table itself stands in them
+          as an array of bytes, so that a program runs before the first download.
+Accepts   only what every compiler tried takes: no // comments, no __ in names, literal bounds, reals with a point,
+          no TRUNC, explicit conversions, no rounding of ties (floor is LREAL_TO_DINT and a comparison).
+Precision LREAL, the operations of the format page in its order: the bits of the other evaluators, where the compiler
+          does not fuse or reorder them.
+"""
+
+from __future__ import annotations
+
+import re
+import uuid
+from collections.abc import Mapping
+from importlib import resources
+from xml.sax.saxutils import escape
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import VerifyError
+from errpipe.tables import ect
+from errpipe.tables import layout as lay
+from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._whole import WholeTable
+
+TYPES = ("ECT_FILE", "ECT_INPUTS", "ECT_FRESH", "ECT_OUTPUTS", "ECT_TABLE")
+FUNCTIONS = ("EctInt", "EctReal", "EctExp", "EctPower", "EctMove", "EctClosing")
+BLOCKS = ("FB_EctLoad", "FB_EctCycle")
+DATA = "GVL_EctData"
+# Room for other tables than the one exported: what the arrays hold at least.
+LEAST_ROOM = {
+    "inputs": 32, "substitutes": 64, "nodes": 128, "operands": 256, "lookup values": 1024, "profiles": 64,
+    "profile values": 8192, "components": 32, "pairs": 128, "outputs": 16, "terms": 128,
+}  # fmt: skip
+_NAMES = {"lookup values": "LOOKUPS", "profile values": "VALUES"}
+_NAMESPACE = uuid.UUID("6f7a3f6e-5a1c-5b8e-9d6a-2f4f7c1f0a11")
+_BYTES_PER_LINE = 24
+
+
+class IecSt(Target):
+    """Function blocks that interpret the whole table, for any IEC 61131-3 controller."""
+
+    name = "iec_st"
+    controller = "IEC 61131-3 (TwinCAT, CODESYS, PLCopen XML)"
+    confidence = "verified"
+    sign = "a positive value of afCorrection is added to the command: it moves the axis in plus"
+    limits = "whole table; memory of the PLC (LREAL); arrays have room for tables twice as large"
+    source = "IEC 61131-3 ed. 2 and 3; PLCopen TC6 XML 2.01; executed and compared in the tests"
+    activation = (
+        "call FB_EctLoad once with the bytes of table.ect (or GVL_EctData.aFile); bOk must be TRUE",
+        "stTable.nName shows the table's checksum: compare it with `errpipe whatis table.ect`",
+        "call FB_EctCycle once per position cycle of stTable.fCycle seconds; bit 0 of nStatus must be set",
+        "read afCorrection at three points, with bEnable FALSE (all 0) and TRUE, before it is added to a command",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        room = room_for(table)
+        units = {name: unit(name, room) for name in (*TYPES, *FUNCTIONS, *BLOCKS)}
+        data = ect.dumps(table)
+        files = {"ect.st": "\n".join([*units.values(), _data_block(data, table, room)])}
+        for name, text in units.items():
+            files[f"{name}.{'TcDUT' if name in TYPES else 'TcPOU'}"] = _twincat(name, text)
+        files[f"{DATA}.TcGVL"] = _twincat(DATA, _data_block(data, table, room))
+        files["ect.plcopen.xml"] = _plcopen(units)
+        return files
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        found = [_bytes_of(name, files[name]) for name in ("ect.st", f"{DATA}.TcGVL") if name in files]
+        expect(len(found) == 2 and found[0] == found[1], cls.name, "the files do not hold one and the same table")
+        table = ect.loads(found[0])
+        for name, text in cls.write(table).items():
+            expect(files.get(name) == text, name, "is missing or was changed")
+        return WholeTable.of(table)
+
+
+def room_for(table: CompensationTable) -> dict[str, int]:
+    """Highest index of each array: at least LEAST_ROOM, and twice what the table needs."""
+    data = ect.dumps(table)
+    room = {}
+    for number, (what, record) in lay.RECORDS.items():
+        needed = len(ect.section(data, number)) // record.size
+        room[_NAMES.get(what, what.upper())] = max(LEAST_ROOM[what], 2 * needed, 1) - 1
+    room["FACTORS"] = 4 * (room["TERMS"] + 1) - 1
+    sizes = {_NAMES.get(what, what.upper()): record.size for what, record in lay.RECORDS.values()}
+    room["BYTES"] = lay.HEADER_SIZE + sum(-(-(room[name] + 1) * size // 8) * 8 for name, size in sizes.items())
+    return room
+
+
+def unit(name: str, room: Mapping[str, int]) -> str:
+    """One type, function or function block as Structured Text, its arrays sized."""
+    text = resources.files("errpipe.targets").joinpath("st", f"{name}.st").read_text(encoding="utf-8")
+    text = re.sub(r"^( *)@REALS p\+(\d+) (.*?)\{(.*?)\}(\[\w\])@$", _reals, text, flags=re.M)
+    return re.sub(r"@([A-Z]+)@", lambda m: str(room[m[1]]), text)
+
+
+def _reals(match: re.Match[str]) -> str:
+    """Lines that unpack consecutive numbers of a record into arrays."""
+    indent, at, prefix, names, index = match[1], int(match[2]), match[3], match[4].split(","), match[5]
+    lines = []
+    for n, name in enumerate(names):
+        places = ", ".join(f"aFile[p + {at + 8 * n + k}]" for k in range(8))
+        lines.append(f"{indent}{prefix}{name}{index} := EctReal({places});")
+    return "\n".join(lines)
+
+
+def _data_block(data: bytes, table: CompensationTable, room: Mapping[str, int]) -> str:
+    shown = "\n".join(
+        [f"   afReading[{n}]: {i.name}, {i.unit or '-'}" for n, i in enumerate(table.inputs)]
+        + [f"   afCorrection[{n}]: {o.name}, {o.correction_unit}" for n, o in enumerate(table.outputs)]
+    )
+    # Only the bytes of this table: a PLC fills the rest with zeros, and FB_EctLoad takes nSize of them.
+    rows = [", ".join(map(str, data[k : k + _BYTES_PER_LINE])) for k in range(0, len(data), _BYTES_PER_LINE)]
+    body = ",\n        ".join(rows)
+    return (
+        f"(* Table {ect.fingerprint(table)}: {_comment(table.machine)} {_comment(table.title)}\n{_comment(shown)} *)\n"
+        "VAR_GLOBAL\n"
+        f"    nFileSize : DINT := {len(data)};\n"
+        f"    aFile : ARRAY [0..{room['BYTES']}] OF BYTE := [\n        {body}];\n"
+        "END_VAR\n"
+    )
+
+
+def _comment(text: str) -> str:
+    """Text that cannot end or open a comment."""
+    return text.replace("*)", "* )").replace("(*", "( *")
+
+
+def _bytes_of(name: str, text: str) -> bytes:
+    size = re.search(r"nFileSize : DINT := (\d+);", text)
+    found = re.search(r"aFile : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];", text)
+    if size is None or found is None:
+        raise VerifyError(f"{name}: holds no table")
+    values = [int(v) for v in found[1].split(",")]
+    expect(len(values) == int(size[1]) and all(v < 256 for v in values), name, f"{len(values)} bytes of {size[1]}")
+    return bytes(values)
+
+
+# TwinCAT ----------------------------------------------------------------------------------------------
+
+
+def split(text: str) -> tuple[str, str]:
+    """(declaration, body) of a function or function block."""
+    lines = text.splitlines()
+    last = max(n for n, line in enumerate(lines) if line == "END_VAR")
+    return "\n".join(lines[: last + 1]) + "\n", "\n".join(lines[last + 1 : -1]) + "\n"
+
+
+def _twincat(name: str, text: str) -> str:
+    identity = f"{{{uuid.uuid5(_NAMESPACE, name)}}}"
+    head = '<?xml version="1.0" encoding="utf-8"?>\n<TcPlcObject Version="1.1.0.1">\n'
+    if name == DATA:
+        inner = f'  <GVL Name="{name}" Id="{identity}">\n    <Declaration><![CDATA[{text}]]></Declaration>\n  </GVL>\n'
+    elif name in TYPES:
+        inner = f'  <DUT Name="{name}" Id="{identity}">\n    <Declaration><![CDATA[{text}]]></Declaration>\n  </DUT>\n'
+    else:
+        declaration, body = split(text)
+        inner = (
+            f'  <POU Name="{name}" Id="{identity}" SpecialFunc="None">\n'
+            f"    <Declaration><![CDATA[{declaration}]]></Declaration>\n"
+            f"    <Implementation>\n      <ST><![CDATA[{body}]]></ST>\n    </Implementation>\n  </POU>\n"
+        )
+    return f"{head}{inner}</TcPlcObject>\n"
+
+
+# PLCopen XML ------------------------------------------------------------------------------------------
+
+_SECTION = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR_IN_OUT": "inOutVars", "VAR": "localVars"}
+_VARIABLE = re.compile(r"^ +(\w+) : (?:ARRAY \[(\d+)\.\.(\d+)\] OF )?(\w+)(?: := \[([^\]]*)\])?;$")
+_ELEMENTARY = ("LREAL", "DINT", "BOOL", "BYTE", "DWORD")
+_DATE = "2000-01-01T00:00:00"  # the schema wants one; files that depend on the clock cannot be compared
+
+
+def _type(name: str, low: str | None, high: str | None) -> str:
+    base = f"<{name}/>" if name in _ELEMENTARY else f'<derived name="{name}"/>'
+    if low is None:
+        return base
+    return f'<array><dimension lower="{low}" upper="{high}"/><baseType>{base}</baseType></array>'
+
+
+def _variable(line: str) -> str:
+    found = _VARIABLE.match(line)
+    if found is None:
+        raise ValueError(f"not a declaration this file can turn into XML: {line!r}")
+    name, low, high, base, initial = found.groups()
+    first = ""
+    if initial is not None:
+        values = "".join(f'<value><simpleValue value="{v.strip()}"/></value>' for v in initial.split(","))
+        first = f"<initialValue><arrayValue>{values}</arrayValue></initialValue>"
+    return f'<variable name="{name}"><type>{_type(base, low, high)}</type>{first}</variable>'
+
+
+def _interface(declaration: str) -> str:
+    out, opened, result = [], "", ""
+    for line in declaration.splitlines():
+        returns = re.match(r"FUNCTION \w+ : (\w+)$", line)
+        if returns:
+            result = f"<returnType><{returns[1]}/></returnType>"
+        elif line in _SECTION:
+            opened = _SECTION[line]
+            out.append(f"<{opened}>")
+        elif line == "END_VAR":
+            out.append(f"</{opened}>")
+            opened = ""
+        elif opened:
+            out.append(_variable(line))
+    return result + "".join(out)
+
+
+def _data_type(name: str, text: str) -> str:
+    if "STRUCT" in text:
+        rows = [line for line in text.splitlines() if _VARIABLE.match(line)]
+        base = f"<struct>{''.join(map(_variable, rows))}</struct>"
+    else:
+        low, high, element = re.search(r"ARRAY \[(\d+)\.\.(\d+)\] OF (\w+)", text).groups()
+        base = _type(element, low, high)
+    return f'<dataType name="{name}"><baseType>{base}</baseType></dataType>'
+
+
+def _pou(name: str, text: str) -> str:
+    declaration, body = split(text)
+    kind = "function" if name in FUNCTIONS else "functionBlock"
+    return (
+        f'<pou name="{name}" pouType="{kind}"><interface>{_interface(declaration)}</interface>'
+        f"<body><ST><xhtml:p>{escape(body)}</xhtml:p></ST></body></pou>"
+    )
+
+
+def _plcopen(units: Mapping[str, str]) -> str:
+    types = "\n".join(_data_type(name, units[name]) for name in TYPES)
+    pous = "\n".join(_pou(name, units[name]) for name in (*FUNCTIONS, *BLOCKS))
+    scaling = "".join(f'<{v}><scaling x="1" y="1"/></{v}>' for v in ("fbd", "ld", "sfc"))
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        '<project xmlns="http://www.plcopen.org/xml/tc6_0201" xmlns:xhtml="http://www.w3.org/1999/xhtml">\n'
+        f'<fileHeader companyName="errpipe" productName="errpipe" productVersion="1" creationDateTime="{_DATE}"/>\n'
+        f'<contentHeader name="ect"><coordinateInfo>{scaling}</coordinateInfo></contentHeader>\n'
+        f"<types>\n<dataTypes>\n{types}\n</dataTypes>\n<pous>\n{pous}\n</pous>\n</types>\n"
+        "<instances><configurations/></instances>\n</project>\n"
+    )

@@ -1,0 +1,265 @@
+"""The function blocks parse, validate, and compute the bits of the other evaluators."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import subprocess
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from errpipe.errors import VerifyError
+from errpipe.tables import ect
+from errpipe.targets import iec_st
+from tests.bench.bench_tables import machine
+from tests.unit.tables.made import everything, stimulus, ten_um_too_long
+from tests.unit.targets.c.test_c_runtime import damaged, numba_stream, python_takes
+from tests.unit.targets.st import translate
+
+UNITS = (*iec_st.TYPES, *iec_st.FUNCTIONS, *iec_st.BLOCKS)
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+ROUNDINGS = {"half to even": "lrint", "half away": "lround", "towards zero": ""}
+
+
+def room():
+    return iec_st.room_for(machine(thermal=True))
+
+
+def units():
+    sizes = room()
+    return [iec_st.unit(name, sizes) for name in UNITS]
+
+
+class Block:
+    """Exported Structured Text as a shared library."""
+
+    def __init__(self, folder, code: str, rounding: str = "lrint"):
+        (folder / "st.c").write_text(code)
+        flags = ["-O2", "-ffp-contract=off", "-fwrapv", "-w", f"-DROUNDING={rounding}", "-shared", "-fPIC"]
+        subprocess.run(["gcc", *flags, folder / "st.c", "-o", folder / "st.so", "-lm"], check=True)
+        self.dll = ctypes.CDLL(str(folder / "st.so"))
+
+    def load(self, data: bytes) -> tuple[int, int]:
+        where = ctypes.c_int32()
+        return self.dll.load(data, ctypes.c_size_t(len(data)), ctypes.byref(where)), where.value
+
+    def stream(self, table, readings, fresh, enable):
+        data, cycles = ect.dumps(table), len(readings)
+        deviation, correction = np.empty((2, cycles, len(table.outputs)))
+        status = np.empty(cycles, dtype=np.uint32)
+        arrays = (np.ascontiguousarray(readings), fresh, enable, deviation, correction, status)
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in arrays]
+        error = self.dll.stream(data, ctypes.c_size_t(len(data)), ctypes.c_size_t(cycles), *pointers)
+        assert error == 0, error
+        return deviation, correction, status
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    return Block(tmp_path_factory.mktemp("st"), translate.by_lines(units()))
+
+
+@needs_gcc
+@pytest.mark.toolchain
+@pytest.mark.parametrize("seed", range(25))
+def test_equal_to_the_other_evaluators_to_the_bit(block, seed):
+    table = everything(seed)
+    case = stimulus(table, 1500, seed)
+    for ours, theirs in zip(block.stream(table, *case), numba_stream(table, *case), strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+@needs_gcc
+@pytest.mark.toolchain
+def test_a_machine_ten_um_too_long_is_moved_back(block):
+    readings, ones = np.array([[0.0], [500.0], [1000.0]]), np.ones((3, 1), dtype=np.uint8)
+    _, correction, _ = block.stream(ten_um_too_long(), readings, ones, np.ones(3, dtype=np.uint8))
+    assert correction[:, 0].tolist() == [0.0, -0.005, -0.01]
+
+
+@needs_gcc
+@pytest.mark.toolchain
+@pytest.mark.parametrize("rounding", ROUNDINGS)
+def test_it_does_not_matter_how_the_compiler_rounds(tmp_path, rounding):
+    other = Block(tmp_path, translate.by_lines(units()), ROUNDINGS[rounding])
+    for seed in (2, 9, 17):
+        table = everything(seed)
+        case = stimulus(table, 500, seed)
+        for ours, theirs in zip(other.stream(table, *case), numba_stream(table, *case), strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+@needs_gcc
+@pytest.mark.toolchain
+def test_a_damaged_file_is_never_loaded(block):
+    data = ect.dumps(everything(3))
+    assert block.load(data)[0] == 0
+    for count in (0, 100, 511, 600, len(data) - 1):
+        assert block.load(data[:count])[0] == 3
+    for at in range(0, len(data), 61):
+        broken = bytearray(data)
+        broken[at] ^= 4
+        assert block.load(bytes(broken))[0] != 0
+
+
+@needs_gcc
+@pytest.mark.toolchain
+def test_it_refuses_every_number_that_would_lead_out_of_its_arrays(tmp_path):
+    """Damage behind a mended checksum: what loads is run under a sanitizer that watches every index."""
+    import random
+
+    code = translate.by_lines(units()) + MAIN
+    (tmp_path / "st.c").write_text(code)
+    flags = ["-O1", "-g", "-ffp-contract=off", "-fwrapv", "-w", "-DROUNDING=lrint", "-fsanitize=address,bounds"]
+    built = subprocess.run(["gcc", *flags, tmp_path / "st.c", "-o", tmp_path / "st", "-lm"], capture_output=True)
+    if built.returncode:
+        pytest.skip("no sanitizers on this machine")
+    r = random.Random(11)
+    sound = [ect.dumps(everything(s)) for s in range(60, 68)]
+    files = []
+    for k in range(400):
+        data = damaged(r, r.choice(sound))
+        files.append(tmp_path / f"{k}.ect")
+        files[-1].write_bytes(data)
+    done = subprocess.run([tmp_path / "st", *files], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    loaded = [int(v) for v in done.stdout.split()]
+    assert all(ok or not python_takes(f.read_bytes()) for ok, f in zip(loaded, files, strict=True))
+
+
+MAIN = """
+#include <stdio.h>
+int main(int argc, char **argv)
+{
+    static uint8_t data[1 << 20];
+    int n, k, i;
+    for (n = 1; n < argc; n++) {
+        FILE *f = fopen(argv[n], "rb");
+        size_t size = fread(data, 1, sizeof data, f);
+        DINT where;
+        int error = load(data, size, &where);
+        fclose(f);
+        __builtin_memset(&block, 0, sizeof block);
+        for (k = 0; k < 4; k++) {
+            for (i = 0; i < table.nInputs && error == 0; i++) {
+                readings[i] = k % 2 ? table.afInLow[i] : table.afInHigh[i];
+                fresh[i] = 1;
+            }
+            block.bEnable = 1;
+            FB_EctCycle_run(&block, &table, &readings, &fresh, &deviation, &correction);
+        }
+        printf("%d ", error == 0);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.slow
+@needs_gcc
+def test_blark_parses_it_and_its_tree_computes_the_same(tmp_path):
+    pytest.importorskip("blark", reason="blark is not installed")
+    other = Block(tmp_path, translate.by_tree(units()))
+    for seed in range(30, 45):
+        table = everything(seed)
+        case = stimulus(table, 2000, seed)
+        for ours, theirs in zip(other.stream(table, *case), numba_stream(table, *case), strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_tree_sitter_finds_no_error(name):
+    sitter = pytest.importorskip("tree_sitter")
+    language = pytest.importorskip("tree_sitter_iec61131_3_st")
+    parser = sitter.Parser(sitter.Language(language.language()))
+    tree = parser.parse(iec_st.unit(name, room()).encode())
+    assert not tree.root_node.has_error
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_only_constructs_that_every_compiler_takes(name):
+    text = iec_st.unit(name, room())
+    code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.S)
+    assert text.count("(*") == text.count("*)") and "//" not in text and "\t" not in text
+    assert "__" not in code and not re.search(r"_\s|\b_", code)
+    reals = re.sub(r"\d\.\d+E-?\d+", "", re.sub(r"16#\w+", "", code))
+    assert not re.search(r"\d+[eE]", reals), "a real without a point"
+    assert not re.search(r"\b(TRUNC|AND_THEN|OR_ELSE|RETURN|REPEAT|CASE|POINTER|REFERENCE)\b", code)
+    assert not re.search(r"ARRAY \[[^\]]*[A-Za-z]", code), "bounds are literal numbers"
+    assert "@" not in text and text.isascii()
+
+
+def test_every_real_literal_is_the_constant_it_stands_for():
+    """Digits shortened by hand would change bits: all constants of exp and power are those of the arithmetic."""
+    from errpipe.tables import arithmetic as a
+
+    text = iec_st.unit("EctExp", room()) + iec_st.unit("EctPower", room())
+    found = {float(v) for v in re.findall(r"\d+\.\d+(?:E-?\d+)?", text)}
+    assert {*a.EXP, a.LOG2_E, a.LN2_HIGH, a.LN2_LOW, a.SQRT2, a.SMALLEST_BASE, a.LARGEST_EXPONENT} <= found
+    assert [1.0 / k for k in range(21, 0, -2)] == list(a.LN)
+
+
+def test_twincat_files_are_xml_with_the_same_text():
+    files = iec_st.IecSt.write(ten_um_too_long())
+    for name in UNITS:
+        file = files[f"{name}.{'TcDUT' if name in iec_st.TYPES else 'TcPOU'}"]
+        root = ElementTree.fromstring(file.encode())
+        assert root[0].get("Name") == name and re.fullmatch(r"\{[0-9a-f-]{36}\}", root[0].get("Id"))
+        texts = "".join(e.text for e in root.iter() if e.tag in ("Declaration", "ST"))
+        whole = iec_st.unit(name, iec_st.room_for(ten_um_too_long()))
+        assert whole.startswith(texts) and len(whole) - len(texts) < 25
+
+
+@pytest.mark.slow
+def test_blark_reads_the_twincat_files(tmp_path):
+    blark = pytest.importorskip("blark.parse")
+    files = iec_st.IecSt.write(ten_um_too_long())
+    for name in ("EctMove.TcPOU", "EctClosing.TcPOU", "ECT_TABLE.TcDUT"):
+        (tmp_path / name).write_text(files[name])
+        assert all(result.exception is None for result in blark.parse(tmp_path / name))
+
+
+def test_plcopen_xml_is_valid():
+    """Against the TC6 2.01 schema, which comes with the package plcrex (pip install --no-deps plcrex)."""
+    from importlib.util import find_spec
+    from pathlib import Path
+
+    xmlschema = pytest.importorskip("xmlschema")
+    spec = find_spec("plcrex")
+    if spec is None:
+        pytest.skip("plcrex, which brings the schema, is not installed")
+    schema = xmlschema.XMLSchema(Path(spec.origin).parent / "data" / "tc6" / "tc6_xml_v201.xsd")
+    text = iec_st.IecSt.write(ten_um_too_long())["ect.plcopen.xml"]
+    schema.validate(text)
+    assert not schema.is_valid(text.replace("<LREAL/>", "<LREALISH/>", 1))
+
+
+def test_plcopen_xml_holds_all_units_and_their_text():
+    root = ElementTree.fromstring(iec_st.IecSt.write(ten_um_too_long())["ect.plcopen.xml"].encode())
+    ns = {"p": "http://www.plcopen.org/xml/tc6_0201", "x": "http://www.w3.org/1999/xhtml"}
+    assert [e.get("name") for e in root.findall(".//p:dataType", ns)] == list(iec_st.TYPES)
+    pous = root.findall(".//p:pou", ns)
+    assert [e.get("name") for e in pous] == [*iec_st.FUNCTIONS, *iec_st.BLOCKS]
+    sizes = iec_st.room_for(ten_um_too_long())
+    for pou in pous:
+        assert pou.find(".//x:p", ns).text == iec_st.split(iec_st.unit(pou.get("name"), sizes))[1]
+
+
+def test_what_is_read_back_is_the_table():
+    table = machine(thermal=True)
+    files = iec_st.IecSt.write(table)
+    assert iec_st.IecSt.read_back(files).table == table
+    other = files | {"GVL_EctData.TcGVL": files["GVL_EctData.TcGVL"].replace("69, 67", "69, 68")}
+    with pytest.raises(VerifyError, match="one and the same table"):
+        iec_st.IecSt.read_back(other)
+    with pytest.raises(VerifyError, match=r"FB_EctCycle.TcPOU: is missing or was changed"):
+        iec_st.IecSt.read_back(files | {"FB_EctCycle.TcPOU": files["FB_EctCycle.TcPOU"].replace("-af", "af")})
+
+
+def test_names_in_the_table_cannot_end_the_comment():
+    table = ten_um_too_long(title="x *) evil := 1; (* y")
+    text = iec_st.IecSt.write(table)["GVL_EctData.TcGVL"]
+    assert text.count("*)") == 1 and text.count("(*") == 1
