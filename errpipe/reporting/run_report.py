@@ -11,6 +11,9 @@ import numpy as np
 from errpipe.reporting import page, svg
 
 
+LONG = 3 * 86400.0  # s; a longer recording is mostly pauses, and is drawn by rows
+
+
 @dataclass(frozen=True)
 class Response:
     """One response on rows that had no say in the model that predicts them.
@@ -35,6 +38,16 @@ class Response:
 
 
 @dataclass(frozen=True)
+class Table:
+    """A table of its own: rows start with a label, the rest are numbers (None: a dash)."""
+
+    heading: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
 class RunReport:
     """Everything the page says. `sources`, `removed`, `validity`, `exported`: rows of plain values."""
 
@@ -48,6 +61,7 @@ class RunReport:
     validity: Sequence[Mapping[str, Any]] = ()
     exported: Sequence[Mapping[str, Any]] = ()
     extra_figures: Sequence[tuple[str, str, str]] = ()  # heading, SVG, caption
+    tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     next_step: str = ""
     iso230: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
@@ -70,6 +84,8 @@ def render(report: RunReport) -> str:
 def before_after(r: Response) -> str:
     """Deviation and what is left of it, over the input that carries most of it."""
     label, x = next(iter(r.inputs.items()), ("row", np.arange(r.deviation.size, dtype=float)))
+    if label.endswith(" in s") and np.ptp(x) > LONG:
+        label, x = "row, in order of time", np.arange(r.deviation.size, dtype=float)
     rows = svg.thin(r.deviation.size)
     with svg.figure(7.2, 3.2) as (canvas, axes):
         axes.plot(x[rows], r.deviation[rows], ".", ms=3, color=svg.BEFORE, label="before", alpha=0.75)

@@ -32,6 +32,10 @@ class Family:
         chosen = scheme or self.holdout
         return holdout.name(holdout.resolved(recording, chosen)), holdout.groups(recording, chosen)
 
+    def further(self, recording: Recording, progress: Callable[[float, str], None]) -> dict[str, Any]:
+        """Documents that only this family adds to `validation.json`, by key."""
+        return {}
+
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
         """Fit on one side of a fold, judge on the other."""
         raise TypeError(f"{type(self).__name__} does not judge")
@@ -64,6 +68,18 @@ class Season(Family):
         self.components = (document["component"],)
         self.holdout = HoldOut(scheme="leave-one-group-out", of=self.options.environment)
         self.method = "season"
+
+    def further(self, recording: Recording, progress: Callable[[float, str], None]) -> dict[str, Any]:
+        """Seasons left out whole beside the same rows judged in their own season, and trained on the past alone."""
+        from errpipe.validation import champion, seasons
+
+        (component,), fitter = self.components, champion.season(self.options)
+        progress(0.3, "seasons left out, beside runs left out")
+        out = {"seasons": seasons.table(recording, component, fitter, self.holdout)}
+        if any(recording.manifest.columns[n].of == "day" for n in recording.names("group")):
+            progress(0.7, "trained on the past alone")
+            out["forward"] = seasons.table(recording, component, fitter, "forward:day", in_season=False)
+        return out
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
         from errpipe.fitting import thermal_season

@@ -4,21 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from errpipe.domain.diagnosis import Diagnosis
+    from errpipe.domain.recording import Recording
 
 
 def diagnose(
     recording: Path, out: Path, progress: Callable[[float, str], None] = lambda share, text: None
 ) -> dict[str, Any]:
-    """Diagnose a recording folder into `out`/diagnosis.json. Raises UsageError for input that cannot be used."""
+    """Diagnose a recording folder into `out`: diagnosis.json and report.html.
+
+    Raises UsageError, with one clear message, for input that cannot be used.
+    """
     from errpipe import jsonfile
-    from errpipe.diagnosis import diagnose as run
     from errpipe.errors import DataError, UsageError
     from errpipe.formats import manifest_folder
 
     try:
-        document = run(manifest_folder.read(Path(recording)), progress)
+        document, page, found = judged(manifest_folder.read(Path(recording)), progress)
     except DataError as err:
         raise UsageError(str(err)) from None
-    jsonfile.write(Path(out) / "diagnosis.json", document.document())
-    return {"written": str(Path(out) / "diagnosis.json")}
+    jsonfile.write(Path(out) / "diagnosis.json", document)
+    jsonfile.write_text(Path(out) / "report.html", page)
+    return {"says": [r.says for r in found.responses], "verdicts": {r.component: r.verdict for r in found.responses}}
+
+
+def judged(recording: Recording, progress: Callable[[float, str], None]) -> tuple[dict[str, Any], str, Diagnosis]:
+    """diagnosis.json as plain data, the page, and the findings."""
+    from errpipe import __version__
+    from errpipe.diagnosis import diagnose as judge
+    from errpipe.reporting.diagnosis_report import Trace, render
+
+    found, rows = judge(recording, progress)
+    traces = [Trace(before=r.before, after=r.after, run=r.run, carried=r.carried) for r in rows]
+    page = render(found, traces, machine=recording.manifest.machine, version=__version__)
+    return found.document(), page, found

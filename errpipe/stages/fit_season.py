@@ -35,7 +35,8 @@ class FitSeason(Stage):
         context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
         options = self.options.model_dump(mode="json")
         context.write_json("fit.json", {"fit": 1, "family": "season", "component": self.component, "options": options})
-        context.write_json("season.json", {"season": 1, "report": _plain(found.report)})
+        causes = [{"cause": name, "gain": gain} for name, gain, _ in found.parts]
+        context.write_json("season.json", {"season": 1, "causes": causes, "report": _plain(found.report)})
         (c,) = model.components
         return {c.component: f"{c.rms_before:.3g} -> {c.rms_after:.3g} {c.unit} on the rows that fitted"}
 

@@ -54,6 +54,7 @@ class Report(Stage):
             validity=_validity(model),
             exported=_exported(context.maybe("export")),
             iso230=_iso230(validation),
+            tables=[*_causes(context.needed("fit") / "season.json"), *_seasons(validation)],
             next_step=_next_step(context.maybe("export")),
         )
         context.write_text("report.html", render(page))
@@ -151,8 +152,9 @@ def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
+    worth = f", worth {component.rows_effective:.0f} independent ones" if component.rows_effective else ""
     notes = [
-        f"{component.rows} rows fitted, worth {component.rows_effective:.0f} independent ones; "
+        f"{component.rows} rows fitted{worth}; "
         f"on them {component.rms_before:.3g} -> {component.rms_after:.3g} {component.unit}."
     ]
     if figures["verdict"] != "model":
@@ -186,6 +188,40 @@ def _iso230(validation: Mapping[str, Any]) -> list[dict[str, Any]]:
     figures = validation.get("iso230_2", {})
     rows = [{"figure": k, "meaning": m, "value": figures.get(k)} for k, m in ISO230_2.items()]
     return [row for row in rows if row["value"] is not None]
+
+
+def _causes(path: Path) -> list[Any]:
+    """Causes of a thermal model for all seasons, largest gain first."""
+    from errpipe import jsonfile
+    from errpipe.reporting.run_report import Table
+
+    if not path.is_file():
+        return []
+    rows = [[c["cause"], c["gain"]] for c in jsonfile.read(path)["causes"] if c["gain"]]
+    rows.sort(key=lambda row: -abs(row[1]))
+    caption = "Gain of each cause, um per K (per hour of running for a state); signs are held to what physics allows."
+    return [Table("Causes", ["cause", "gain"], rows, caption)]
+
+
+def _seasons(validation: Mapping[str, Any]) -> list[Any]:
+    """The seasonal tables, where the fit was a thermal model for all seasons."""
+    from errpipe.reporting.run_report import Table
+
+    headings = {"seasons": "Seasons left out whole", "forward": "Trained on the past alone"}
+    names = ("uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage")
+    out = []
+    for key, heading in headings.items():
+        document = validation.get(key)
+        if document is None:
+            continue
+        rows = [[g["left_out"], *(g[n] for n in names)] for g in document["groups"]]
+        gap = document.get("optimism")
+        caption = f"{document['component']} in {document['unit']}, rms unless said otherwise."
+        if gap:
+            told = f"{gap['random_rows']:.2f}; whole groups left out keep {gap['groups_left_out']:.2f}"
+            caption += f" Random rows would have promised {told}: the gap is optimism."
+        out.append(Table(heading, ["left out", *(n.replace("_", " ") for n in names)], rows, caption))
+    return out
 
 
 def _next_step(export: Path | None) -> str:

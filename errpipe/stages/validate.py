@@ -66,7 +66,18 @@ def judged(recording, fit_folder: Path, scheme: HoldOut | None, progress=lambda 
         "method": family.method,
         "components": [held_out.component_figures(recording, c, left) for c, left in found.items()],
     }
-    return document, found
+    further = family.further(recording, progress)
+    if "seasons" in further:
+        _cover(document, further["seasons"])
+    return {**document, **further}, found
+
+
+def _cover(document: dict[str, Any], seasons: Mapping[str, Any]) -> None:
+    """The coverage of the model's own intervals, instead of one width taken from the other groups."""
+    told = {row["left_out"]: row["coverage"] for row in seasons["groups"]}
+    for component in document["components"]:
+        for group in component["groups"]:
+            group["coverage90"] = told.get(group["label"], group["coverage90"])
 
 
 def _write_rows(path: Path, found: Mapping[str, list]) -> None:
