@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import PurePosixPath
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from errpipe.domain import components, units
 from errpipe.domain.recording import Column, Manifest
@@ -32,15 +32,15 @@ class WrittenColumn(Column):
 
     @field_validator("axis")
     @classmethod
-    def _iso_axis(cls, axis: str | None) -> str | None:
-        if axis is not None and not _AXIS.fullmatch(axis):
+    def _iso_axis(cls, axis: str | None, info: ValidationInfo) -> str | None:
+        if info.data.get("role") != "ignore" and axis is not None and not _AXIS.fullmatch(axis):
             raise ValueError(f"{axis!r} is not an ISO 841 axis (allowed: a capital letter such as X, X1, C)")
         return axis
 
     @field_validator("component")
     @classmethod
-    def _iso_component(cls, component: str | None) -> str | None:
-        if component is not None:
+    def _iso_component(cls, component: str | None, info: ValidationInfo) -> str | None:
+        if info.data.get("role") != "ignore" and component is not None:
             components.parse(component)
         return component
 
@@ -80,11 +80,12 @@ class WrittenManifest(Manifest):
                 what = (c.role, c.component)
                 if what in seen:
                     of = f" of {c.component}" if c.component else ""
-                    raise ValueError(
+                    raise Misplaced(
+                        ("columns", column_name),
                         f"columns {seen[what]!r} and {column_name!r} are both role {c.role}{of} (allowed: one;"
-                        " give the other role ignore)"
+                        " give the other role ignore)",
                     )
                 seen[what] = column_name
         if len(set(self.tables)) < len(self.tables):
-            raise ValueError("a table is listed twice (its rows would count twice)")
+            raise Misplaced(("tables",), "a table is listed twice (its rows would count twice)")
         return self

@@ -244,8 +244,8 @@ def _wrong_number(cell: str) -> str:
 def _parquet_blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
     try:
         file = pq.ParquetFile(path)
-    except (pa.ArrowInvalid, OSError) as err:
-        raise DataError(f"{shown}: not a Parquet file: {str(err).splitlines()[0]}") from None
+    except (pa.ArrowInvalid, OSError):
+        raise DataError(f"{shown}: not a Parquet file, or a damaged one") from None
     with file:
         check_columns(file.schema_arrow.names, kinds, shown)
         wanted = [n for n in kinds if kinds[n] != "ignore"]
