@@ -24,7 +24,7 @@ from errpipe.kinematics.observations import Observations, reading
 FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle", "offset", "squareness")
 # Spread before measuring, rms over the travel: the bending part of three families, the straight part of two (um,
 # urad), constants in um and in urad. Sizes of ordinary machines; the readings move them.
-TYPICAL = (4.0, 3.0, 12.0, 10.0, 20.0, 30.0, 50.0)
+TYPICAL = (4.0, 3.0, 12.0, 12.0, 24.0, 30.0, 55.0)
 SMOOTHNESS = 3.0  # coefficients fall with this power of the wave number, unless the readings say otherwise
 CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 3.0)  # spread of log(size by family, smoothness, noise)
 

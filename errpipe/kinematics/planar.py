@@ -29,6 +29,7 @@ TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # um rms; power; noise um
 CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])
 SHIFT, TURN = 2000.0, 2000.0  # um, urad: CMM datum against the machine's
 OWN_ROUGH = 3.0  # a run's own map holds bends up to this wave number: set-up and temperature are smooth
+MISTAKE = 6.0  # beyond this many robust standard deviations about a straight map a hole is no hole of the pattern
 HUBER = 2.5  # beyond this many standard deviations a hole counts less (a chip, a mispicked hole)
 
 
@@ -227,12 +228,15 @@ def fit_plate(
     if len(used) < 2:
         known[3] = 1e-6
     weight, hyper = np.ones(len(readings)), None
+    if robust:
+        weight = np.tile(_plausible(x, y, run, used, np.column_stack([ex, ey])), 2)
+    sound = weight > 0
     for _ in range(4 if robust else 1):
         moments = evidence.Moments.of(design * weight[:, None], readings * weight)
         hyper = evidence.learn(spreads, moments, known, hyper)
         mean, cov = evidence.solve(spreads, moments, hyper)
         away = np.abs(readings - design @ mean) / hyper[-1]
-        weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(away, 1e-12))) if robust else weight
+        weight = sound * np.sqrt(np.minimum(1.0, HUBER / np.maximum(away, 1e-12))) if robust else weight
     p = 3 + len(functions.output)
     labels = recording.run_labels()
     setup = {labels[r]: tuple(float(v) for v in mean[p + 3 * i : p + 3 * i + 3]) for i, r in enumerate(used)}
@@ -294,6 +298,27 @@ def _columns(recording: Recording, rows: np.ndarray | None):
         raise DataError(f"a planar map needs at least 12 holes with both deviations (found {int(keep.sum())})")
     x, y, ex, ey = (c[keep] for c in columns)
     return x, y, recording.run_codes()[keep], ex, ey
+
+
+def _plausible(x, y, run, used, deviation: np.ndarray) -> np.ndarray:
+    """1.0 for holes that lie within a plate's usual scatter about its best straight map, 0.0 for mistakes."""
+    out = np.ones(len(x))
+    for r in used:
+        rows = np.flatnonzero(run == r)
+        base = np.column_stack([np.ones(len(rows)), x[rows], y[rows]])
+        keep = np.ones(len(rows), dtype=bool)
+        for _ in range(5):
+            if keep.sum() < 6:
+                break
+            left = deviation[rows] - base @ np.linalg.lstsq(base[keep], deviation[rows][keep], rcond=None)[0]
+            away = np.abs(left).max(axis=1)
+            limit = MISTAKE * 1.48 * float(np.median(away[keep]))
+            new = away <= max(limit, 1e-6)
+            if (new == keep).all():
+                break
+            keep = new
+        out[rows] = keep
+    return out
 
 
 def _common(functions: Functions, x: np.ndarray, y: np.ndarray) -> np.ndarray:

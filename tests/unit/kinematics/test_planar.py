@@ -72,6 +72,18 @@ def test_set_up_is_no_error_of_the_machine():
     assert_allclose(one, two, atol=0.05)
 
 
+def test_a_few_wrong_holes_do_not_spoil_the_map():
+    recording, truth = plate(8)
+    wrong = recording.frame.copy()
+    wrong.loc[[3, 77, 140], ["E_X", "E_Y"]] += np.array([[900.0, -300.0], [-60.0, 0.0], [0.0, 45.0]])
+    x, y = np.random.default_rng(1).uniform(-280, 280, (2, 200))
+    clean, spoilt = (
+        rms(planar.without_setup(x, y, planar.fit_plate(Recording(recording.manifest, f)).predict(x, y) - truth(x, y)))
+        for f in (recording.frame, wrong)
+    )
+    assert spoilt < 1.15 * clean
+
+
 def test_x_and_y_are_alike():
     recording, _ = plate(3)
     swapped = recording.frame.rename(columns={"x": "y", "y": "x", "E_X": "E_Y", "E_Y": "E_X"})
