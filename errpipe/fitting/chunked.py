@@ -17,7 +17,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import uncertainty
 from errpipe.fitting.components import fitted_term, nuisance_of
-from errpipe.fitting.design import Problem, assemble
+from errpipe.fitting.design import Problem, assemble, response_name
 from errpipe.fitting.estimate import Estimate
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.streaming import StreamingFit
@@ -67,14 +67,16 @@ def _only_linear(spec: ModelSpec) -> None:
 def _ends(chunks: Chunks) -> Recording:
     """A recording of few rows that spans all of them: lowest and highest value per column, every run's label."""
     low: pd.Series | None = None
-    high, labels, manifest = None, {}, None
+    high: pd.Series | None = None
+    labels: dict[str, None] = {}
+    manifest = None
     for chunk in chunks():
         numbers = chunk.frame.select_dtypes("number")
         low = numbers.min() if low is None else np.minimum(low.fillna(np.inf), numbers.min().fillna(np.inf))
         high = numbers.max() if high is None else np.maximum(high.fillna(-np.inf), numbers.max().fillna(-np.inf))
         labels.update(dict.fromkeys(chunk.run_labels()))
         manifest = chunk.manifest
-    if low is None or manifest is None:
+    if low is None or high is None or manifest is None:
         raise DataError("fit over chunks: no rows")
     rows = max(len(labels), 2)
     frame = pd.DataFrame({name: [low[name]] + [high[name]] * (rows - 1) for name in low.index})
@@ -140,7 +142,7 @@ def _noise(chunks, component, terms, nuisance, coefficients) -> tuple[uncertaint
 
 
 def _told(problem: Problem, found: Estimate, component: str, rows: int, before: float, after: float) -> ComponentModel:
-    name = problem.recording.name("error", component=component)
+    name = response_name(problem.recording, component)
     unit = problem.recording.manifest.columns[name].unit or "um"
     own = [s for s in problem.slots if not s.nuisance]
     index = [k for s in own for k in range(s.columns.start, s.columns.stop)]

@@ -163,7 +163,7 @@ def _component(problem: Problem, found: Estimate, block: int, component: str, be
         names += [f"{s.term.term}[{k}].{p.name}" for p in (*s.free, *s.term.free())]
         index += [*range(s.columns.start, s.columns.stop)]
         index += [problem.width + j for j in range(s.searched.start, s.searched.stop)]
-    spread = found.covariance[np.ix_(index, index)] if found.covariance is not None else np.empty((0, 0))
+    spread = found.covariance[np.ix_(index, index)]
     share = after.size / max(problem.response.size, 1)
     return ComponentModel(
         component=component,

@@ -141,7 +141,9 @@ def assemble(
     """
     mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
     seen = recording if mask.all() else recording.take(mask)
-    slots, unknowns, width = [], [], 0
+    slots: list[Slot] = []
+    unknowns: list[Parameter] = []
+    width = 0
     placed = [(t.settled(seen), b, False) for b, (_, terms) in enumerate(blocks) for t in terms]
     for term in (t.settled(seen) for t in nuisance):
         placed += [(term, -1, True)] if hasattr(term, "shared") else [(term, b, True) for b in range(len(blocks))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class Estimate:
     residual: np.ndarray
     degrees: float
     strength: tuple[float, ...]
-    covariance: np.ndarray | None = None
+    covariance: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     noise: uncertainty.Noise | None = None
     rows_effective: float = 0.0
     freedom: float = 0.0

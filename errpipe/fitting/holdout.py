@@ -8,7 +8,7 @@ around the judged block out of the fit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from pydantic import Field
@@ -69,7 +69,7 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
 def parse(text: str) -> HoldOut:
     """A hold-out from its short form. Raises DataError on an unknown scheme."""
     word, _, detail = text.partition(":")
-    known = HoldOut.model_fields["scheme"].annotation.__args__
+    known = get_args(HoldOut.model_fields["scheme"].annotation)
     if word not in known:
         raise DataError(f"hold-out: {word!r} is not a scheme (allowed: {', '.join(known)}).{did_you_mean(word, known)}")
     if not detail:

@@ -43,7 +43,7 @@ def check(
     """
     length = np.sqrt(np.sum(design**2, axis=0))
     for k in np.flatnonzero(length == 0):
-        raise NotIdentifiable(_never_moves(names[k], component))
+        raise NotIdentifiable(_never_moves(names[int(k)], component))
     scaled = design / length
     gram = scaled.T @ scaled
     if penalty is not None:

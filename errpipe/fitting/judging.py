@@ -81,10 +81,10 @@ def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, valu
     before, after = without_nuisance(problem, response), without_nuisance(problem, left)
     used = float(np.linalg.matrix_rank(problem.design(np.empty(0)))) if problem.width else 0.0
     far, out, start = distance(model.validity, recording), {}, 0
-    for component, rows in zip(problem.components, problem.rows, strict=True):
+    for name, rows in zip(problem.components, problem.rows, strict=True):
         part = slice(start, start + rows.size)
         share = used * rows.size / problem.response.size
-        out[component] = HeldOut(fold.label, rows, before[part], after[part], far[rows], share)
+        out[name] = HeldOut(fold.label, rows, before[part], after[part], far[rows], share)
         start = part.stop
     return out
 

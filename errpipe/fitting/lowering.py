@@ -49,7 +49,10 @@ def merge(pairs: Sequence[Lowered]) -> list[Lowered]:
             continue
         key = (unit.model_dump_json(), pair.axis, pair.period)
         curves.setdefault(key, []).append(Lowered(unit, pair.axis, _times(pair.profile, gain), pair.period))
-    merged = [Lowered(g[0].driver, g[0].axis, _total([p.profile for p in g]), g[0].period) for g in curves.values()]
+    merged = [
+        Lowered(g[0].driver, g[0].axis, _total([p.profile for p in g if p.profile]), g[0].period)
+        for g in curves.values()
+    ]
     return merged + _sum_of_levels(levels)
 
 

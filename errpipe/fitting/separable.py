@@ -74,7 +74,7 @@ def search(
         starts = _sweep(residual, unknowns) if begin is None else [begin]
         lower = np.array([u.inward(u.low) for u in unknowns])
         upper = np.array([u.inward(u.high) for u in unknowns])
-        best, least = None, np.inf
+        best, least = np.empty(0), np.inf
         for start in starts:
             inside = np.clip([u.inward(v) for u, v in zip(unknowns, start, strict=True)], lower, upper)
             step = 1e-6 * np.maximum(upper - lower, 1e-9)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.fitting.holdout import HoldOut
 from errpipe.terms import TERMS
+from errpipe.terms._base import Term
 
-AnyTerm = Annotated[Union[tuple(TERMS)], Field(discriminator="term")]  # noqa: UP007  (made from the registry)
+if TYPE_CHECKING:
+    AnyTerm = Term
+else:
+    AnyTerm = Annotated[Union[tuple(TERMS)], Field(discriminator="term")]  # noqa: UP007  (made from the registry)
 
 
 class PriorSpec(Frozen):

@@ -37,7 +37,7 @@ class StreamingFit:
     def merge(self, other: StreamingFit) -> StreamingFit:
         """Join what another one has taken in."""
         with one_thread():
-            self._factor = np.linalg.qr(np.vstack([self._factor, other._factor]), mode="r")
+            self._factor = _factor(np.vstack([self._factor, other._factor]))
         self.rows += other.rows
         return self
 
@@ -46,7 +46,7 @@ class StreamingFit:
         if not np.isfinite(total).all():
             block = block[np.isfinite(block).all(axis=1)]
         self.rows += block.shape[0]
-        self._factor = np.linalg.qr(np.vstack([self._factor, block]), mode="r")
+        self._factor = _factor(np.vstack([self._factor, block]))
 
     def solve(self) -> tuple[np.ndarray, np.ndarray, float]:
         """(coefficients (p,), (design' design)^-1 (p, p), residual sum of squares).
@@ -67,6 +67,10 @@ class StreamingFit:
         coefficients = inner @ (q.T @ factor[:, p])
         left = factor[:, p] - factor[:, :p] @ (coefficients / length)
         return coefficients / length, (inner @ inner.T) / np.outer(length, length), float(left @ left)
+
+
+def _factor(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def fit_chunks(chunks: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, float]:

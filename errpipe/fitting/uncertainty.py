@@ -53,7 +53,8 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
     scaled = None if penalty is None else penalty / np.outer(_length(jacobian), _length(jacobian))
 
     def cost(rho: float, share: float) -> tuple[float, float]:
-        return _restricted(*whitening.innovations(sequence, both, min(rho, 0.9999), min(share, 0.9999)), scaled)
+        whitened, logdet = whitening.innovations(sequence, both, min(rho, 0.9999), min(share, 0.9999))
+        return _restricted(whitened, logdet, scaled)
 
     with one_thread():
         white = cost(0.0, 0.0)

@@ -138,10 +138,10 @@ def _program(states: Sequence[tuple[float, float]]) -> _Program:
         if minutes:
             moves.append((t, t + 60.0 * minutes, float(speed), *STROKE))
             t += 60.0 * minutes
-        here = targets[0]
+        here = float(targets[0])
         for _ in range(CYCLES):
             for side, order in ((1.0, targets), (-1.0, targets[::-1])):
-                for x in order:
+                for x in order.tolist():
                     lasts = max(abs(x - here), 2.0) / APPROACH_SPEED + DWELL
                     moves.append((t, t + lasts, abs(x - here) / lasts, min(x, here), max(x, here)))
                     t, here = t + lasts, x
@@ -150,8 +150,9 @@ def _program(states: Sequence[tuple[float, float]]) -> _Program:
     begin = np.array([m[0] for m in moves])
     which = np.clip(np.searchsorted(begin, grid, side="right") - 1, 0, len(moves) - 1)
     motion = np.array([m[2:] for m in moves])[which]
-    run, number, when, x, side, measured = (np.array(c) for c in zip(*rows, strict=True))
-    return _Program(t, *motion.T, run.astype(object), number, when, x, side, measured)
+    run, number, when, at, sides, measured = (np.array(c) for c in zip(*rows, strict=True))
+    speed_at, low, high = motion.T
+    return _Program(t, speed_at, low, high, run.astype(object), number, when, at, sides, measured)
 
 
 def _room(end: float, rng: np.random.Generator) -> np.ndarray:
