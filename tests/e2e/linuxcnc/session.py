@@ -1,0 +1,102 @@
+"""One LinuxCNC at a time, never for ever, and gone afterwards.
+
+HAL's shared memory exists once per host, so sessions take turns (flock); everything runs under `timeout`; `halrun -U`
+ends what is left. As root, LinuxCNC runs its realtime program under another user's id.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+MODULES = Path("/usr/lib/linuxcnc/modules")
+NOBODY = 65534
+LOCK = Path(tempfile.gettempdir()) / "errpipe-linuxcnc.lock"
+NEEDED = ("linuxcnc", "halrun", "halcmd", "halcompile", "halstreamer", "halsampler")
+
+
+def missing() -> str:
+    """Why LinuxCNC cannot be used here; empty where it can."""
+    lacking = [name for name in NEEDED if shutil.which(name) is None]
+    if lacking:
+        return f"LinuxCNC is not installed ({', '.join(lacking)})"
+    if not os.access(MODULES, os.W_OK):
+        return f"{MODULES} is not writable: a HAL component can only be installed by root"
+    return ""
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Nobody else's HAL runs meanwhile, and none is left behind."""
+    with LOCK.open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            end(environment(folder), folder)
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """For LinuxCNC's programs: Debian's Python (its hal and linuxcnc modules), no display, files they may write."""
+    env = {
+        "PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(folder), "LANG": "C.UTF-8",
+        "RTAPI_FIFO_PATH": str(folder / ".fifo"),
+    }  # fmt: skip
+    if os.geteuid() == 0:
+        env["RTAPI_UID"] = str(NOBODY)
+        for path in (folder, *folder.rglob("*")):
+            os.chown(path, NOBODY, NOBODY)
+        top = Path(tempfile.gettempdir())
+        for parent in folder.parents:
+            if top in parent.parents:
+                parent.chmod(parent.stat().st_mode | 0o055)
+    return env
+
+
+def end(env: dict[str, str], folder: Path) -> None:
+    """Unload whatever HAL runs."""
+    quiet(["halrun", "-U"], env, folder, 30)
+
+
+def quiet(command: list[str], env: dict[str, str], folder: Path, seconds: float) -> int:
+    """Run a command that may leave a daemon behind: no pipes, which the daemon would hold open for ever."""
+    with (folder / "talk.txt").open("ab") as talk:
+        process = subprocess.run(
+            ["timeout", "-k", "5", str(seconds), *command], cwd=folder, env=env, stdin=subprocess.DEVNULL,
+            stdout=talk, stderr=talk, check=False,
+        )  # fmt: skip
+    return process.returncode
+
+
+def said(folder: Path) -> str:
+    """What the session printed so far (its last lines)."""
+    path = folder / "talk.txt"
+    return path.read_text(errors="replace")[-4000:] if path.is_file() else ""
+
+
+def values(folder: Path) -> list[str]:
+    """What `getp` printed, one value a line, among the messages of other programs."""
+    return re.findall(r"^(TRUE|FALSE|0x[0-9A-Fa-f]+|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)$", said(folder), re.M)
+
+
+def install(component: Path) -> Path:
+    """Compile a component and put it where LinuxCNC looks; returns the module, to be removed by the caller."""
+    env = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(component.parent), "LANG": "C.UTF-8"}
+    subprocess.run(
+        ["halcompile", "--install", component.name], cwd=component.parent, env=env, check=True, capture_output=True,
+        timeout=120,
+    )  # fmt: skip
+    return MODULES / f"{component.stem}.so"
+
+
+def clocks(count: int) -> str:
+    """A `.tmax` in words: HAL counts in clocks of the processor's time-stamp counter."""
+    found = re.search(r"cpu MHz\s*:\s*([\d.]+)", Path("/proc/cpuinfo").read_text())
+    return f"{count} clocks" + (f" = {1e3 * count / float(found[1]):.0f} ns" if found else "")
