@@ -46,9 +46,7 @@ class Chain:
     @cached_property
     def angular(self) -> np.ndarray:
         """True for components in urad, shape (components,)."""
-        return np.array(
-            [name.replace("E", "", 1)[0] in "ABC" if name[0] == "E" else name[0] in "ABC" for name in self.components]
-        )
+        return np.array([_letter(name) in "ABC" for name in self.components])
 
     @cached_property
     def travel(self) -> np.ndarray:
@@ -95,6 +93,11 @@ class Chain:
         }
 
 
+def _letter(component: str) -> str:
+    """Direction of a component: the second letter of an error motion, the first of a constant."""
+    return component[1] if component[0] == "E" else component[0]
+
+
 class _Builder:
     def __init__(self) -> None:
         self.components: list[str] = []
@@ -115,8 +118,7 @@ class _Builder:
             if name not in self.components:
                 self.components.append(name)
                 self.drives.append(drive)
-            letter = name[1] if name[0] == "E" else name[0]
-            entry.append((self.components.index(name), letter in "ABC", vec))
+            entry.append((self.components.index(name), _letter(name) in "ABC", vec))
         self.rows.append((k.ERROR, -1, (0.0, 0.0, 0.0), point, inverse))
         self.entries.append(entry)
 

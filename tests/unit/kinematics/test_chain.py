@@ -8,8 +8,10 @@ from machines import READY, ready
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
 
+from errpipe import yamlfile
 from errpipe.domain import components
 from errpipe.domain.machine import Machine
+from errpipe.errors import ConfigError
 from errpipe.kinematics.chain import compile_chain
 from errpipe.kinematics.synthesis import exact, first_order
 
@@ -152,3 +154,21 @@ def test_reversed_travel_is_refused():
     axes = {a: {"kind": "linear", "travel": [500, -500]} for a in "XYZ"}
     with pytest.raises(ValidationError, match="lowest then highest"):
         three_axes(axes=axes)
+
+
+@pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
+def test_the_ready_files_are_read_by_the_projects_own_door(path):
+    assert yamlfile.load(path, Machine).name == path.stem
+
+
+def test_a_wrong_machine_file_says_where_and_what(tmp_path):
+    text = (
+        next(p for p in READY if p.stem == "cmm")
+        .read_text()
+        .replace("kind: linear, travel: [0, 700]", "kind: liner, travle: [0, 700]")
+    )
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(ConfigError) as refused:
+        yamlfile.load(tmp_path / "m.yaml", Machine)
+    told = str(refused.value)
+    assert "m.yaml:7:" in told and "liner" in told and "travle" in told and "Did you mean travel?" in told
