@@ -14,21 +14,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
 
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Recording
 
 
-def diagnose(recording: Recording, progress: Callable[[float, str], None] = lambda share, text: None) -> Diagnosis:
+@dataclass(frozen=True)
+class Rows:
+    """A judged response row by row, for figures: mismatch before and after, run, what each finding carries."""
+
+    before: np.ndarray
+    after: np.ndarray
+    run: np.ndarray
+    carried: Mapping[str, np.ndarray]
+
+
+def diagnose(
+    recording: Recording, progress: Callable[[float, str], None] = lambda share, text: None
+) -> tuple[Diagnosis, list[Rows]]:
     """Every response with a simulated twin, judged. Raises DataError where none can be."""
     from errpipe.diagnosis import judge, prepare, report
 
     pairs, notes = prepare.pairs(recording)
     conditioned = prepare.condition(recording)
-    responses = []
+    responses, rows = [], []
     for k, pair in enumerate(pairs):
         done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
         case = judge.judge(recording, conditioned, pair, done)
-        responses.append(report.response(case))
-    return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes))
+        progress((k + 0.8) / len(pairs), f"{pair.component}: proving it on rows that had no say")
+        response, carried = report.response(case)
+        responses.append(response)
+        rows.append(Rows(case.y, judge.residual(case), case.run, carried))
+    return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes)), rows

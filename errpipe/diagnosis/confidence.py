@@ -41,7 +41,7 @@ NAMING = {
     "constant": 0.6, "gain": 0.15, "margin": 0.45, "leftover": -2.0, "share": -3.0, "shapes": -0.15,
     "others": -0.35, "core": 0.3, "agreement": 0.8, "rank": -0.5,
 }  # fmt: skip
-UNKNOWN = {"constant": -3.4, "most": 9.0, "shapes": 0.15, "others": 0.4, "agreement": -0.8}
+UNKNOWN = {"constant": -3.0, "most": 12.0, "shapes": 0.15, "others": 0.4, "agreement": -0.8}
 
 
 def features(s: Signs) -> dict[str, float]:

@@ -20,12 +20,14 @@ ALIKE = 0.97  # or this share of the contribution that the rival's textbook form
 NEVER = ("moving_mass",)
 
 
-def response(case: Case) -> ResponseDiagnosis:
-    """One response of diagnosis.json."""
+def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
+    """One response of diagnosis.json, and what each finding carries on the judged rows."""
     before, after = case.y, residual(case)
     held = holdout.held_out(case)
     signs = [signs_of(case, k, held) for k in range(len(case.explanation.found))]
-    findings = [finding(case, k, signs) for k in range(len(signs))]
+    made = [model.modelled(case, k) for k in range(len(signs))]
+    findings = [finding(case, k, made[k], signs) for k in range(len(signs))]
+    carried = {m.hypothesis.effect: m.contribution for m in made}
     strange = confidence.unknown(signs[0]) if signs else _strange_alone(case, held)
     findings, verdict = _verdict(case, findings, strange)
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
@@ -35,7 +37,7 @@ def response(case: Case) -> ResponseDiagnosis:
         holdout=figures, findings=tuple(findings),
         regimes=locate.regimes(case.recording, case.pair.rows, before, after),
     )  # fmt: skip
-    return out.model_copy(update={"says": in_words(out)})
+    return out.model_copy(update={"says": in_words(out)}), carried
 
 
 def _rms(v: np.ndarray) -> float:
@@ -83,11 +85,10 @@ def _strange_alone(case: Case, held: holdout.HeldOut) -> float:
     return float(np.clip(1 / (1 + np.exp(-z)), 0.01, 0.97))
 
 
-def finding(case: Case, k: int, signs: list[confidence.Signs]) -> Finding:
+def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Signs]) -> Finding:
     """One finding, with its rivals and what would tell them apart."""
     found = case.explanation.found
     h = found[k].hypothesis
-    made = model.modelled(case, k)
     rivals = sorted((r for r in case.search.rivals(found, k) if r[0] not in NEVER), key=lambda r: r[1])
     own = {f.hypothesis.effect for f in found}
     close = [r for r in rivals if r[0] not in own and (r[1] < CLOSE or _alike(case, made, r[2]))][:4]
