@@ -3,7 +3,8 @@
 Value     `errpipe.correction-L` in mm (deg), ADDED to the command of axis L (minus the deviation).
 Ways      errpipe-joints.hal adds it to the joints' motor commands; errpipe-origin-shift.hal hands it over as external
           offsets (`axis.L.eoffset-counts`), the origin-shift method of 1997.
-Pins      one `in-NAME` per input of the table, `enable`, `status`, `heartbeat`, `wrong-rate`, `fault-NAME` per input.
+Pins      one `in-NAME` per input of the table, `enable`, `status`, `heartbeat`, `wrong-rate`, `fault-NAME` per input;
+          the sums are made inside (no sum2, which a machine's own HAL file may have loaded: that works only once).
 Traps     an unconnected pin reads 1e31, which is a missing reading, not 0; a thread at another rate than the table's
           raises wrong-rate and leaves the corrections at 0; machine units are mm (LINEAR_UNITS = mm).
 """
@@ -134,9 +135,7 @@ def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
             for letter, name in _sample.positions_of(table).items()
         ],
         "joints": [
-            {"letter": letter.lower(), "joint": joint[letter], "pin": f"errpipe.{hal(p['name'])}",
-             "counts": f"errpipe.{hal(p['counts'])}"}
-            for letter, p in letters.items()
+            {"letter": letter.lower(), "joint": joint[letter], "pin": hal(p["short"])} for letter, p in letters.items()
         ],
         "others": _other_lines(table, pins),
     }  # fmt: skip
@@ -165,9 +164,11 @@ def _output_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
     for (axis, name), numbers in groups.items():
         short = _identifier(axis or name, taken)
         unit = table.outputs[numbers[0]].correction_unit
-        counts = f"counts_{short}" if axis else ""
         text = f"{_plain(axis or name)}: correction in {unit}, to be added to the command"
-        pins.append({"axis": axis, "name": f"correction_{short}", "counts": counts, "of": numbers, "text": text})
+        pin = {"axis": axis, "short": short, "name": f"correction_{short}", "counts": "", "of": numbers, "text": text}
+        if axis:
+            pin |= {part: f"{part}_{short}" for part in ("counts", "planned", "command", "measured", "feedback")}
+        pins.append(pin)
     return pins
 
 
