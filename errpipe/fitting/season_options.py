@@ -32,7 +32,11 @@ class SeasonOptions(Frozen):
     correction_lags: tuple[float, ...] = Field(
         (900.0, 3600.0, 14400.0), description="Lags of its temperatures.", json_schema_extra={"unit": "s"}
     )
-    correction_penalty: float = Field(1e-3, gt=0, description="Ridge strength on columns of unit root mean square.")
+    correction_penalty: float = Field(3e-3, gt=0, description="Ridge strength on columns of unit root mean square.")
+    correction_width: float = Field(
+        0.8, gt=0, description="Runs whose starts differ by more teach each other little.",
+        json_schema_extra={"unit": "K"},
+    )  # fmt: skip
     fade: float = Field(
         0.4, gt=0, description="Start this much outside what was seen (mean over sensors): the correction is gone.",
         json_schema_extra={"unit": "K"},

@@ -7,6 +7,10 @@ from scipy import stats
 
 from errpipe.fitting.solve import one_thread
 
+# A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
+# judged from either. Half-way loses least: 3.5 um on runs of a turning centre left out, by both ways of counting;
+# 3.3 and 4.0 or 4.3 and 3.3 at the ends.
+DATUM_SHARE = 0.5
 BLOCKS = 5  # inner groups where there are fewer than three runs
 SPAN_BEYOND = 0.25  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
 
@@ -46,11 +50,11 @@ def conformal_half_width(
 
 
 def centred(columns: np.ndarray, run: np.ndarray, rows: int) -> np.ndarray:
-    """Columns (n, p) less the mean of each run's first `rows` rows."""
+    """Columns (n, p) less half the mean of each run's first `rows` rows (see `DATUM_SHARE`)."""
     out = columns.copy()
     for code in np.unique(run):
         mine = np.flatnonzero(run == code)
-        out[mine] -= columns[mine[:rows]].mean(axis=0)
+        out[mine] -= DATUM_SHARE * columns[mine[:rows]].mean(axis=0)
     return out
 
 
@@ -65,7 +69,7 @@ def inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return group
 
 
-def ridge_gains(triangle: np.ndarray, response: np.ndarray, rows: int, strength: float) -> np.ndarray:
+def ridge_gains(triangle: np.ndarray, response: np.ndarray, rows: float, strength: float) -> np.ndarray:
     """Ridge gains from a triangle (k, p) that stands for `rows` rows; strength on columns of unit root mean square."""
     if triangle.shape[1] == 0:
         return np.empty(0)

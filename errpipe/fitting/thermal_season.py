@@ -3,7 +3,8 @@
     deviation since the start of the run = clip( share x core + gate x correction )
 
 core         causes of known sign (`thermal_causes`), gains by averaged signed networks (`thermal_network`)
-correction   ridge on lagged differences to the room, fitted to what the core leaves. It is worth micrometres
+correction   ridge on lagged differences to the room, fitted to what the core leaves, most by runs that started about
+             as warm (`thermal_local`). It is worth micrometres
              where it was learnt and ruins a season that it never saw, so `gate` scales it by what it earned on
              runs left out that started about as warm, and takes it back to nothing where a run starts outside
              the temperatures seen
@@ -28,7 +29,7 @@ from errpipe.domain import driver as d
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout, thermal_causes, thermal_network
+from errpipe.fitting import holdout, thermal_causes, thermal_local, thermal_network
 from errpipe.fitting.design import response_name
 from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.thermal_arithmetic import (
@@ -36,7 +37,6 @@ from errpipe.fitting.thermal_arithmetic import (
     conformal_half_width,
     inner_groups,
     limits,
-    ridge_gains,
     rms,
     since_start,
     slope,
@@ -157,7 +157,7 @@ class _Gains:
     """What one set of groups teaches: gains, correction, its slope, and the box of starts it saw."""
 
     core: np.ndarray
-    correction: np.ndarray
+    correction: thermal_local.Local | None
     low: np.ndarray
     high: np.ndarray
 
@@ -202,41 +202,51 @@ class _Problem:
         errors = []
         for signs in (self.signs, turned):
             self.signs = signs
-            core = self.left_out([[g] for g in self.groups])["core"]
+            core = self.left_out([[g] for g in self.groups], corrected=False)["core"]
             seen = self.rows & np.isfinite(core)
             errors.append(rms((self.response - core)[seen]))
         self.signs = turned if errors[1] < errors[0] else -turned
 
-    def solve(self, groups: Sequence[int]) -> _Gains:
-        """Gains from some of the groups."""
+    def solve(self, groups: Sequence[int], corrected: bool = True) -> _Gains:
+        """Gains from some of the groups. corrected: also those of the correction."""
         triangle = thermal_network.stack(self.triangles, groups)
         rows = sum(self.count[g] for g in groups)
         width = len(self.causes)
         core_part = np.column_stack([triangle[:, :width], triangle[:, -1]])
         core = thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
-        left = triangle[:, -1] - triangle[:, :width] @ core
-        correction = ridge_gains(triangle[:, width:-1], left, rows, self.options.correction_penalty)
+        correction = self._local(groups, core) if self.further and corrected else None
         mask = self.rows & np.isin(self.group, list(groups))
         return _Gains(core, correction, np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0))
+
+    def _local(self, groups: Sequence[int], core: np.ndarray) -> thermal_local.Local:
+        warmth = self.warmth()
+        warm = {g: float(warmth[self.rows & (self.group == g)][0]) for g in groups}
+        parts = {g: self.triangles[g] for g in groups}
+        return thermal_local.fit(
+            parts, self.count, warm, core, self.options.correction_width, self.options.correction_penalty
+        )
 
     def start_distance(self, gains: _Gains) -> np.ndarray:
         """How far outside the seen starts each row's run began, mean over sensors, K."""
         outside = np.maximum(gains.low - self.starts, 0.0) + np.maximum(self.starts - gains.high, 0.0)
         return np.nan_to_num(outside).mean(axis=1)
 
-    def left_out(self, folds: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
+    def left_out(self, folds: Sequence[Sequence[int]], corrected: bool = True) -> dict[str, np.ndarray]:
         """Core and gated correction of every used row by gains that never saw its fold; also the distance."""
         out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction", "outside")}
+        warmth = self.warmth()
         for fold in folds:
             rest = [g for g in self.groups if g not in fold]
             if not rest:
                 continue
-            gains = self.solve(rest)
+            gains = self.solve(rest, corrected)
             rows = self.rows & np.isin(self.group, list(fold))
             away = self.start_distance(gains)[rows]
             out["core"][rows] = self.core_centred[rows] @ gains.core
             gate = np.clip(1.0 - away / self.options.fade, 0.0, 1.0)
-            out["correction"][rows] = gate * (self.extra_centred[rows] @ gains.correction)
+            out["correction"][rows] = 0.0
+            if gains.correction is not None:
+                out["correction"][rows] = gate * gains.correction.values(warmth[rows], self.extra_centred[rows])
             seen = self.seen_box(self.rows & np.isin(self.group, rest))
             out["outside"][rows] = distance(seen, self.recording)[rows]
         return out
@@ -287,7 +297,7 @@ class _Problem:
         seen = self.rows & np.isfinite(runs["core"])
         worth = self.worth(runs)
         runs["correction"] *= np.interp(self.warmth(), *worth)
-        afar = self.left_out(self.environments())
+        afar = self.left_out(self.environments(), corrected=False)
         far = self.rows & np.isfinite(afar["core"])
         share = self._share(afar["core"], far) if far.any() else 1.0
         gains = self.solve(self.groups)
@@ -364,15 +374,15 @@ class _Problem:
             keep = d.Affine(offset=1.0, weights=(share - 1.0,), of=(outside,))
             core = [(name, g, d.Product(of=(keep, node))) for name, g, node in core]
         grid, shares = worth
-        if not self.further or not shares.any():
+        if gains.correction is None or not shares.any():
             return tuple(core)
-        learnt = d.Affine(weights=tuple(float(w) for w in gains.correction), of=self.further)
         inside = d.Affine(offset=1.0, weights=(-1.0,), of=(outside,))
         names = self.found.all()
         warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
         earned = d.Lookup(
             of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
         )
+        learnt = gains.correction.driver(warmth, self.further)
         return (*core, ("correction where it was learnt", 1.0, d.Product(of=(inside, earned, learnt))))
 
     def _distance_driver(self, gains: _Gains) -> d.Driver:

@@ -141,7 +141,7 @@ def test_the_learners_take_part(recording):
     folds = holdout.folds(recording, "leave-one-group-out:season")
     told = champion.compare(recording, "E_D", folds, champion.candidates())
     assert set(told["rms"]) == {c.name for c in champion.candidates()}
-    assert told["champion"] in ("season physics", "season physics and correction", "season physics, half gain")
+    assert told["champion"] in {c.name for c in champion.candidates() if c.compiled} - {"do nothing"}
 
 
 def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):

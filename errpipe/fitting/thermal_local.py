@@ -1,0 +1,70 @@
+"""A correction that knows its surroundings: one ridge per knot of start warmth, blended between knots.
+
+Runs that began about as warm as a knot teach its gains most (Gaussian weights); a run in between two knots gets
+both in proportion. Nothing is extrapolated in warmth: beyond the ends the last knot is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.fitting import thermal_network
+from errpipe.fitting.thermal_arithmetic import ridge_gains
+
+MOST_KNOTS = 24
+
+
+@dataclass(frozen=True)
+class Local:
+    """knots: equidistant start warmths, degC, (k,), k >= 2; gains: (k, columns)."""
+
+    knots: np.ndarray
+    gains: np.ndarray
+
+    def values(self, warmth: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Correction per row, um: warmth (n,), columns (n, p)."""
+        each = columns @ self.gains.T
+        share = np.column_stack([np.interp(warmth, self.knots, unit) for unit in np.eye(self.knots.size)])
+        return np.sum(share * each, axis=1)
+
+    def driver(self, warmth: d.Driver, nodes: Sequence[d.Driver]) -> d.Driver:
+        """The same as a driver expression."""
+        step = float(self.knots[1] - self.knots[0])
+        parts = []
+        for unit, gains in zip(np.eye(self.knots.size), self.gains, strict=True):
+            hat = d.Lookup(of=warmth, start=float(self.knots[0]), step=step, values=tuple(map(float, unit)))
+            parts.append(d.Product(of=(hat, d.Affine(weights=tuple(map(float, gains)), of=tuple(nodes)))))
+        return d.Affine(weights=(1.0,) * len(parts), of=tuple(parts))
+
+
+def fit(
+    parts: Mapping[int, np.ndarray],
+    rows: Mapping[int, int],
+    warmth: Mapping[int, float],
+    core: np.ndarray,
+    width: float,
+    strength: float,
+) -> Local:
+    """Ridge on the columns behind the core's, per knot.
+
+    parts: group -> triangle of [core columns, further columns, response]; rows: group -> number of rows it stands
+    for; warmth: group -> mean start temperature, degC; core: gains of the core's columns; width: K, standard
+    deviation of the weights and distance of the knots; strength: of the ridge.
+    """
+    groups = sorted(parts)
+    warm = np.array([warmth[g] for g in groups])
+    count = int(np.clip(np.ceil((warm.max() - warm.min()) / width) + 1, 2, MOST_KNOTS))
+    knots = np.linspace(warm.min(), max(warm.max(), warm.min() + 1e-3), count)
+    gains = []
+    for knot in knots:
+        weight = np.exp(-0.5 * ((warm - knot) / max(width, knots[1] - knots[0])) ** 2)
+        near = {g: np.sqrt(w) * parts[g] for g, w in zip(groups, weight, strict=True) if w > 1e-9}
+        triangle = thermal_network.stack(near, sorted(near))
+        left = triangle[:, -1] - triangle[:, : core.size] @ core
+        effective = sum(float(w) * rows[g] for g, w in zip(groups, weight, strict=True))
+        gains.append(ridge_gains(triangle[:, core.size : -1], left, effective, strength))
+    return Local(knots, np.array(gains))
