@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from errpipe.stages.clean import Clean
+from errpipe.stages.diagnosis import Diagnose
 from errpipe.stages.export import Export
 from errpipe.stages.fit import Fit
 from errpipe.stages.fit_plate import FitPlate
@@ -10,6 +11,7 @@ from errpipe.stages.fit_season import FitSeason
 from errpipe.stages.ingest import Ingest
 from errpipe.stages.report import Report
 from errpipe.stages.simulate import Simulate
+from errpipe.stages.simulate_with import SimulateWith
 from errpipe.stages.validate import Validate
 
-STAGES = (Clean, Export, Fit, FitPlate, FitSeason, Ingest, Report, Simulate, Validate)
+STAGES = (Clean, Diagnose, Export, Fit, FitPlate, FitSeason, Ingest, Report, Simulate, SimulateWith, Validate)

@@ -1,6 +1,7 @@
 """The kinds of model a pipeline can fit, each judged by its own refit on the rows of a fold.
 
-What `fit`, `fit_season` and `fit_plate` leave in `fit.json` is enough to repeat them without a held-out group.
+What `fit`, `fit_season`, `fit_plate` and `diagnose` leave in `fit.json` is enough to repeat them without a held-out
+group.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
 
-FITS = ("fit", "fit_season", "fit_plate")
+FITS = ("fit", "fit_season", "fit_plate", "diagnose")
+RECORDINGS = ("clean", "ingest", "twin")
 
 
 class Family:
@@ -55,6 +57,23 @@ class Terms(Family):
         from errpipe.fitting import judging
 
         return judging.judge(recording, self.spec, fold)
+
+
+class Mismatch(Terms):
+    """What a simulation leaves out (`diagnose` without a fit before it): terms of recorded less simulated."""
+
+    def __init__(self, document: Mapping[str, Any]):
+        super().__init__(document)
+        self.recalibrated = tuple(document["recalibrated"])
+        self.method = "mismatch"
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
+        """The simulation's own gains come from the fold's fitted rows too; before and after are both without them."""
+        from errpipe.fitting import judging
+        from errpipe.stages._acceptance import Asked, mismatch
+
+        left, _ = mismatch(recording, Asked(self.spec, self.recalibrated), fold.train)
+        return judging.judge(left, self.spec, fold)
 
 
 class Season(Family):
@@ -156,7 +175,12 @@ def _held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.nda
     return HeldOut(fold.label, rows, before[rows], after[rows], outside[rows], used)
 
 
-FAMILIES: dict[str, Callable[[Mapping[str, Any]], Family]] = {"terms": Terms, "season": Season, "plate": Plate}
+FAMILIES: dict[str, Callable[[Mapping[str, Any]], Family]] = {
+    "terms": Terms,
+    "mismatch": Mismatch,
+    "season": Season,
+    "plate": Plate,
+}
 
 
 def family_of(folder: Path) -> Family:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._families import FITS
+from errpipe.stages._families import FITS, RECORDINGS
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -40,7 +40,7 @@ class Export(Stage):
         "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."
     )
     reads: ClassVar[Mapping[str, Need]] = {
-        "recording": Need("clean", "ingest"),
+        "recording": Need(*RECORDINGS),
         "fit": Need(*FITS),
         "validate": Need("validate", optional=True),
     }
@@ -51,28 +51,34 @@ class Export(Stage):
     def run(self, context: Context) -> Mapping[str, Any]:
         model = _artefacts.read_model(context.needed("fit") / _artefacts.MODEL)
         validation = context.maybe("validate")
+        left_out: list[str] = []
         if self.gate != "none" and validation is not None:
-            refuse_no_better(validation / "validation.json")
+            model, left_out = better_than_nothing(model, validation / "validation.json")
         context.progress(0.2, "compiling")
         table = compile_model(model, self)
         context.progress(0.5, "comparing table and model")
         recording = _artefacts.recording_in(context.needed("recording"))
         proof = compare(table, model, recording)
         files = _write(context, table, model, self.targets)
-        context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, "proof": proof, "files": files})
+        context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, "proof": proof, "files": files, "left_out": left_out})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         return {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
 
 
-def refuse_no_better(path: Path) -> None:
-    """Raises GateError where a component is not better than nothing on the rows that sat out."""
+def better_than_nothing(model: ErrorModel, path: Path) -> tuple[ErrorModel, list[str]]:
+    """The model with only those components that earned it on the rows that sat out, and the names of the others.
+
+    Doing nothing wins ties. Raises GateError where no component is left.
+    """
     from errpipe import jsonfile
     from errpipe.errors import GateError
 
-    worse = [c for c in jsonfile.read(path)["components"] if c["rms_after"] >= c["rms_before"]]
-    if worse:
-        told = "; ".join(f"{c['component']} {c['rms_before']:.3g} -> {c['rms_after']:.3g} {c['unit']}" for c in worse)
+    worse = {c["component"]: c for c in jsonfile.read(path)["components"] if c["verdict"] == "do nothing"}
+    kept = tuple(c for c in model.components if c.component not in worse)
+    if not kept:
+        told = "; ".join(f"{n} {c['rms_before']:.3g} -> {c['rms_after']:.3g} {c['unit']}" for n, c in worse.items())
         raise GateError(f"export: not better than nothing on held-out rows ({told}). Nothing was exported.")
+    return model.model_copy(update={"components": kept}), sorted(worse)
 
 
 def compile_model(model: ErrorModel, options: Export) -> CompensationTable:

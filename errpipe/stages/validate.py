@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.fitting.holdout import HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._families import FITS
+from errpipe.stages._families import FITS, RECORDINGS
 
 HELD_OUT = "held_out.parquet"
 
@@ -22,7 +22,7 @@ class Validate(Stage):
     kind: Literal["validate"]
     holdout: HoldOut | None = Field(None, description="Who sits out; default: as the fit says.")
     iso230_2: bool = Field(False, description="Add the figures of ISO 230-2 (bidirectional positioning tests).")
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest"), "fit": Need(*FITS)}
+    reads: ClassVar[Mapping[str, Need]] = {"recording": Need(*RECORDINGS), "fit": Need(*FITS)}
 
     def outputs(self) -> tuple[str, ...]:
         return ("validation.json", HELD_OUT)

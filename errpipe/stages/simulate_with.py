@@ -1,0 +1,49 @@
+"""Another simulation beside the recording: each response gets its simulated twin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from errpipe.pipeline.stage import Context, InputPath, Need, Stage
+from errpipe.simulation.external import AnySource
+from errpipe.stages import _artefacts
+from errpipe.stages._families import FITS
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+
+
+class SimulateWith(Stage):
+    """Simulated values for every row: from the recording itself, a CSV, an error model, or an FMU."""
+
+    kind: Literal["twin"]
+    by: AnySource = Field(description="What simulates.")
+    file: InputPath | None = Field(None, description="The CSV, the FMU or the error model.")
+    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest"), "fit": Need(*FITS, optional=True)}
+
+    def outputs(self) -> tuple[str, ...]:
+        return ("recording.yaml", "recording.parquet", "twin.json")
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe.formats import manifest_folder
+        from errpipe.simulation import external
+
+        recording = _artefacts.recording_in(context.needed("recording"))
+        with_twins, twins, figures = external.with_twins(
+            recording, self.by, self.file, self._model(context), context.progress
+        )
+        manifest_folder.write(with_twins, context.folder)
+        document = {"twin": 1, "by": self.by.kind, "twins": [t.plain() for t in twins], "figures": figures}
+        context.write_json("twin.json", {**document, "inputs": context.fingerprint})
+        return {t.component: f"{t.with_twin} of {t.rows} rows simulated by {t.source}" for t in twins}
+
+    def _model(self, context: Context) -> ErrorModel | None:
+        if self.by.kind != "error_model":
+            return None
+        if self.file is not None:
+            return _artefacts.read_model(self.file)
+        folder = context.maybe("fit")
+        return _artefacts.read_model(folder / _artefacts.MODEL) if folder is not None else None
