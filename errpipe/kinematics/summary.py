@@ -1,0 +1,87 @@
+"""What an identification found, as one plain document: constants, curves with intervals, set-up, what is not seen.
+
+`document` writes it for `jsonfile`, `errors` reads it back, so that a report, a table and a later closed-loop
+check all start from the same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from errpipe.errors import VerifyError
+from errpipe.kinematics import observability, synthesis
+from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.errors import MachineErrors
+from errpipe.kinematics.identify import Identified
+from errpipe.kinematics.observations import Observations
+
+NODES = 65  # points of a curve
+PLACES = 200  # of the volume at which the remainder and the predicted error are looked at
+
+
+def document(found: Identified, obs: Observations, *, extra: bool = True) -> dict[str, Any]:
+    """Everything found, JSON values only: um, urad, mm, deg; `extra` proposes measurements for what is not seen."""
+    chain = found.model.chain
+    without = tuple(n for i, n in enumerate(chain.components) if i not in set(found.model.prior.component))
+    seen = observability.examine(chain, obs, noise=found.noise, without=without)
+    curves = {}
+    for c, name in enumerate(chain.components):
+        if chain.drives[c] < 0 or name in without:
+            continue
+        p = np.linspace(*chain.travel[chain.drives[c]], NODES)
+        value, error = found.component(name, p)
+        curves[name] = {
+            "unit": chain.unit(name), "start": float(p[0]), "step": float(p[1] - p[0]),
+            "value": _numbers(value), "half_width95": _numbers(1.96 * error),
+        }  # fmt: skip
+    constants = [row | {"ci95": list(row["ci95"]), "seen": float(row["seen"])} for row in found.table()]
+    q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (PLACES, len(chain.axes)))
+    value, error = found.predict(q)
+    out = {
+        "identification": 1,
+        "machine": chain.machine.name,
+        "readings": found.rows,
+        "noise_um": found.noise,
+        "residual_rms_um": float(np.sqrt(np.mean(found.residual**2))),
+        "smoothness": found.power,
+        "spread_before": found.sizes,
+        "constants": constants,
+        "curves": curves,
+        "setup": {n: {"value": v, "standard_error": e} for n, (v, e) in found.setup.items()},
+        "volumetric": {
+            "rms_um": float(np.sqrt(np.mean(np.sum(value**2, axis=1)))),
+            "standard_error_um": float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+            "beyond_first_order": synthesis.remainder(chain, q, found.errors().at(q)),
+        },
+        "rank": seen.rank,
+        "parameters": seen.parameters,
+        "seen": seen.seen,
+        "unseen": [{"components": list(u.components), "left": u.left, "says": u.says()} for u in seen.unseen],
+    }
+    if extra and seen.unseen:
+        added = observability.smallest_extra(chain, obs, noise=found.noise, without=without)
+        out["would_show"] = [
+            {"measure": e.name, "shows": list(e.resolves), "readings": e.readings, "minutes": e.minutes} for e in added
+        ]
+    return out
+
+
+def _numbers(values: np.ndarray) -> list[float]:
+    """Plain floats, to a tenth of a nanometre: more digits are noise of the arithmetic."""
+    return [round(float(v), 4) + 0.0 for v in values]
+
+
+def errors(chain: Chain, found: Mapping[str, Any], nodes: int = 201) -> MachineErrors:
+    """The components of a document of `document`. Raises VerifyError where it is of another machine or version."""
+    if found.get("identification") != 1:
+        raise VerifyError(f"not an identification of version 1 (found {found.get('identification')!r})")
+    if found["machine"] != chain.machine.name:
+        raise VerifyError(f"the identification is of machine {found['machine']!r}, not of {chain.machine.name!r}")
+    values: dict[str, Any] = {row["component"]: float(row["value"]) for row in found["constants"]}
+    for name, curve in found["curves"].items():
+        grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
+        values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
+    return MachineErrors.of(chain, values, nodes)
