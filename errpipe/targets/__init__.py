@@ -10,8 +10,10 @@ from errpipe.targets.beckhoff_crosscomp import BeckhoffCrosscomp
 from errpipe.targets.beckhoff_ssfk import BeckhoffSsfk
 from errpipe.targets.beckhoff_temperature import BeckhoffTemperature
 from errpipe.targets.beckhoff_volumetric import BeckhoffVolumetric
+from errpipe.targets.c_runtime import CRuntime
 from errpipe.targets.fanuc_pitch import FanucPitch
 from errpipe.targets.heidenhain_com import HeidenhainCom
+from errpipe.targets.iec_st import IecSt
 from errpipe.targets.klipper_sections import KlipperSections
 from errpipe.targets.linuxcnc_hal import LinuxcncHal
 from errpipe.targets.linuxcnc_screw import LinuxcncScrew
@@ -23,7 +25,7 @@ from errpipe.targets.smoothie_pitch import SmoothiePitch
 from errpipe.targets.twincat_nc_table import TwincatNcTable
 
 TARGETS: tuple[type[Target], ...] = (
-    BeckhoffCrosscomp, BeckhoffSsfk, BeckhoffTemperature, BeckhoffVolumetric, FanucPitch, HeidenhainCom,
-    KlipperSections, LinuxcncHal, LinuxcncScrew, Mach4ScrewMap, SinumerikCec, SinumerikLec, SinumerikTemperature,
+    BeckhoffCrosscomp, BeckhoffSsfk, BeckhoffTemperature, BeckhoffVolumetric, CRuntime, FanucPitch, HeidenhainCom,
+    IecSt, KlipperSections, LinuxcncHal, LinuxcncScrew, Mach4ScrewMap, SinumerikCec, SinumerikLec, SinumerikTemperature,
     SmoothiePitch, TwincatNcTable,
 )  # fmt: skip

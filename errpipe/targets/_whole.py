@@ -29,6 +29,10 @@ class WholeTable(ReadBack):
     def correction(
         self, axis: str, positions: Mapping[str, np.ndarray], side: np.ndarray, sensors: Mapping[str, np.ndarray]
     ) -> np.ndarray:
+        if axis not in self.axes():
+            return np.zeros(side.size)
         names = _sample.positions_of(self.table)
-        states = {names[a]: values for a, values in positions.items() if a in names} | dict(sensors)
+        known = {i.name for i in self.table.inputs}
+        states = {names[a]: values for a, values in positions.items() if a in names}
+        states |= {name: values for name, values in sensors.items() if name in known}
         return _sample.corrections(self.table, axis, states, side)

@@ -6,7 +6,8 @@ Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index)
 Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL; PLCopen XML (TC6 2.01). The table itself stands in them
           as an array of bytes, so that a program runs before the first download.
 Accepts   only what every compiler tried takes: no // comments, no __ in names, literal bounds, reals with a point,
-          no TRUNC, explicit conversions, no rounding of ties (floor is LREAL_TO_DINT and a comparison).
+          no TRUNC, explicit conversions, no rounding of ties (floor is LREAL_TO_DINT and a comparison), FOR only
+          between literal bounds (MATIEC runs a FOR from a to a not at all), WHILE elsewhere.
 Precision LREAL, the operations of the format page in its order: the bits of the other evaluators, where the compiler
           does not fuse or reorder them.
 """

@@ -8,14 +8,16 @@ from errpipe.targets import TARGETS, _sample
 from tests.unit.targets import machines
 
 SCREW = {
-    "beckhoff_ssfk", "beckhoff_volumetric", "fanuc_pitch", "heidenhain_com", "linuxcnc_hal", "linuxcnc_screw",
+    "beckhoff_ssfk", "beckhoff_volumetric", "c_runtime", "fanuc_pitch", "heidenhain_com", "iec_st", "linuxcnc_hal",
+    "linuxcnc_screw",
     "mach4_screw_map", "sinumerik_cec", "sinumerik_lec", "smoothie_pitch", "twincat_nc_table",
 }  # fmt: skip
 BOTH_WAYS = {
-    "beckhoff_ssfk", "heidenhain_com", "linuxcnc_hal", "linuxcnc_screw", "mach4_screw_map", "sinumerik_cec",
+    "beckhoff_ssfk", "c_runtime", "heidenhain_com", "iec_st", "linuxcnc_hal", "linuxcnc_screw", "mach4_screw_map",
+    "sinumerik_cec",
     "twincat_nc_table",
 }  # fmt: skip
-CROSS = {"beckhoff_crosscomp", "heidenhain_com", "linuxcnc_hal", "sinumerik_cec"}
+CROSS = {"beckhoff_crosscomp", "c_runtime", "heidenhain_com", "iec_st", "linuxcnc_hal", "sinumerik_cec"}
 WARM = {"beckhoff_temperature", "sinumerik_temperature"}
 ROUNDING_UM = {"fanuc_pitch": 1.0, "beckhoff_crosscomp": 0.2, "beckhoff_ssfk": 0.15}
 

@@ -189,6 +189,7 @@ def test_only_constructs_that_every_compiler_takes(name):
     assert not re.search(r"\d+[eE]", reals), "a real without a point"
     assert not re.search(r"\b(TRUNC|AND_THEN|OR_ELSE|RETURN|REPEAT|CASE|POINTER|REFERENCE)\b", code)
     assert not re.search(r"ARRAY \[[^\]]*[A-Za-z]", code), "bounds are literal numbers"
+    assert all(re.fullmatch(r"FOR \w := \d+ TO \d+ DO", f.strip()) for f in re.findall(r"^ *FOR .*$", code, re.M))
     assert "@" not in text and text.isascii()
 
 

@@ -195,7 +195,7 @@ def tree_expression(unit: Unit, e) -> str:
     kind = type(e).__name__
     if kind == "BinaryOperation":
         op, left, right = str(e.op).upper(), again(e.left), again(e.right)
-        bits = "u" in re.findall(r"0x\w+(u)", left + right) or "SHL" in left + right
+        bits = op == "XOR" or re.search(r"0x\w+u|SHL|DWORD", left + right)
         return f"({left} {(BITS if bits and op in BITS else WORDS).get(op, op)} {right})"
     if kind == "UnaryOperation":
         return f"({'!' if str(e.op).upper() == 'NOT' else '-'}{again(e.expr)})"

@@ -1,0 +1,119 @@
+"""C99 for a controller of one's own: the runtime (one header, one source) and the table as an array of bytes.
+
+Value     `e.outputs[i].correction` in the output's unit (mm), to be added to the command: minus the deviation.
+Files     ect.h, ect.c (the same for every table), table.h/table.c (the bytes), example.c (a cycle, to copy from).
+Compile   -std=c99 -ffp-contract=off; -DECT_SINGLE where there is no double. No allocation, no C library but memcpy.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import VerifyError
+from errpipe.tables import ect
+from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._whole import WholeTable
+
+_PER_LINE = 16
+
+
+class CRuntime(Target):
+    """The whole table for a controller programmed in C."""
+
+    name = "c_runtime"
+    controller = "any with a C99 compiler"
+    confidence = "verified"
+    sign = "a positive correction is added to the command: it moves the axis in plus"
+    limits = "whole table; single precision loses a few nanometres"
+    source = "schemas/ect-1.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"
+    activation = (
+        "ect_load must return ECT_OK; e.crc shows the table's checksum: compare it with `errpipe whatis table.ect`",
+        "call ect_cycle once per position cycle; bit 0 of e.status must be set and e.heartbeat must count",
+        "read e.outputs[].correction at three points with enable 0 (all 0) and 1 before it is added to a command",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        runtime = resources.files("errpipe.tables").joinpath("runtime")
+        files = {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c")}
+        data = ect.dumps(table)
+        return files | {"table.h": _header(table, data), "table.c": _source(data), "example.c": _example(table)}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        found = re.search(r"ect_table\[(\d+)\] = \{([\d,\s]*)\};", files.get("table.c", ""))
+        if found is None:
+            raise VerifyError("table.c: holds no table")
+        data = bytes(int(v) for v in found[2].split(","))
+        expect(len(data) == int(found[1]), "table.c", f"{len(data)} bytes of {found[1]}")
+        table = ect.loads(data)
+        for name, text in cls.write(table).items():
+            expect(files.get(name) == text, name, "is missing or was changed")
+        return WholeTable.of(table)
+
+
+def _macro(kind: str, name: str) -> str:
+    return f"ECT_{kind}_" + re.sub(r"[^A-Z0-9]", "_", name.upper())
+
+
+def _comment(text: str) -> str:
+    """Text that cannot end a comment."""
+    return text.replace("*/", "* /").replace("/*", "/ *")
+
+
+def _header(table: CompensationTable, data: bytes) -> str:
+    rows = [(_macro("IN", i.name), n, f"{i.name}, {i.unit or '-'}") for n, i in enumerate(table.inputs)]
+    rows += [(_macro("OUT", o.name), n, f"{o.name}, {o.correction_unit}") for n, o in enumerate(table.outputs)]
+    taken: set[str] = set()
+    lines = []
+    for macro, number, what in rows:
+        while macro in taken:
+            macro += "_"
+        taken.add(macro)
+        lines.append(f"#define {macro} {number} /* {_comment(what)} */")
+    return (
+        f"/* Table {ect.fingerprint(table)}: {_comment(table.machine)} {_comment(table.title)} */\n"
+        "#ifndef ECT_TABLE_H\n#define ECT_TABLE_H\n\n#include <stdint.h>\n\n"
+        f"#define ECT_TABLE_SIZE {len(data)}\n"
+        f"#define ECT_CYCLE_S {table.position_cycle_s!r}\n"
+        + "\n".join(lines)
+        + "\n\nextern const uint8_t ect_table[ECT_TABLE_SIZE];\n\n#endif\n"
+    )
+
+
+def _source(data: bytes) -> str:
+    rows = [", ".join(map(str, data[k : k + _PER_LINE])) for k in range(0, len(data), _PER_LINE)]
+    body = ",\n    ".join(rows)
+    return f'#include "table.h"\n\nconst uint8_t ect_table[{len(data)}] = {{\n    {body}}};\n'
+
+
+def _example(table: CompensationTable) -> str:
+    readings = ", ".join(f"(ect_real){i.default!r}" for i in table.inputs) or "0"
+    return f"""/* One cycle: replace the readings by your axes and sensors, and add the corrections to your commands. */
+#include <stdio.h>
+
+#include "ect.h"
+#include "table.h"
+
+static uint64_t work[1u << 16]; /* ect_work_size() says how much of it is needed */
+
+int main(void)
+{{
+    static const ect_real readings[] = {{{readings}}};
+    ect e;
+    uint32_t o;
+    ect_error error = ect_load(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work);
+    if (error != ECT_OK) {{
+        printf("refused: %s (record %u)\\n", ect_says(error), (unsigned)e.where);
+        return 1;
+    }}
+    ect_cycle(&e, readings, NULL, 1);
+    for (o = 0; o < e.output_count; o++) {{
+        printf("%u %.9g\\n", (unsigned)o, (double)e.outputs[o].correction);
+    }}
+    return 0;
+}}
+"""
