@@ -60,7 +60,8 @@ class Export(Stage):
         recording = _artefacts.recording_in(context.needed("recording"))
         proof = compare(table, model, recording)
         files = _write(context, table, model, self.targets)
-        context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, "proof": proof, "files": files, "left_out": left_out})
+        document = {"proof": proof, "files": files, "left_out": left_out}
+        context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         return {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
 

@@ -51,9 +51,10 @@ def table_values(table: CompensationTable, model: ErrorModel, recording: Recordi
     """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
     from errpipe.fitting.components import from_run_start
     from errpipe.tables import batch
+    from errpipe.terms._base import sessions
 
     columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
-    replay = batch.evaluate(table, columns, recording.time(), recording.run_codes())
+    replay = batch.evaluate(table, columns, recording.time(), sessions(recording))
     if model.datum == "run_start":
         return {name: from_run_start(recording, values) for name, values in replay.deviation.items()}
     return replay.deviation

@@ -55,6 +55,7 @@ class Report(Stage):
             exported=_exported(context.maybe("export")),
             iso230=_iso230(validation),
             tables=[*_causes(context.needed("fit") / "season.json"), *_seasons(validation)],
+            notes=_left_out(context.maybe("export")),
             next_step=_next_step(context.maybe("export")),
         )
         context.write_text("report.html", render(page))
@@ -182,6 +183,13 @@ def _exported(folder: Path | None) -> list[dict[str, Any]]:
     from errpipe import jsonfile
 
     return jsonfile.read(folder / "export.json")["files"] if folder is not None else []
+
+
+def _left_out(folder: Path | None) -> list[str]:
+    from errpipe import jsonfile
+
+    names = jsonfile.read(folder / "export.json")["left_out"] if folder is not None else []
+    return [f"{name} was left out of the table: on held-out rows it was not better than nothing." for name in names]
 
 
 def _iso230(validation: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -52,7 +52,8 @@ def export(table: Path, names: Sequence[str], out: Path) -> dict[str, Any]:
     files = write_targets(found, names, Path(out))
     ect.write(found, Path(out) / _artefacts.TABLE)
     ect.write_json(found, Path(out) / _artefacts.TWIN)
-    jsonfile.write(Path(out) / "export.json", {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files})
+    document = {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files, "left_out": []}
+    jsonfile.write(Path(out) / "export.json", document)
     return {"files": files, "says": [f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files]}
 
 
