@@ -343,10 +343,10 @@ def curves(position, start, step, table):
 def linear_axes(q, tip, axes, facts, rows, nodes, out):
     """Tool-point deviation of a machine with three linear axes, one pass: 18 curves and the squareness.
 
-    q, tip, out: (n, 3) as flat arrays, mm, mm, um. axes: columns of q from tool to workpiece. facts: 16 numbers
-    for each axis in that order: table start, 1/step, motion (3), motion that lies between tool and errors (3),
-    reference point (3), squareness in um per mm of travel (3). rows: tables of `nodes` rows of 8 for each axis
-    in that order: X Y Z in um, 0, A B C in um/mm, 0. Beyond a table its end value holds.
+    q, tip, out: (n, 3) as flat arrays, mm, mm, um. axes: columns of q from tool to workpiece. facts: 12 numbers
+    for each axis in that order: table start, 1/step, motion (3), reference point (3), and 1 where its motion
+    lies between the tool and its errors. rows: tables of `nodes` rows of 8 for each axis in that order: X Y Z in
+    um, squareness included, 0, A B C in um/mm, 0. Beyond a table its end value holds.
     Indices are unsigned so that no negative index has to be thought of.
     """
     last = nodes - 2
@@ -360,26 +360,35 @@ def linear_axes(q, tip, axes, facts, rows, nodes, out):
         sy = 0.0
         sz = 0.0
         for a in range(3):
-            k = U(16 * a)
+            k = U(12 * a)
             x = q[p + axes[a]]
             s = (x - facts[k]) * facts[k + U(1)]
             s = 0.0 if s < 0.0 else (top if s > top else s)
             j = min(int(s), last)
             f = s - j
+            g = 1.0 - f
             lo = U((a * nodes + j) * 8)
             hi = lo + U(8)
-            ea = rows[lo + U(4)] + f * (rows[hi + U(4)] - rows[lo + U(4)])
-            eb = rows[lo + U(5)] + f * (rows[hi + U(5)] - rows[lo + U(5)])
-            ec = rows[lo + U(6)] + f * (rows[hi + U(6)] - rows[lo + U(6)])
-            ax = px + x * facts[k + U(5)] - facts[k + U(8)]
-            ay = py + x * facts[k + U(6)] - facts[k + U(9)]
-            az = pz + x * facts[k + U(7)] - facts[k + U(10)]
-            sx += rows[lo] + f * (rows[hi] - rows[lo]) + eb * az - ec * ay + x * facts[k + U(11)]
-            sy += rows[lo + U(1)] + f * (rows[hi + U(1)] - rows[lo + U(1)]) + ec * ax - ea * az + x * facts[k + U(12)]
-            sz += rows[lo + U(2)] + f * (rows[hi + U(2)] - rows[lo + U(2)]) + ea * ay - eb * ax + x * facts[k + U(13)]
-            px += x * facts[k + U(2)]
-            py += x * facts[k + U(3)]
-            pz += x * facts[k + U(4)]
+            ea = g * rows[lo + U(4)] + f * rows[hi + U(4)]
+            eb = g * rows[lo + U(5)] + f * rows[hi + U(5)]
+            ec = g * rows[lo + U(6)] + f * rows[hi + U(6)]
+            nx = px + x * facts[k + U(2)]
+            ny = py + x * facts[k + U(3)]
+            nz = pz + x * facts[k + U(4)]
+            if facts[k + U(8)] > 0.0:
+                ax = nx - facts[k + U(5)]
+                ay = ny - facts[k + U(6)]
+                az = nz - facts[k + U(7)]
+            else:
+                ax = px - facts[k + U(5)]
+                ay = py - facts[k + U(6)]
+                az = pz - facts[k + U(7)]
+            sx += g * rows[lo] + f * rows[hi] + eb * az - ec * ay
+            sy += g * rows[lo + U(1)] + f * rows[hi + U(1)] + ec * ax - ea * az
+            sz += g * rows[lo + U(2)] + f * rows[hi + U(2)] + ea * ay - eb * ax
+            px = nx
+            py = ny
+            pz = nz
         out[p] = sx
         out[p + U(1)] = sy
         out[p + U(2)] = sz

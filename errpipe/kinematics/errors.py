@@ -81,7 +81,10 @@ class MachineErrors:
 
 @dataclass(frozen=True)
 class ThreeAxisVolume:
-    """Tool-point deviation of a machine whose axes are all three linear, in one pass over the points."""
+    """Tool-point deviation of a machine whose axes are all three linear, in one pass over the points.
+
+    Beyond an axis' travel everything that belongs to it keeps its last value, its squareness too.
+    """
 
     axes: np.ndarray
     facts: np.ndarray
@@ -118,15 +121,16 @@ class ThreeAxisVolume:
                 location[b] += sign * np.cross(turn, direction[b])
         tables[0, :, :3] += shift
         order = axis[moves][::-1]
-        facts, rows = np.zeros((3, 16)), np.zeros((3, tables.shape[1], 8))
+        facts, rows = np.zeros((3, 12)), np.zeros((3, tables.shape[1], 8))
         for i, a in enumerate(order):
-            own = direction[a] * own_first[a]
-            facts[i, :14] = np.r_[errors.start[a], 1 / errors.step[a], direction[a], own, reference[a], location[a]]
-            rows[i, :, :3], rows[i, :, 4:7] = tables[a, :, :3], tables[a, :, 3:] * k.UM
+            facts[i, :9] = np.r_[errors.start[a], 1 / errors.step[a], direction[a], reference[a], own_first[a]]
+            grid = errors.start[a] + errors.step[a] * np.arange(tables.shape[1])
+            rows[i, :, :3] = tables[a, :, :3] + grid[:, None] * location[a]
+            rows[i, :, 4:7] = tables[a, :, 3:] * k.UM
         return cls(order.astype(np.uintp), facts.ravel(), rows.ravel(), tables.shape[1])
 
     def __call__(self, q: np.ndarray, tip: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Deviation (n, 3), um, at q (n, 3) and tip (n, 3), both contiguous float64."""
+        """Deviation (n, 3), um, at q (n, 3) and tip (n, 3), both contiguous float64, mm."""
         out = np.empty((len(q), 3)) if out is None else out
         k.linear_axes(q.reshape(-1), tip.reshape(-1), self.axes, self.facts, self.rows, self.nodes, out.reshape(-1))
         return out

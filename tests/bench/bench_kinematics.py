@@ -84,7 +84,7 @@ def measure() -> dict[str, float]:
     out = np.empty((POINTS, 3))
     k.touch(q, tip, out)
     times = best(
-        5, lambda: volume(q, tip, out), lambda: k.touch(q, tip, out),
+        9, lambda: volume(q, tip, out), lambda: k.touch(q, tip, out),
         lambda: with_numpy(errors, q, tip, False), lambda: with_numpy(errors, q, tip, True),
     )  # fmt: skip
     names = ("errpipe", "memory floor", "numpy, np.interp per curve", "numpy, six curves gathered at once")
@@ -96,8 +96,8 @@ def main() -> int:
     print(f"volumetric error, 21 components, {POINTS} points, one core")
     for name, ns in found.items():
         print(f"  {name:36} {ns:8.1f} ns/point  {ns / found['errpipe']:6.2f} x errpipe")
-    ratio = found["numpy, np.interp per curve"] / found["errpipe"]
-    print(f"  vectorised numpy (np.interp) takes {ratio:.1f} times as long; wanted: at least {WANTED:.0f}")
+    ratio = min(ns for name, ns in found.items() if name.startswith("numpy")) / found["errpipe"]
+    print(f"  the faster of the two in numpy takes {ratio:.1f} times as long; wanted: at least {WANTED:.0f}")
     return 0 if ratio >= WANTED else 1
 
 
