@@ -3,17 +3,17 @@
 Two ways to fit what was accepted:
 
     whole      a `fit` stage stands before: its terms and the accepted ones together, on the whole deviation
-    mismatch   none does: the accepted terms on recorded less simulated; the model then holds what the simulation lacks
+    mismatch   none does: the accepted terms on recorded less simulated, the simulation being used as it stands
 
-What belongs to the measurement (air, drift, clocks) is fitted beside the accepted terms as nuisance, so that it does
-not bend them, and is never compensated. Where the simulation's own gain is off, it is fitted too and left out: that is
-for whoever owns the simulation.
+What belongs to the measurement (air, drift) is fitted beside the accepted terms as nuisance, so that it does not bend
+them, and is never compensated. A simulation whose own gains are off bends them too: where its values are plainly the
+sum of a few terms, these terms join the mismatch, and the table holds by how much their gains are off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from errpipe.yamlfile import Options
 
 if TYPE_CHECKING:
     from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
-    from errpipe.domain.error_model import ComponentModel, ErrorModel
+    from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting.spec import ModelSpec
     from errpipe.terms._base import Term
@@ -35,7 +35,8 @@ ARTEFACTS = {
     "sensor_fault": "a sensor failed while it was recorded: repair it; the machine itself is not at fault",
 }
 FORCES = "it is a drive force, not a deviation of the tool: for the drive's friction feed-forward, not for a table"
-RECALIBRATION = "the simulation itself is to be set right; nothing is missing that a table could hold"
+RECALIBRATION = "the simulation itself is to be set right: no plain sum of terms stands for it in a table"
+ANEW = "the terms of the model before are fitted anew together with what was accepted"
 UNKNOWN = "no effect carries it, so nothing says that it will come back"
 
 
@@ -76,30 +77,45 @@ class Decision:
         return told | ({"reason": self.reason} if self.reason else {"says": self.finding.says})
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What is fitted. recalibrated: responses whose simulated gain is fitted beside (mismatch only)."""
+def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bool = False) -> list[Decision]:
+    """One decision per finding, responses and findings in the diagnosis' order. whole: a model stands before."""
+    made = []
+    for response in diagnosis.responses:
+        own = [_decide(f, response, recording, accept) for f in response.findings]
+        named = any(d.accepted for d in own)
+        made += [_recalibration(d, recording, accept, whole, named) if d.finding.effect == "recalibration" else d
+                 for d in own]  # fmt: skip
+    return made
 
-    spec: ModelSpec
-    recalibrated: tuple[str, ...] = field(default=())
 
-
-def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept) -> list[Decision]:
-    """One decision per finding, responses and findings in the diagnosis' order."""
-    return [_decide(f, r, recording, accept) for r in diagnosis.responses for f in r.findings]
+def _recalibration(d: Decision, recording: Recording, accept: Accept, whole: bool, named: bool) -> Decision:
+    """The simulation's own gains: terms of the mismatch where they are plain; alone they are for the simulation."""
+    if whole:
+        return replace(d, reason=ANEW)
+    if d.reason:
+        return d
+    terms = parts(recording, d.component) if named else ()
+    return replace(d, terms=terms, reason="" if terms else RECALIBRATION)
 
 
 def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accept: Accept) -> Decision:
     refuse = Decision(response.component, f)
-    if f.effect in ("recalibration", "unknown"):
-        return replace(refuse, reason=RECALIBRATION if f.effect == "recalibration" else UNKNOWN)
-    terms = terms_of(f, response.component, recording)
+    if f.effect == "unknown":
+        return replace(refuse, reason=UNKNOWN)
     sure = f.confidence >= accept.confidence
+    held = response.holdout
+    worse = held.rms_after_um >= held.rms_before_um
+    if f.effect == "recalibration":
+        return refuse if sure and not worse else replace(refuse, reason=RECALIBRATION)
+    terms = terms_of(f, response.component, recording)
     if any(not t.compensable for t in terms):
         reason = ARTEFACTS.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
         return replace(refuse, terms=terms, reason=reason, beside=sure and f.effect != "clock_offset")
     if not sure:
         return replace(refuse, reason=f"its confidence of {f.confidence:.2f} is below {accept.confidence:.2f}")
+    if worse:
+        told = f"{held.rms_before_um:.3g} -> {held.rms_after_um:.3g} {response.unit}"
+        return replace(refuse, reason=f"rows that sat out are no better explained with it ({told})")
     if not terms:
         return replace(refuse, reason="it names no term")
     if f.where.runs:
@@ -133,34 +149,72 @@ def terms_of(f: Finding, component: str, recording: Recording) -> tuple[Term, ..
     return tuple(bound) or (term,)
 
 
+PLAIN = 1e-4  # share of a simulated signal's variance that its plain parts may leave (a simulation has no noise)
+MOST_PARTS = 3
+
+
+def parts(recording: Recording, component: str) -> tuple[Term, ...]:
+    """The terms without inner parameters whose sum a simulated signal is, or () where it is no such sum."""
+    from errpipe.terms import TERMS
+
+    twin = recording.name("simulated", component=component)
+    if twin is None:
+        return ()
+    simulated = recording.array(twin)
+    bound = [t for kind in TERMS if kind.reports_as and kind.compensable for t in kind.bind(recording, component)]
+    bound = [t for t in bound if not t.nonlinear()]
+    columns = [(t, t.basis(recording)) for t in bound]
+    known = np.isfinite(simulated)
+    columns = [(t, c) for t, c in columns if np.isfinite(c[known]).mean() > 0.9]
+    chosen: list[Term] = []
+    design = np.ones((simulated.size, 1))
+    while len(chosen) < MOST_PARTS and columns:
+        left = [(_left(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
+        least, k = min(left)
+        term, column = columns.pop(k)
+        chosen.append(term)
+        design = np.hstack([design, column])
+        if least < PLAIN:
+            return tuple(chosen)
+    return ()
+
+
+def _left(design: np.ndarray, values: np.ndarray) -> float:
+    """Share of the variance that columns leave."""
+    rows = np.isfinite(values) & np.isfinite(design).all(axis=1)
+    if rows.sum() <= design.shape[1] + 1 or np.var(values[rows]) == 0:
+        return 1.0
+    fitted = design[rows] @ np.linalg.lstsq(design[rows], values[rows], rcond=None)[0]
+    return float(np.var(values[rows] - fitted) / np.var(values[rows]))
+
+
 # ---------------------------------------------------------------- what to fit
 
 
-def ask(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> Asked:
+def ask(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> ModelSpec:
     """The specification with every accepted term; with an existing one, its terms too."""
     from errpipe.fitting.spec import ComponentSpec, ModelSpec
     from errpipe.terms import Offset
 
     components = {c.component: c for c in existing.components} if existing is not None else {}
     for response in diagnosis.responses:
-        new = [t for d in decisions if d.accepted and d.component == response.component for t in d.terms]
         old = components.get(response.component)
-        if old is None:
-            terms = (Offset(), *new) if new else ()
-            components[response.component] = ComponentSpec(component=response.component, terms=terms)
-        else:
-            fresh = [t for t in new if _bare(t) not in map(_bare, old.terms)]
-            components[response.component] = old.model_copy(update={"terms": (*old.terms, *fresh)})
+        terms = list(old.terms) if old is not None else []
+        new = [t for d in decisions if d.accepted and d.component == response.component for t in d.terms]
+        terms += [Offset()] if old is None and new else []
+        for term in new:
+            if _bare(term) not in map(_bare, terms):
+                terms.append(term)
+        told = old or ComponentSpec(component=response.component)
+        components[response.component] = told.model_copy(update={"terms": tuple(terms)})
     # a nuisance acts on every response that is fitted, so it must be theirs
     fitted = {name for name, c in components.items() if c.terms}
     beside = [t for d in decisions if d.beside and {d.component} == fitted for t in d.terms]
     if existing is not None:
         nuisance = (*existing.nuisance, *(t for t in beside if t not in existing.nuisance))
-        return Asked(existing.model_copy(update={"components": tuple(components.values()), "nuisance": nuisance}))
-    off = {d.component for d in decisions if d.finding.effect == "recalibration"}
+        return existing.model_copy(update={"components": tuple(components.values()), "nuisance": nuisance})
     chosen = tuple(c for name, c in components.items() if name in fitted) or tuple(components.values())
-    spec = ModelSpec(components=chosen, nuisance=tuple(beside), method="robust")
-    return Asked(spec, tuple(sorted(off & fitted)))
+    return ModelSpec(components=chosen, nuisance=tuple(beside), method="robust")
 
 
 def _bare(term: Term) -> dict[str, Any]:
@@ -169,92 +223,48 @@ def _bare(term: Term) -> dict[str, Any]:
 
 def fit_accepted(
     decisions: list[Decision], diagnosis: Diagnosis, existing: ModelSpec | None, recording: Recording
-) -> tuple[ErrorModel, Asked, list[Decision]]:
-    """The error model of what was accepted; what the rows cannot tell apart beside the rest is refused after all."""
-    from errpipe.errors import NotIdentifiable
+) -> tuple[ErrorModel, ModelSpec, list[Decision]]:
+    """The error model of what was accepted; what the rows cannot tell apart beside the rest is refused after all.
 
-    gains = True
-    while True:
-        asked = ask(decisions, diagnosis, existing)
-        asked = asked if gains else replace(asked, recalibrated=())
-        try:
-            model = fit_whole(recording, asked.spec) if existing is not None else fit_mismatch(recording, asked)
-            return model, asked, decisions
-        except NotIdentifiable as why:
-            if asked.recalibrated:
-                gains = False
-                continue
-            weakest = min((d for d in decisions if d.accepted), key=lambda d: d.finding.confidence, default=None)
-            if weakest is None:
-                if not any(d.beside for d in decisions):
-                    raise
-                decisions = [replace(d, beside=False) for d in decisions]
-                continue
-            told = replace(weakest, reason=f"beside the rest it cannot be told apart: {str(why).splitlines()[0]}")
-            decisions = [told if d is weakest else d for d in decisions]
-
-
-def fit_whole(recording: Recording, spec: ModelSpec) -> ErrorModel:
-    """The existing terms and the accepted ones together, on the whole deviation."""
-    from errpipe.fitting import model
-
-    return model.fit(recording, spec)
-
-
-def fit_mismatch(recording: Recording, asked: Asked) -> ErrorModel:
-    """The accepted terms on recorded less simulated, the simulation set right first where its gain is off."""
-    from errpipe.fitting import model
-
-    every = np.ones(len(recording), dtype=bool)
-    left, joint = mismatch(recording, asked, every)
-    found = model.fit(left, asked.spec)
-    components = tuple(_with_intervals_of(c, joint) for c in found.components)
-    note = "deviations are what a simulation leaves out: recorded less simulated"
-    return found.model_copy(update={"components": components, "notes": (*found.notes, note)})
-
-
-def mismatch(recording: Recording, asked: Asked, rows: np.ndarray) -> tuple[Recording, ErrorModel | None]:
-    """The recording with recorded less simulated as its responses; simulated gains as the rows of a mask say.
-
-    Also the model that was fitted together with these gains, where there are any. Raises DataError without twins.
+    Raises NotIdentifiable where the model before can already not be fitted, DataError without twins.
     """
-    from errpipe.errors import DataError
-    from errpipe.fitting.components import solved
+    from errpipe.errors import NotIdentifiable
+    from errpipe.fitting import model
 
-    twins = {}
-    for component in (c.component for c in asked.spec.components):
+    while True:
+        spec = ask(decisions, diagnosis, existing)
+        source = recording if existing is not None else mismatch(recording, spec)
+        try:
+            found = model.fit(source, spec)
+        except NotIdentifiable as why:
+            decisions = _without_one(decisions, why)
+            continue
+        if existing is None:
+            note = "deviations are what a simulation leaves out: recorded less simulated, as it stands"
+            found = found.model_copy(update={"notes": (*found.notes, note)})
+        return found, spec, decisions
+
+
+def _without_one(decisions: list[Decision], why: Exception) -> list[Decision]:
+    """One thing less to fit: the simulation's own gains first, then the least sure finding, then the nuisance."""
+    accepted = [d for d in decisions if d.accepted]
+    if accepted:
+        least = min(accepted, key=lambda d: (d.finding.effect != "recalibration", d.finding.confidence))
+        reason = f"beside the rest it cannot be told apart: {str(why).splitlines()[0]}"
+        return [d.refused(reason) if d is least else d for d in decisions]
+    if any(d.beside for d in decisions):
+        return [replace(d, beside=False) for d in decisions]
+    raise why
+
+
+def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
+    """The recording with recorded less simulated as its responses. Raises DataError where a twin is missing."""
+    from errpipe.errors import DataError
+
+    left = {}
+    for component in (c.component for c in spec.components):
         error, twin = (recording.name(role, component=component) for role in ("error", "simulated"))
         if error is None or twin is None:
             raise DataError(f"{component}: recorded and simulated values are needed, and one of them is missing")
-        twins[component] = (error, twin)
-    left = recording.with_columns({e: recording.array(e) - recording.array(s) for e, s in twins.values()}, {})
-    if not asked.recalibrated:
-        return left, None
-    joint = solved(left, asked.spec.model_copy(update={"components": tuple(
-        c.model_copy(update={"terms": (*c.terms, _gain(twins[c.component][1]))})
-        for c in asked.spec.components if c.component in asked.recalibrated
-    )}), rows)  # fmt: skip
-    off = {c.component: c.terms[-1].parameters[0].value for c in joint.components}
-    right = {
-        error: left.array(error) - off[component] * recording.array(twin)
-        for component, (error, twin) in twins.items()
-        if component in off
-    }
-    return left.with_columns(right, {}), joint
-
-
-def _gain(column: str) -> Term:
-    from errpipe.terms import ProfileDriver
-
-    return ProfileDriver.model_validate({"term": "profile_driver", "driver": [{"input": column, "unit": ""}]})
-
-
-def _with_intervals_of(component: ComponentModel, joint: ErrorModel | None) -> ComponentModel:
-    """The component with the intervals of the fit that left the simulation's gain open too."""
-    own = [c for c in joint.components if c.component == component.component] if joint is not None else []
-    if not own:
-        return component
-    kept = len(component.parameter_names)
-    return component.model_copy(
-        update={"terms": own[0].terms[:-1], "covariance": tuple(row[:kept] for row in own[0].covariance[:kept])}
-    )
+        left[error] = recording.array(error) - recording.array(twin)
+    return recording.with_columns(left, {})

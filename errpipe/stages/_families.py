@@ -62,18 +62,11 @@ class Terms(Family):
 class Mismatch(Terms):
     """What a simulation leaves out (`diagnose` without a fit before it): terms of recorded less simulated."""
 
-    def __init__(self, document: Mapping[str, Any]):
-        super().__init__(document)
-        self.recalibrated = tuple(document["recalibrated"])
-        self.method = "mismatch"
-
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
-        """The simulation's own gains come from the fold's fitted rows too; before and after are both without them."""
         from errpipe.fitting import judging
-        from errpipe.stages._acceptance import Asked, mismatch
+        from errpipe.stages._acceptance import mismatch
 
-        left, _ = mismatch(recording, Asked(self.spec, self.recalibrated), fold.train)
-        return judging.judge(left, self.spec, fold)
+        return judging.judge(mismatch(recording, self.spec), self.spec, fold)
 
 
 class Season(Family):

@@ -43,20 +43,17 @@ class Diagnose(Stage):
         found = Diagnosis.model_validate(jsonfile.read(context.folder / "diagnosis.json"))
         recording = _artefacts.recording_in(folder)
         context.progress(0.9, "fitting what was accepted")
-        decisions = _acceptance.decide(found, recording, self.accept)
         family, existing = _before(context.maybe("fit"))
+        decisions = _acceptance.decide(found, recording, self.accept, whole=existing is not None)
         if family in ("terms", ""):
-            model, asked, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
+            model, spec, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
             fit = {"fit": 1, "family": "terms" if existing is not None else "mismatch"}
-            fit["spec"] = asked.spec.model_dump(mode="json")
-            if existing is None:
-                fit["recalibrated"] = list(asked.recalibrated)
             update = {"title": context.title or recording.manifest.title, "inputs": {"recording": context.fingerprint}}
             notes = [f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"
                      for d in decisions if not d.accepted]  # fmt: skip
             model = model.model_copy(update={**update, "notes": (*model.notes, *notes)})
             context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
-            context.write_json("fit.json", fit)
+            context.write_json("fit.json", {**fit, "spec": spec.model_dump(mode="json")})
         else:
             decisions = [d.refused(OTHER_FAMILY.format(family)) for d in decisions]
             for name in (_artefacts.MODEL, "fit.json"):
