@@ -12,10 +12,12 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    recording: Path, out: Path, progress: Callable[[float, str], None] = lambda share, text: None
-) -> dict[str, Any]:
+    recording: Path, out: Path, progress: Callable[[float, str], None] = lambda share, text: None,
+    simulation: Path | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Diagnose a recording folder into `out`: diagnosis.json and report.html.
 
+    simulation: where the recording holds no simulated twin: a CSV, an error model (.json) or an FMU.
     Raises UsageError, with one clear message, for input that cannot be used.
     """
     from errpipe import jsonfile
@@ -23,7 +25,8 @@ def diagnose(
     from errpipe.formats import manifest_folder
 
     try:
-        document, page, found = judged(manifest_folder.read(Path(recording)), progress)
+        read = with_simulation(manifest_folder.read(Path(recording)), simulation)
+        document, page, found = judged(read, progress)
     except DataError as err:
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
@@ -41,3 +44,21 @@ def judged(recording: Recording, progress: Callable[[float, str], None]) -> tupl
     traces = [Trace(before=r.before, after=r.after, run=r.run, carried=r.carried) for r in rows]
     page = render(found, traces, machine=recording.manifest.machine, version=__version__)
     return found.document(), page, found
+
+
+def with_simulation(recording: Recording, simulation: Path | None) -> Recording:
+    """The recording beside a simulation of its own file: .csv, .json (an error model) or .fmu."""
+    from errpipe.diagnosis import simulated
+    from errpipe.errors import DataError
+    from errpipe.stages import _artefacts
+
+    if simulation is None:
+        return recording
+    match Path(simulation).suffix.lower():
+        case ".csv":
+            return simulated.from_csv(recording, simulation)
+        case ".json":
+            return simulated.from_model(recording, _artefacts.read_model(simulation))
+        case ".fmu":
+            return simulated.from_fmu(recording, simulation)[0]
+    raise DataError(f"{simulation}: a simulation is a .csv, an error model (.json) or an .fmu")

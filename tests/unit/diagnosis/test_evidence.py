@@ -1,0 +1,71 @@
+"""The evidence of a column: large for the truth, small for noise, the same fold by fold as at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from errpipe.diagnosis.evidence import Active, Data, Scene, Table, correlation_time, whiten
+
+
+def table(rng, n=400, k=6):
+    columns = rng.standard_normal((n, k))
+    fold = np.arange(n) * 5 // n
+    return columns, Table(np.zeros(n, dtype=int), [columns, np.ones((n, 1))], fold)
+
+
+def scene(made, y):
+    return Scene(Data(made, y), Active(np.array([6]), np.array([np.inf])), 1.0)
+
+
+def test_the_true_column_wins_and_noise_pays():
+    rng = np.random.default_rng(0)
+    columns, made = table(rng)
+    y = 0.6 * columns[:, 2] + rng.standard_normal(400)
+    gains = [s.gain for s in scene(made, y).score([slice(i, i + 1) for i in range(6)], [np.ones(1)] * 6)]
+    assert np.argmax(gains) == 2
+    assert gains[2] > 30
+    assert max(g for i, g in enumerate(gains) if i != 2) < 3
+
+
+def test_on_noise_alone_no_column_gains():
+    rng = np.random.default_rng(1)
+    best = []
+    for _ in range(60):
+        _, made = table(rng)
+        scored = scene(made, rng.standard_normal(400)).score([slice(i, i + 1) for i in range(6)], [np.ones(1)] * 6)
+        best.append(max(s.gain for s in scored))
+    assert np.mean(np.array(best) > 5) < 0.05
+
+
+def test_white_noise_with_a_slow_share_is_made_white():
+    rng = np.random.default_rng(2)
+    n, phi = 20000, np.exp(-1 / 8)
+    slow = np.zeros(n)
+    for i in range(1, n):
+        slow[i] = phi * slow[i - 1] + np.sqrt(1 - phi**2) * rng.standard_normal()
+    y = np.sqrt(0.94) * rng.standard_normal(n) + np.sqrt(0.06) * slow
+    w = whiten(y, np.zeros(n, dtype=int), 0.06)
+    assert_allclose(np.std(w), 1.0, rtol=0.02)
+    assert abs(np.corrcoef(w[1:], w[:-1])[0, 1]) < 0.02
+
+
+def test_a_fold_left_out_is_as_if_it_had_not_been_there():
+    rng = np.random.default_rng(3)
+    columns, made = table(rng)
+    y = columns[:, 1] + rng.standard_normal(400)
+    data = Data(made, y).hold_out(0)
+    rows = made.rows[0]
+    keep = np.setdiff1d(np.arange(400), rows)
+    assert_allclose(data.G, made.W[keep].T @ made.W[keep], rtol=1e-9, atol=1e-9)
+    assert_allclose(data.products(), made.W[keep].T @ data.y[keep], rtol=1e-9, atol=1e-9)
+    assert data.n == keep.size
+
+
+def test_correlation_time_of_white_and_of_slow_noise():
+    rng = np.random.default_rng(4)
+    white = rng.standard_normal(5000)
+    slow = np.convolve(rng.standard_normal(5100), np.ones(20) / 20, mode="valid")[:5000]
+    run = np.zeros(5000, dtype=int)
+    assert correlation_time(white, run) < 1.5
+    assert 12 < correlation_time(slow, run) < 30

@@ -1,0 +1,97 @@
+"""From a known truth: the name, the drivers and the size come back, and a perfect simulation raises no alarm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import diagnose
+from errpipe.kernels import responses
+
+from .machines import axis, spindle, trace
+
+
+def growth(columns):
+    n = columns["t"].size
+    run = np.zeros(n, dtype=np.int64)
+    return 12 * responses.lag(run, columns["t"], (columns["rpm"] / 12000) ** 1.4, 1800.0, 1800.0, False)
+
+
+HIDDEN = {
+    "backlash": (axis, lambda c: -3.0 * c["dir"], "lost_motion", 6.0),
+    "pitch_cyclic": (axis, lambda c: 1.5 * np.sin(2 * np.pi * c["x"] / 10.0), "sine", 1.5),
+    "scale_expansion": (axis, lambda c: 11.0 * c["x"] * 1e-3 * (c["T_nut"] - 20), "coefficient", 11.0),
+    "sensor_drift": (axis, lambda c: 3.0 * c["t"] / 3600, "rate", 3.0),
+    "spindle_growth": (spindle, growth, "tau", 1800.0),
+    "centrifugal_growth": (spindle, lambda c: -4.0 * (c["rpm"] / 12000) ** 2, "shift", 4.0),
+    "coulomb_friction": (trace, lambda c: 8.0 * np.sign(c["v"]), "force", 8.0),
+    "viscous_friction": (trace, lambda c: 0.1 * c["v"], "damping", 100.0),
+}
+
+
+@pytest.mark.parametrize("effect", HIDDEN)
+def test_a_hidden_effect_is_named_with_its_size(effect):
+    make, hidden, parameter, size = HIDDEN[effect]
+    response = diagnose(make(3, hidden=hidden))[0].responses[0]
+    assert response.verdict == "missing_physics"
+    first = response.findings[0]
+    assert effect in (first.effect, *first.indistinguishable_from)
+    assert first.confidence > 0.5
+    if first.effect == effect:
+        found = next(p for p in first.parameters if p.name == parameter)
+        low, high = sorted(map(abs, found.ci95))
+        assert low * 0.98 <= size <= high * 1.02
+    assert response.holdout.rms_after_um < 0.5 * response.holdout.rms_before_um or effect == "sensor_drift"
+
+
+@pytest.mark.parametrize("make", [axis, spindle, trace])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_perfect_simulation_raises_no_alarm(make, seed):
+    response = diagnose(make(seed))[0].responses[0]
+    assert response.verdict == "no_mismatch"
+    assert not response.findings
+
+
+def test_wrong_gains_are_a_recalibration_and_nothing_is_missing():
+    response = diagnose(axis(4, gains=(1.12, 0.9)))[0].responses[0]
+    assert response.verdict == "recalibrate"
+    assert [f.effect for f in response.findings] == ["recalibration"]
+    assert response.rms_after_um == pytest.approx(0.5, rel=0.1)
+
+
+def test_two_effects_at_once_are_both_found():
+    both = axis(5, hidden=lambda c: -3.0 * c["dir"] + 1.5 * np.sin(2 * np.pi * c["x"] / 10.0))
+    found = [f.effect for f in diagnose(both)[0].responses[0].findings]
+    assert {"backlash", "pitch_cyclic"} <= set(found)
+
+
+def test_an_effect_that_acts_in_two_runs_is_located():
+    part = axis(6, hidden=lambda c: -4.0 * c["dir"] * (c["t"] > np.quantile(c["t"], 0.67)))
+    first = diagnose(part)[0].responses[0].findings[0]
+    assert first.effect in ("backlash", "friction_hysteresis")
+    assert set(first.where.runs) == {"5", "6"}
+
+
+def test_what_no_effect_carries_is_not_given_a_name_with_confidence():
+    def doors(columns):
+        t = columns["t"]
+        start = np.array([3000.0, 8000.0, 16000.0, 24000.0, 30000.0])
+        return sum(-6 * np.exp(-np.clip(t - s, 0, None) / 900) * (t > s) for s in start)
+
+    response = diagnose(spindle(7, hidden=doors))[0].responses[0]
+    assert response.verdict in ("unexplained", "missing_physics")
+    assert response.verdict == "unexplained" or response.findings[0].effect == "unknown"
+    assert all(f.confidence < 0.8 for f in response.findings if f.effect not in ("unknown", "recalibration"))
+
+
+def test_equal_input_gives_equal_findings():
+    case = axis(3, hidden=lambda c: -3.0 * c["dir"])
+    assert diagnose(case)[0].document() == diagnose(case)[0].document()
+
+
+def test_outliers_do_not_become_physics():
+    case = axis(8)
+    frame = case.frame.copy()
+    frame.loc[[20, 130, 260, 400], "EXX"] += 40.0
+    response = diagnose(type(case)(case.manifest, frame))[0].responses[0]
+    assert response.verdict == "no_mismatch"
