@@ -21,6 +21,7 @@ from errpipe.kinematics.observations import Observations
 
 UNSEEN = 0.5  # share of the prior variance that is left
 NAMED = 0.3  # a component belongs to an unseen direction from this weight on
+NEARLY, HELPS = 1e-3, 0.05  # weight of what stays unseen but less so; least of which a measurement is worth naming
 BENDS = 2  # straight part and first bend stand for a curve: finer detail is a matter of more points
 
 
@@ -186,9 +187,10 @@ def smallest_extra(
         best, score = "", 0.0
         for name, gain in gains.items():
             left = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (known + gain) @ open_ + np.eye(open_.shape[1])))
-            resolved = float((left <= UNSEEN).sum()) + 1e-3 * float(open_.shape[1] - left.sum())
+            # combinations made visible; among those that make none, the one that comes nearest
+            resolved = float((left <= UNSEEN).sum()) + NEARLY * float(open_.shape[1] - left.sum())
             rate = resolved / max(offered[name].seconds, 60.0)
-            if resolved > 0.05 and rate > score:
+            if resolved > HELPS and rate > score:
                 best, score = name, rate
         if not best:
             break

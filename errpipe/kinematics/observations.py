@@ -19,6 +19,7 @@ from errpipe.kinematics.chain import Chain
 
 SHIFT = 1000.0  # um: a socket or artefact is placed within a few millimetres at worst
 TURN = 3000.0  # urad
+SCALE = 200.0  # um/m: an artefact some degrees away from 20 degC
 LENGTH = 200.0  # um
 BALL = 4.0  # um: run-out of the ball in the spindle, once averaged over two spindle orientations (ISO 230-7)
 
@@ -148,7 +149,7 @@ def points(
                 turn["XYZ".index(about)] = 1.0
                 columns.append((f"{label}: turn {s}", TURN, np.cross(turn, centred) @ unit * 1e-3))
         if scale:
-            columns.append((f"{label}: scale", 200.0, centred @ unit * 1e-3))
+            columns.append((f"{label}: scale", SCALE, centred @ unit * 1e-3))
         if ball:
             columns += _ball_columns(chain, ideal, np.tile(unit, (len(q), 1))[:, None, :], label)
         weights = np.tile(np.r_[unit, np.zeros(3)], (len(q), 1))

@@ -17,6 +17,9 @@ from errpipe.kinematics import observability, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 
+SHOWN = 20.0  # a combination made visible counts like this many nats of knowledge: seeing all comes before seeing well
+LEAST_GAIN = 1e-3  # nats per second below which a block is not worth its time
+
 
 @dataclass(frozen=True)
 class Means:
@@ -172,12 +175,13 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: in
         if left.max() <= observability.UNSEEN:
             break
         before = np.linalg.slogdet(known)[1]
-        best, rate = -1, 1e-3
+        best, rate = -1, LEAST_GAIN
         for i, gain in enumerate(gains):
             if i in chosen:
                 continue
             after = np.linalg.eigvalsh(np.linalg.inv(known + gain))
-            won = (np.linalg.slogdet(known + gain)[1] - before) + 20.0 * float((left > 0.5).sum() - (after > 0.5).sum())
+            shown = int((left > observability.UNSEEN).sum() - (after > observability.UNSEEN).sum())
+            won = np.linalg.slogdet(known + gain)[1] - before + SHOWN * shown
             per = won / _more_seconds(blocks, chosen, i, means)
             if per > rate:
                 best, rate = i, per
@@ -185,7 +189,22 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: in
             break
         chosen.append(best)
         known = known + gains[best]
-    return chosen
+    return _pruned(chosen, gains, blocks, means)
+
+
+def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
+    """Without the blocks that later ones made superfluous, the slowest of them first."""
+
+    def unseen(rows: list[int]) -> int:
+        known = np.eye(len(gains[0])) + sum(gains[i] for i in rows)
+        return int((np.linalg.eigvalsh(np.linalg.inv(known)) > observability.UNSEEN).sum())
+
+    kept, wanted = list(chosen), unseen(chosen) if chosen else 0
+    for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], means)):
+        rest = [j for j in kept if j != i]
+        if rest and unseen(rest) <= wanted:
+            kept = rest
+    return kept
 
 
 def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Means) -> float:
