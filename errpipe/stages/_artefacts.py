@@ -48,7 +48,7 @@ def read_table(path: Path) -> CompensationTable:
     """A compensation table, binary or JSON twin. Raises VerifyError where it is none."""
     from errpipe.tables import ect
 
-    return ect.read(Path(path))
+    return ect.read_any(Path(path))
 
 
 def model_or_table(path: Path) -> ErrorModel | CompensationTable:

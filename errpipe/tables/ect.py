@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from errpipe import jsonfile
 from errpipe.domain import table as t
-from errpipe.errors import VerifyError
+from errpipe.errors import VerifyError, did_you_mean
 from errpipe.tables import layout as lay
 from errpipe.tables.arithmetic import exp
 
@@ -409,7 +409,18 @@ def _offsets(data: bytes) -> Iterable[tuple[int, int]]:
 
 
 def _first_problem(err: ValidationError) -> str:
+    """The first thing wrong, in words: where, what, what is allowed."""
     problem = err.errors()[0]
     place = ".".join(str(p) for p in problem["loc"])
-    message = problem["msg"].removeprefix("Value error, ")
-    return f"{place}: {message}" if place else message
+    found = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    if problem["type"] == "extra_forbidden":
+        found = f"there is no such key.{did_you_mean(str(problem['loc'][-1]), _KEYS)}"
+    elif problem["type"] == "missing":
+        found = "this key is missing"
+    elif isinstance(problem["input"], int | float | str) and "Value error" not in problem["msg"]:
+        found = f"found {problem['input']!r}, {found}"
+    return f"{place}: {found}" if place else found
+
+
+_PARTS = (t.CompensationTable, t.TableInput, t.Substitute, t.Profile, t.Component, t.Pair, t.Output, t.Monomial)
+_KEYS = sorted({key for part in _PARTS for key in part.model_fields} | {"op", "of", "slow"})
