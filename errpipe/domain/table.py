@@ -86,8 +86,11 @@ class Part(Frozen):
 class Substitute(Part):
     """One summand of a substitute reading: weight x another input's reading."""
 
-    input: Name
-    weight: Number
+    input: Name = Field(description="Input that helps out.")
+    weight: Number = Field(
+        description="What its reading is multiplied by.",
+        json_schema_extra={"unit": "of this input per unit of the source"},
+    )
 
 
 class TableInput(Part):
@@ -98,22 +101,40 @@ class TableInput(Part):
     believed reading for less than `hold_s`, else `default`. The result is always within [low, high].
     """
 
-    name: Name
-    kind: Kind
-    axis: Annotated[str, text(7)] = ""
-    unit: Annotated[str, text(15)] = ""
-    low: Number
-    high: Number
-    max_rate: Positive | None = Field(None, description="Largest believable change, unit per s.")
-    stale_after_s: Positive | None = Field(None, description="A reading older than this is not believed.")
-    substitute: tuple[Substitute, ...] = ()
-    substitute_offset: Number = 0.0
-    hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = Field(None, description="None: without end.")
-    default: Number
+    name: Name = Field(description="Name of the channel.")
+    kind: Kind = Field(description="What the channel carries; motion and force are read every position cycle.")
+    axis: Annotated[str, text(7)] = Field("", description="Letter of the axis it belongs to.")
+    unit: Annotated[str, text(15)] = Field("", description="Unit of the reading.")
+    low: Number = Field(description="Lowest believable reading.", json_schema_extra={"unit": "of the input"})
+    high: Number = Field(description="Highest believable reading.", json_schema_extra={"unit": "of the input"})
+    max_rate: Positive | None = Field(
+        None, description="Largest believable change.", json_schema_extra={"unit": "of the input per s"}
+    )
+    stale_after_s: Positive | None = Field(
+        None, description="A reading older than this is not believed.", json_schema_extra={"unit": "s"}
+    )
+    substitute: tuple[Substitute, ...] = Field((), description="Summands of the reading's stand-in; none: no stand-in.")
+    substitute_offset: Number = Field(
+        0.0, description="What is added to that sum.", json_schema_extra={"unit": "of the input"}
+    )
+    hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = Field(
+        None,
+        description="How long the last believed reading stands in; none: without end.",
+        json_schema_extra={"unit": "s"},
+    )
+    default: Number = Field(
+        description="What stands in when nothing else is left.", json_schema_extra={"unit": "of the input"}
+    )
     optional: bool = Field(False, description="Absence is no fault (a direction the controller may know).")
     fade_on_default: bool = Field(True, description="While only the default is left, what is not `keep` fades out.")
-    valid: tuple[Number, Number] | None = Field(None, description="Validity box: what the fit has seen.")
-    margin: Positive | None = Field(None, description="Distance outside `valid` over which the table fades to zero.")
+    valid: tuple[Number, Number] | None = Field(
+        None, description="Validity box: what the fit has seen.", json_schema_extra={"unit": "of the input"}
+    )
+    margin: Positive | None = Field(
+        None,
+        description="Distance outside `valid` over which the table fades to zero.",
+        json_schema_extra={"unit": "of the input"},
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> TableInput:
@@ -136,8 +157,8 @@ class TableInput(Part):
 class Node(Part):
     """One operation on earlier nodes (`of` are their numbers). slow: runs in thermal cycles only."""
 
-    slow: bool = False
-    of: tuple[Index, ...] = ()
+    slow: bool = Field(False, description="Runs in thermal cycles only.")
+    of: tuple[Index, ...] = Field((), description="Numbers of the nodes it reads, all of them earlier ones.")
 
     operands: ClassVar[tuple[int, int]] = (1, 1)  # fewest and most operands
 
@@ -145,20 +166,22 @@ class Node(Part):
 class ConstantNode(Node):
     operands: ClassVar = (0, 0)
     op: Literal["constant"] = "constant"
-    value: Number
+    value: Number = Field(description="The value.", json_schema_extra={"unit": "of the result"})
 
 
 class InputNode(Node):
     operands: ClassVar = (0, 0)
     op: Literal["input"] = "input"
-    input: Name
+    input: Name = Field(description="Name of the input.")
 
 
 class AffineNode(Node):
     operands: ClassVar = (1, 64)
     op: Literal["affine"] = "affine"
-    offset: Number = 0.0
-    weights: tuple[Number, ...]
+    offset: Number = Field(0.0, description="What is added to the sum.", json_schema_extra={"unit": "of the result"})
+    weights: tuple[Number, ...] = Field(
+        description="What each operand is multiplied by.", json_schema_extra={"unit": "of the result per operand"}
+    )
 
 
 class FirstNode(Node):
@@ -167,9 +190,9 @@ class FirstNode(Node):
 
 class LagNode(Node):
     op: Literal["lag"] = "lag"
-    tau_up: Positive
-    tau_down: Positive
-    start: Literal["input", "zero"] = "input"
+    tau_up: Positive = Field(description="Time constant while the operand is above.", json_schema_extra={"unit": "s"})
+    tau_down: Positive = Field(description="Time constant while the operand is below.", json_schema_extra={"unit": "s"})
+    start: Literal["input", "zero"] = Field("input", description="Value at the start: the operand's, or zero.")
 
 
 class ProductNode(Node):
@@ -179,19 +202,23 @@ class ProductNode(Node):
 
 class PowerNode(Node):
     op: Literal["power"] = "power"
-    exponent: Annotated[float, Field(gt=0, le=16)]
+    exponent: Annotated[float, Field(gt=0, le=16)] = Field(
+        description="sign(u) |u|^exponent.", json_schema_extra={"unit": "1"}
+    )
 
 
 class ClipNode(Node):
     op: Literal["clip"] = "clip"
-    low: Number
-    high: Number
+    low: Number = Field(description="Lowest value let through.", json_schema_extra={"unit": "of the operand"})
+    high: Number = Field(description="Highest value let through.", json_schema_extra={"unit": "of the operand"})
 
 
 class SwitchNode(Node):
     op: Literal["switch"] = "switch"
-    on: Number
-    off: Number
+    on: Number = Field(description="1 from here up.", json_schema_extra={"unit": "of the operand"})
+    off: Number = Field(
+        description="0 from here down; between the two it stays.", json_schema_extra={"unit": "of the operand"}
+    )
 
 
 class DirectionNode(Node):
@@ -199,8 +226,10 @@ class DirectionNode(Node):
 
     operands: ClassVar = (1, 2)
     op: Literal["direction"] = "direction"
-    threshold: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)]
-    start: Literal[-1, 1] = 1
+    threshold: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] = Field(
+        description="Travel against the direction after which it turns.", json_schema_extra={"unit": "of the position"}
+    )
+    start: Literal[-1, 1] = Field(1, description="Direction before the first travel.")
 
 
 class ApproachNode(Node):
@@ -208,14 +237,18 @@ class ApproachNode(Node):
 
     operands: ClassVar = (2, 2)
     op: Literal["approach"] = "approach"
-    length: Positive
+    length: Positive = Field(
+        description="Travel after a reversal in which 63 % builds up.", json_schema_extra={"unit": "of the position"}
+    )
 
 
 class LookupNode(Node):
     op: Literal["lookup"] = "lookup"
-    start: Number
-    step: Positive
-    values: tuple[Number, ...] = Field(min_length=2)
+    start: Number = Field(description="Operand at the first value.", json_schema_extra={"unit": "of the operand"})
+    step: Positive = Field(description="Distance between two values.", json_schema_extra={"unit": "of the operand"})
+    values: tuple[Number, ...] = Field(
+        min_length=2, description="Values, held beyond both ends.", json_schema_extra={"unit": "of the result"}
+    )
 
 
 AnyNode = Annotated[
@@ -232,14 +265,24 @@ class Profile(Part):
     One value: a constant (no input). Errors are the largest seen when it was gridded, in the profile's unit.
     """
 
-    input: Name | None = None
-    start: Number = 0.0
-    step: Positive = 1.0
-    scale: Positive = 0.001
-    periodic: bool = False
-    values: tuple[Annotated[int, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)], ...] = Field(min_length=1)
-    interpolation_error: Annotated[float, Field(ge=0)] = 0.0
-    rounding_error: Annotated[float, Field(ge=0)] = 0.0
+    input: Name | None = Field(None, description="Input it runs over; none: a constant.")
+    start: Number = Field(0.0, description="Input at the first value.", json_schema_extra={"unit": "of the input"})
+    step: Positive = Field(1.0, description="Distance between two values.", json_schema_extra={"unit": "of the input"})
+    scale: Positive = Field(
+        0.001, description="What one step of a value stands for.", json_schema_extra={"unit": "of the profile"}
+    )
+    periodic: bool = Field(False, description="Repeats beyond its ends, where others hold their end values.")
+    values: tuple[Annotated[int, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)], ...] = Field(
+        min_length=1, description="Whole numbers; times `scale` they are the curve."
+    )
+    interpolation_error: Annotated[float, Field(ge=0)] = Field(
+        0.0,
+        description="Largest error of the straight lines between values.",
+        json_schema_extra={"unit": "of the profile"},
+    )
+    rounding_error: Annotated[float, Field(ge=0)] = Field(
+        0.0, description="Largest error of rounding to whole numbers.", json_schema_extra={"unit": "of the profile"}
+    )
 
     @model_validator(mode="after")
     def _sound(self) -> Profile:
@@ -253,38 +296,51 @@ class Profile(Part):
 class Component(Part):
     """One ISO 230-1 error component, the sum of its pairs."""
 
-    name: Annotated[str, Field(min_length=1), text(15)]
-    unit: Literal["um", "urad"] = "um"
+    name: Annotated[str, Field(min_length=1), text(15)] = Field(description="Name by ISO 230-1, such as EXX.")
+    unit: Literal["um", "urad"] = Field("um", description="Unit of the deviation.")
 
 
 class Pair(Part):
     """profile x node, added to a component. keep: not faded outside validity."""
 
-    component: Annotated[str, Field(min_length=1), text(15)]
-    profile: Index
-    driver: Index
-    keep: bool = False
+    component: Annotated[str, Field(min_length=1), text(15)] = Field(description="Component it is added to.")
+    profile: Index = Field(description="Number of the profile.")
+    driver: Index = Field(description="Number of the node it is multiplied by.")
+    keep: bool = Field(False, description="Not faded outside validity.")
 
 
 class Monomial(Part):
     """weight x component x product of nodes, added to an output."""
 
-    weight: Number
-    component: Annotated[str, Field(min_length=1), text(15)]
-    factors: tuple[Index, ...] = Field((), max_length=MAX_FACTORS)
+    weight: Number = Field(
+        description="How much of the component and its factors shows.",
+        json_schema_extra={"unit": "of the output per component and factors"},
+    )
+    component: Annotated[str, Field(min_length=1), text(15)] = Field(description="Component that shows in the output.")
+    factors: tuple[Index, ...] = Field(
+        (), max_length=MAX_FACTORS, description="Numbers of the nodes it is multiplied by, such as a coordinate's."
+    )
 
 
 class Output(Part):
     """One correction the controller applies, with its limits (in the deviation's unit; None: no limit)."""
 
-    name: Name
-    axis: Annotated[str, text(7)] = ""
-    unit: Literal["um", "urad"] = "um"
-    correction_unit: Literal["mm", "um", "urad", "deg", "rad"] = "mm"
-    magnitude: Positive | None = None
-    slew: Positive | None = Field(None, description="Largest rate of the correction, unit per s.")
-    acceleration: Positive | None = Field(None, description="Largest change of that rate, unit per s2.")
-    terms: tuple[Monomial, ...] = Field(min_length=1)
+    name: Name = Field(description="Name of the correction.")
+    axis: Annotated[str, text(7)] = Field("", description="Letter of the axis that applies it.")
+    unit: Literal["um", "urad"] = Field("um", description="Unit of the deviation that it corrects.")
+    correction_unit: Literal["mm", "um", "urad", "deg", "rad"] = Field(
+        "mm", description="Unit the controller wants it in."
+    )
+    magnitude: Positive | None = Field(
+        None, description="Largest correction; none: no limit.", json_schema_extra={"unit": "of the deviation"}
+    )
+    slew: Positive | None = Field(
+        None, description="Largest rate of the correction.", json_schema_extra={"unit": "of the deviation per s"}
+    )
+    acceleration: Positive | None = Field(
+        None, description="Largest change of that rate.", json_schema_extra={"unit": "of the deviation per s2"}
+    )
+    terms: tuple[Monomial, ...] = Field(min_length=1, description="Summands of the deviation at the tool.")
 
     @model_validator(mode="after")
     def _convertible(self) -> Output:
@@ -302,20 +358,32 @@ class CompensationTable(Part):
     """Format version 1 of the compensation table (JSON twin)."""
 
     table: Literal[1] = 1
-    machine: Annotated[str, text(63)] = ""
-    title: Annotated[str, text(127)] = ""
+    machine: Annotated[str, text(63)] = Field("", description="Machine it was made for.")
+    title: Annotated[str, text(127)] = Field("", description="What it is, for people.")
     version: Annotated[str, text(31)] = Field("", description="errpipe version that compiled it.")
     fingerprint: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = Field("", description="Of the error model.")
-    position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = 0.001
+    position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = Field(
+        0.001, description="Time between two corrections.", json_schema_extra={"unit": "s"}
+    )
     slow_every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(1000, description="Position cycles in a thermal one.")
-    ramp_s: Annotated[float, Field(ge=0, le=3600)] = Field(1.0, description="Time to ramp in or out.")
-    fade_s: Annotated[float, Field(ge=0, le=3600)] = Field(1.0, description="Shortest time for a whole fade.")
-    inputs: tuple[TableInput, ...] = Field(max_length=MAX_INPUTS)
-    nodes: tuple[AnyNode, ...] = Field(min_length=1, max_length=MAX_NODES)
-    profiles: tuple[Profile, ...] = Field(min_length=1, max_length=MAX_PROFILES)
-    components: tuple[Component, ...] = Field(min_length=1, max_length=MAX_COMPONENTS)
-    pairs: tuple[Pair, ...] = Field(min_length=1, max_length=MAX_PAIRS)
-    outputs: tuple[Output, ...] = Field(min_length=1, max_length=MAX_OUTPUTS)
+    ramp_s: Annotated[float, Field(ge=0, le=3600)] = Field(
+        1.0, description="Time to ramp in or out.", json_schema_extra={"unit": "s"}
+    )
+    fade_s: Annotated[float, Field(ge=0, le=3600)] = Field(
+        1.0, description="Shortest time for a whole fade.", json_schema_extra={"unit": "s"}
+    )
+    inputs: tuple[TableInput, ...] = Field(max_length=MAX_INPUTS, description="Channels that the controller feeds.")
+    nodes: tuple[AnyNode, ...] = Field(
+        min_length=1, max_length=MAX_NODES, description="Operations, each on earlier ones."
+    )
+    profiles: tuple[Profile, ...] = Field(min_length=1, max_length=MAX_PROFILES, description="Curves over one input.")
+    components: tuple[Component, ...] = Field(min_length=1, max_length=MAX_COMPONENTS, description="Error components.")
+    pairs: tuple[Pair, ...] = Field(
+        min_length=1, max_length=MAX_PAIRS, description="Profile times node, summed per component."
+    )
+    outputs: tuple[Output, ...] = Field(
+        min_length=1, max_length=MAX_OUTPUTS, description="Corrections, one per axis that applies one."
+    )
 
     @property
     def thermal_cycle_s(self) -> float:
