@@ -53,8 +53,10 @@ def _span(node: t.Node, of: list[Span], inputs: dict[str, Span]) -> Span:
             return min(max(of[0][0], node.low), node.high), min(max(of[0][1], node.low), node.high)
         case t.SwitchNode():
             return 0.0, 1.0
-        case t.DirectionNode() | t.ApproachNode():
+        case t.DirectionNode():
             return -1.0, 1.0
+        case t.ApproachNode():
+            return of[1]
         case t.LookupNode():
             return min(node.values), max(node.values)
     raise TypeError(f"unknown node {node!r}")

@@ -414,7 +414,7 @@ def _first_problem(err: ValidationError) -> str:
     place = ".".join(str(p) for p in problem["loc"])
     found = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if problem["type"] == "extra_forbidden":
-        found = f"there is no such key.{did_you_mean(str(problem['loc'][-1]), _KEYS)}"
+        found = f"there is no such key.{_near(problem['loc'])}"
     elif problem["type"] == "missing":
         found = "this key is missing"
     elif isinstance(problem["input"], int | float | str) and "Value error" not in problem["msg"]:
@@ -422,5 +422,7 @@ def _first_problem(err: ValidationError) -> str:
     return f"{place}: {found}" if place else found
 
 
-_PARTS = (t.CompensationTable, t.TableInput, t.Substitute, t.Profile, t.Component, t.Pair, t.Output, t.Monomial)
-_KEYS = sorted({key for part in _PARTS for key in part.model_fields} | {"op", "of", "slow"})
+def _near(place: tuple) -> str:
+    parts = {"inputs": t.TableInput, "profiles": t.Profile, "pairs": t.Pair, "outputs": t.Output}
+    part = parts.get(str(place[0]), t.CompensationTable) if len(place) > 1 else t.CompensationTable
+    return did_you_mean(str(place[-1]), part.model_fields)
