@@ -22,7 +22,7 @@ from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 
 VERBS = (
     "check", "plan", "run", "demo",
-    "predict", "eval", "whatis", "diagnose", "season",
+    "predict", "eval", "whatis", "diagnose",
     "export", "verify", "targets", "compare-targets", "correct",
     "schema",
 )  # fmt: skip
