@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
+import shutil
+import subprocess
+import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +17,7 @@ from errpipe.domain import table as t
 from errpipe.tables import ComponentSource, MonomialSource, OutputSource, batch, compile_table
 from errpipe.terms._base import Lowered
 
+HERE = Path(__file__).parent
 AXES = ("X", "Y", "Z")
 TRAVEL = 600.0
 
@@ -18,7 +25,8 @@ TRAVEL = 600.0
 def _curve(seed: int):
     rng = np.random.default_rng(seed)
     gains, phases = rng.normal(0, 3, 4), rng.uniform(0, 6.28, 4)
-    return lambda x: sum(g * np.sin((k + 1) * np.pi * x / TRAVEL + p) for k, (g, p) in enumerate(zip(gains, phases)))
+    pairs = list(zip(gains, phases, strict=True))
+    return lambda x: sum(g * np.sin((k + 1) * np.pi * x / TRAVEL + p) for k, (g, p) in enumerate(pairs))
 
 
 def machine(thermal: bool = False) -> t.CompensationTable:
@@ -136,10 +144,123 @@ def bench_cycle(cycles: int = 200_000) -> dict[str, float]:
     return {"cycle_ns": 1e9 * each, "share_of_1_ms": each / 1e-3, "share_of_125_us": each / 125e-6}
 
 
-BENCHES = (bench_lattice, bench_curve, bench_cycle)
+def _compiled(source: Path, *more: str | Path) -> ctypes.CDLL | None:
+    """A shared library made by the C compiler at -O3, or None where there is no compiler."""
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        return None
+    folder = Path(tempfile.mkdtemp())
+    flags = ["-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-w", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, source, *more, "-o", folder / "bench.so"], check=True)
+    return ctypes.CDLL(str(folder / "bench.so"))
+
+
+def _address(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+CURVE = np.dtype([("start", "f8"), ("inverse_step", "f8"), ("scale", "f8"), ("factor", "f8"), ("knots", "u8"),
+                  ("axis", "i4"), ("last", "i4"), ("component", "i4"), ("same_grid", "i4")])  # fmt: skip
+TERM = np.dtype([("weight", "f8"), ("output", "i4"), ("component", "i4"), ("axis", "i4"), ("_", "i4")])
+
+
+def bench_c(points: int = 300_000) -> dict[str, float]:
+    """The same 21 curves at scattered points in C at -O3, the faster of point by point and by blocks."""
+    library = _compiled(HERE / "lattice.c")
+    if library is None:
+        return {}
+    table = machine()
+    evaluator = batch.Positions(table, ("x", "y", "z"))
+    program, knots, firsts = evaluator.program, evaluator._knots, evaluator._knots_first
+    moving = [k for k in range(program.pairs.size) if program.profiles[program.pairs[k]["profile"]]["input"] >= 0]
+    moving.sort(key=lambda k: program.pairs[k]["profile"])
+    curves, fixed = np.zeros(len(moving), dtype=CURVE), np.zeros(len(table.components))
+    for row, k in zip(curves, moving, strict=True):
+        pair = program.pairs[k]
+        own = program.profiles[pair["profile"]]
+        place = knots.ctypes.data + 8 * int(firsts[pair["profile"]])
+        factor = evaluator._node_fixed[pair["node"]]
+        same = program.same_grid[pair["profile"]]
+        row_values = (own["start"], own["inverse_step"], own["scale"], factor, place, own["input"], own["count"] - 1,
+                      pair["component"], same)  # fmt: skip
+        for name, value in zip(CURVE.names, row_values, strict=True):
+            row[name] = value
+    for pair in program.pairs:
+        if program.profiles[pair["profile"]]["input"] < 0:
+            fixed[pair["component"]] += evaluator._profile_fixed[pair["profile"]] * evaluator._node_fixed[pair["node"]]
+    arms = {n: table.input_index(node.input) for n, node in enumerate(table.nodes) if node.op == "input"}
+    numbers = {c.name: n for n, c in enumerate(table.components)}
+    rows = [
+        (m.weight, o, numbers[m.component], arms[m.factors[0]] if m.factors else -1, 0)
+        for o, output in enumerate(table.outputs)
+        for m in output.terms
+    ]
+    terms = np.array(rows, dtype=TERM)
+    columns = np.ascontiguousarray(np.random.default_rng(0).uniform(0, TRAVEL, (points, 3)).T)
+    out = np.empty((3, points))
+
+    def run(function):
+        function(_address(curves), len(curves), _address(terms), len(terms), _address(fixed), len(fixed),
+                 _address(columns), ctypes.c_long(points), _address(out))  # fmt: skip
+
+    ours = evaluator.rows(columns)
+    for function in (library.by_point, library.by_block):
+        run(function)
+        assert np.abs(out - ours).max() < 1e-9
+    numba, point = side_by_side(lambda: evaluator.rows(columns), lambda: run(library.by_point))
+    again, block = side_by_side(lambda: evaluator.rows(columns), lambda: run(library.by_block))
+    c = min(point, block)
+    return {"numba_ns_per_point": 1e9 * min(numba, again) / points, "c_by_point_ns": 1e9 * point / points,
+            "c_by_block_ns": 1e9 * block / points, "numba_times_c": min(numba, again) / c}  # fmt: skip
+
+
+def bench_c_cycle(cycles: int = 200_000) -> dict[str, float]:
+    """One controller cycle of 21 components and 8 lagged sensors in the C runtime."""
+    from errpipe import tables
+    from errpipe.tables import ect
+
+    runtime = Path(tables.__file__).parent / "runtime"
+    library = _compiled(runtime / "ect.c", HERE.parent / "unit" / "targets" / "c" / "driver.c", f"-I{runtime}")
+    if library is None:
+        return {}
+    table = machine(thermal=True)
+    data = ect.dumps(table)
+    readings = np.tile(np.array([i.default for i in table.inputs]), (cycles, 1))
+    readings[:, :3] = np.random.default_rng(0).uniform(0, TRAVEL, (cycles, 3))
+    out, status = np.empty((2, cycles, 3)), np.empty(cycles, dtype=np.uint32)
+
+    def run():
+        library.stream(data, ctypes.c_size_t(len(data)), ctypes.c_size_t(cycles), _address(readings), None, None,
+                       _address(out[0]), _address(out[1]), _address(status))  # fmt: skip
+
+    run()
+    each = best(run) / cycles
+    return {"cycle_ns": 1e9 * each, "share_of_1_ms": each / 1e-3, "share_of_125_us": each / 125e-6}
+
+
+BENCHES = (bench_lattice, bench_curve, bench_c, bench_cycle, bench_c_cycle)
+
+AIMS = {
+    ("bench_lattice", "times_faster"): (10.0, "at least"),
+    ("bench_c", "numba_times_c"): (1.3, "at most"),
+    ("bench_cycle", "cycle_ns"): (1000.0, "at most"),
+    ("bench_c_cycle", "cycle_ns"): (1000.0, "at most"),
+}
+
+
+def main() -> int:
+    """Run all; 1 where an aim was missed."""
+    missed = 0
+    for bench in BENCHES:
+        print(bench.__doc__)
+        for what, value in bench().items():
+            aim, sense = AIMS.get((bench.__name__, what), (None, ""))
+            held = aim is None or (value >= aim if sense == "at least" else value <= aim)
+            missed += not held
+            told = "" if aim is None else f"   aim: {sense} {aim:g}{'' if held else '   MISSED'}"
+            print(f"    {what:32s} {value:.4g}{told}")
+    return int(missed > 0)
+
 
 if __name__ == "__main__":
-    for bench in BENCHES:
-        print(bench.__doc__.split(":")[0].strip())
-        for what, value in bench().items():
-            print(f"    {what:32s} {value:.4g}")
+    sys.exit(main())
