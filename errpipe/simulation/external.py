@@ -44,7 +44,11 @@ class _Twins(Options):
         "model what the model says.",
     )
     most_missing: float = Field(
-        0.1, ge=0, lt=1, description="Refuse a twin that leaves more than this share of the recorded rows empty."
+        0.1,
+        ge=0,
+        lt=1,
+        description="Refuse a twin that leaves more than this share of the recorded rows empty.",
+        json_schema_extra={"unit": "1"},
     )
 
 

@@ -194,7 +194,8 @@ class Worker:
             raise self._ended(doing)
         answer = json.loads(line)
         if "error" in answer:
-            raise DataError(f"{self.file.name}: {doing} it failed: {answer['error']}{self._tail()}")
+            told = " ".join(answer["error"].replace(str(self.folder), "...").split())
+            raise DataError(f"{self.file.name}: {doing} it failed: {told}{self._tail()}")
         return answer["ok"]
 
     def _line(self, doing: str) -> bytes:
@@ -446,17 +447,24 @@ def _recalibrated(
     moved = after < (1 - WORTH) * before
     if not moved:
         plan.notes.append("recalibration took nothing away: the parameters stay as they were")
-    shown = np.sqrt(np.mean(found.jac**2, axis=0))  # spreads of the noise that the whole range of a parameter is worth
+    shown = [mismatch.shows(values, plan.simulate(tuned | {n: _aside(tuned[n], a, b)}))
+             for n, a, b in zip(names, low, high, strict=True)]  # fmt: skip
     told = [
         {
             "parameter": n, "start": start[n], "value": tuned[n] if moved else start[n], "low": float(a),
-            "high": float(b), "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3), "shows": bool(s > 0.1),
+            "high": float(b), "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3), "shows": s,
         }
         for n, a, b, x, s in zip(names, low, high, found.x, shown, strict=True)
     ]  # fmt: skip
     plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in told if not t["shows"]]
     plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in told if t["at_a_bound"]]
     return (values if moved else begin), told
+
+
+def _aside(value: float, low: float, high: float) -> float:
+    """A tenth of the range away, inside it."""
+    step = 0.1 * (high - low)
+    return float(value + step if value + step <= high else value - step)
 
 
 class _Mismatch:
@@ -482,6 +490,16 @@ class _Mismatch:
             left = np.where(np.isfinite(left), left, 1e6 * self.scale[component])  # far off, so the search turns back
             parts.append((left - np.median(left)) / self.scale[component])
         return np.concatenate(parts)
+
+    def shows(self, values: Mapping[str, np.ndarray], moved: Mapping[str, np.ndarray]) -> bool:
+        """Whether what moved is more than a constant, somewhere, and not lost in the noise."""
+        for component, rows in self.rows.items():
+            change = (moved[component] - values[component])[rows]
+            change = change[np.isfinite(change)]
+            shape = float(np.quantile(np.abs(change - np.median(change)), 0.95)) if change.size else 0.0
+            if shape > 0.02 * self.scale[component] and shape > 0.02 * abs(float(np.median(change))):
+                return True
+        return False
 
     def rms(self, values: Mapping[str, np.ndarray]) -> float:
         """Root mean square without the widest tenth (outliers), over all responses."""
