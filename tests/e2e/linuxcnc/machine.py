@@ -27,7 +27,7 @@ from tests.e2e.linuxcnc import session
 AXES = "XYZ"
 TRAVEL = {"X": (0.0, 500.0), "Y": (0.0, 400.0), "Z": (-300.0, 0.0)}
 CYCLE = 0.001  # s
-THERMAL_CYCLE = 0.01  # s; heat moves a hundred times faster here than in a workshop, and so does this cycle
+THERMAL_CYCLE = 0.005  # s; heat moves some two hundred times faster here than in a workshop, and so does this cycle
 TOOL = 120.0  # mm
 COLD, SCREW_HOT, SPINDLE_HOT = 20.0, 30.0, 34.0
 SCREW_SENSOR, SPINDLE_SENSOR = 6.0, 3.0  # s, time constants of the sensors' temperatures
@@ -137,9 +137,25 @@ class Record:
         is_, wanted = synthesis.actual_pose(chain(), q, comps), synthesis.ideal_pose(chain(), self.command[::every])
         return 1e3 * (is_[:, 0] - wanted[:, 0])
 
-    def second_order(self, every: int = 1) -> float:
-        """What a first-order synthesis cannot know, at most, um."""
-        return float(synthesis.second_order_bound(chain(), self.motor[::every], errors().at(self.motor[::every])).max())
+    def second_order(self, every: int = 1) -> np.ndarray:
+        """What a first-order synthesis cannot know, at most, um per cycle."""
+        q = np.ascontiguousarray(self.motor[::every])
+        return synthesis.second_order_bound(chain(), q, errors().at(q))
+
+    def held(self, every: int = 1) -> np.ndarray:
+        """What heat changes while the table holds its thermal nodes (one cycle) and their input (another), um, (n, 3).
+
+        That is how old a thermal node can be; no bound of a profile speaks of it.
+        """
+        screw, spindle = (np.abs(np.gradient(rise, CYCLE)) * 2 * THERMAL_CYCLE for rise in self.heat())
+        out = np.zeros((len(self.command), 3))
+        out[:, 0] = EXPANSION * np.abs(self.motor[:, 0]) * screw
+        out[:, 2] = abs(GROWTH) * spindle
+        return out[::every]
+
+    def moving(self) -> slice:
+        """From the first motion on."""
+        return slice(int(np.argmax(np.abs(self.command - self.command[0]).max(axis=1) > 0.001)), None)
 
 
 def lag(u: np.ndarray, tau: float) -> np.ndarray:
@@ -160,32 +176,38 @@ net tool-prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
 net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
 """
 
-SIGNALS = """loadrt scale names=nm-x,nm-y,nm-z
+RECORDER = """loadrt scale names=nm-x,nm-y,nm-z
+loadrt sum2 names=moved-x,moved-y,moved-z,wanted-x,wanted-y,wanted-z
 loadrt sampler depth=30000 cfg=ffffffffuu
-loadrt sum2 names=moved-x,moved-y,moved-z
-net screw lowpass.0.out => errpipe.in-t-screw sampler.0.pin.6
-net spindle lowpass.1.out => errpipe.in-t-spindle sampler.0.pin.7
+net screw lowpass.0.out => sampler.0.pin.6
+net spindle lowpass.1.out => sampler.0.pin.7
 net beat errpipe.heartbeat => sampler.0.pin.8
 net status errpipe.status => sampler.0.pin.9
 """
+PINS = {"T screw": "net screw => errpipe.in-t-screw", "T spindle": "net spindle => errpipe.in-t-spindle",
+        "tool_length": f"setp errpipe.in-tool-length {TOOL}"}  # fmt: skip
+PINS |= {f"tool_offset_{a}": f"setp errpipe.in-tool-offset-{a.lower()} 0" for a in AXES}
 
 
-def connections(way: str) -> str:
+def connections(way: str, made: t.CompensationTable) -> str:
     """HAL lines that put the simulated machine behind the joints and the recorder behind everything."""
-    lines = [SIGNALS]
+    lines = [RECORDER, *(PINS[i.name] for i in made.inputs if i.name in PINS)]
     lines += [f"setp lowpass.{n}.in {COLD}\nsetp lowpass.{n}.load 1" for n in (0, 1)]
     for n, tau in enumerate((SCREW_SENSOR, SPINDLE_SENSOR)):
         lines.append(f"setp lowpass.{n}.gain {1 - np.exp(-CYCLE / tau):.12f}")
-    used = {i.name for i in table().inputs}
-    lines += [f"setp errpipe.in-tool-length {TOOL}"] if "tool_length" in used else []
-    lines += [f"setp errpipe.in-tool-offset-{a.lower()} 0" for a in AXES if f"tool_offset_{a}" in used]
+    corrected = {o.axis.lower() for o in made.outputs}
     for n, axis in enumerate(AXES.lower()):
+        wanted, motor = f"wanted-{axis} joint.{n}.pos-cmd", f"motor-{axis} joint.{n}.motor-pos-cmd"
         if way == "shift":
-            lines.append(f"net motor-{axis} joint.{n}.motor-pos-cmd => joint.{n}.motor-pos-fb moved-{axis}.in0")
-            lines.append(f"net wanted-{axis} axis.{axis}.pos-cmd => moved-{axis}.in1 sampler.0.pin.{n}")
-        else:
-            lines.append(f"net errpipe-{axis}-command => errpipe.measured-{axis} moved-{axis}.in0")
-            lines.append(f"net errpipe-{axis}-position => moved-{axis}.in1 sampler.0.pin.{n}")
+            lines.append(f"net shifted-{axis} axis.{axis}.eoffset => wanted-{axis}.in1\nsetp wanted-{axis}.gain1 -1")
+            lines.append(f"net errpipe-{axis}-position => wanted-{axis}.in0\naddf wanted-{axis} servo-thread")
+            wanted = f"wanted-{axis} wanted-{axis}.out"
+        elif axis in corrected:
+            wanted, motor = f"errpipe-{axis}-position", f"errpipe-{axis}-command"
+        # The simulated drive follows without error, so what it measures is its command.
+        measured = f"joint.{n}.motor-pos-fb" if motor.startswith("motor") else f"errpipe.measured-{axis}"
+        lines.append(f"net {motor} => {measured} moved-{axis}.in0")
+        lines.append(f"net {wanted} => moved-{axis}.in1 sampler.0.pin.{n}")
         lines.append(f"setp moved-{axis}.gain1 -1\nsetp nm-{axis}.gain 1e6")  # halsampler prints six decimals
         lines.append(f"net moved-{axis} moved-{axis}.out => nm-{axis}.in")
         lines.append(f"net nm-{axis} nm-{axis}.out => sampler.0.pin.{3 + n}")
@@ -196,7 +218,7 @@ def connections(way: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def ini(way: str) -> str:
+def ini(way: str, screws: tuple[str, ...]) -> str:
     """The controller's own file; with the screw files where they are to be used."""
     own = SHIFT if way == "shift" else JOINTS
     parts = [
@@ -214,30 +236,33 @@ def ini(way: str) -> str:
         limits = f"MIN_LIMIT = {low - 1}\nMAX_LIMIT = {high + 1}\nMAX_VELOCITY = 1000\nMAX_ACCELERATION = 10000\n"
         parts.append(f"[AXIS_{axis}]\n{limits}" + ("OFFSET_AV_RATIO = 0.2\n" if way == "shift" else ""))
         parts.append(f"[JOINT_{n}]\nTYPE = LINEAR\nHOME = 0\nHOME_SEQUENCE = 0\n{limits}FERROR = 0.001\n")
-        if way == "screw":
+        if f"{axis.lower()}.comp" in screws:
             parts.append(f"COMP_FILE = {axis.lower()}.comp\nCOMP_FILE_TYPE = 1\n")
     return "".join(parts)
 
 
-def program(points: int = 3) -> str:
-    """A lattice there and back, so that every point but the ends is reached from two sides; short rests."""
+def lattice(points: int = 3) -> str:
+    """A program that visits a lattice in serpentines: X from both sides, a short rest at each point."""
     nodes = [np.linspace(lo + 5, hi - 5, points) for lo, hi in TRAVEL.values()]
     places = []
     for k, z in enumerate(nodes[2]):
         for j, y in enumerate(nodes[1][:: -1 if k % 2 else 1]):
             places += [(x, y, z) for x in nodes[0][:: -1 if (j + k) % 2 else 1]]
-    lines = [f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f}\nG4 P0.02" for x, y, z in places + places[-2::-1]]
+    lines = [f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f}\nG4 P0.03" for x, y, z in places]
     return "\n".join(["G21 G90 G94 G61", "F48000", *lines, "G0 X0 Y0 Z0", "M2", ""])
 
 
-def run(folder: Path, way: str, least_s: float = 0.0, points: int = 3, read: tuple[str, ...] = ()) -> Record:
+def run(
+    folder: Path, way: str, made: t.CompensationTable | None = None, program: str = "", least_s: float = 0.0,
+    read: tuple[str, ...] = (),
+) -> Record:  # fmt: skip
     """One session: way is off, screw, hal or shift. Raises AssertionError with LinuxCNC's words where it fails."""
+    made = made or table()
+    screws = LinuxcncScrew.write(made) if way == "screw" else {}
     files = {
-        "sim.ini": ini(way), "sim.tbl": "", "core.hal": CORE, "connect.hal": connections(way),
-        "program.ngc": program(points), **LinuxcncHal.write(table()),
+        "sim.ini": ini(way, tuple(screws)), "sim.tbl": "", "core.hal": CORE, "connect.hal": connections(way, made),
+        "program.ngc": program or lattice(), **LinuxcncHal.write(made), **screws,
     }  # fmt: skip
-    if way == "screw":
-        files |= LinuxcncScrew.write(table())
     plan = {
         "settle_s": 0.5, "program_s": 120, "least_s": least_s, "read": read,
         "heat": {"lowpass.0.load": 0, "lowpass.1.load": 0, "lowpass.0.in": SCREW_HOT, "lowpass.1.in": SPINDLE_HOT},
