@@ -58,6 +58,7 @@ def _table(file: Path) -> dict[str, Any]:
         "profiles": len(table.profiles),
         "operations": {"position cycle": always.operations, "with thermal cycle": thermal.operations},
         "bytes": file.stat().st_size,
+        "work_bytes": {"double": bounds.work_bytes(table), "single, 32-bit": bounds.work_bytes(table, real=4)},
     }
 
 

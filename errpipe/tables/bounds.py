@@ -195,3 +195,31 @@ def cost(table: t.CompensationTable) -> tuple[Cost, Cost]:
         else:
             always += _node_cost(node)
     return always, always + slow
+
+
+# Bytes of one record of the C runtime's work area on a 64-bit machine in double, and on a 32-bit one in single.
+_WORK = {
+    8: (136, 16, 72, 16, 8, 64, 8, 16, 88, 32, 4),
+    4: (76, 8, 44, 8, 4, 36, 4, 16, 48, 28, 4),
+}
+
+
+def work_bytes(table: t.CompensationTable, real: int = 8) -> int:
+    """Working memory the C runtime needs beside the table, bytes: `ect_work_size` on a 64-bit machine.
+
+    real: 8 in double precision, 4 in single precision on a 32-bit machine.
+    """
+    counts = (
+        len(table.inputs),
+        sum(len(i.substitute) for i in table.inputs),
+        len(table.nodes),
+        sum(len(n.of) for n in table.nodes),
+        sum(len(n.values) for n in table.nodes if isinstance(n, t.LookupNode)),
+        len(table.profiles),
+        len(table.components),
+        len(table.pairs),
+        len(table.outputs),
+        sum(len(o.terms) for o in table.outputs),
+        len(table.nodes),
+    )
+    return sum(-(-count * each // 8) * 8 for count, each in zip(counts, _WORK[real], strict=True))

@@ -17,7 +17,8 @@ import pytest
 from errpipe import tables
 from errpipe.errors import VerifyError
 from errpipe.kernels import table_cycle
-from errpipe.tables import ect, pack
+from errpipe.tables import bounds, ect, pack
+from errpipe.targets.c_runtime import CRuntime
 from tests.bench.bench_tables import machine
 from tests.unit.tables.made import everything, stimulus, ten_um_too_long
 
@@ -250,7 +251,10 @@ def test_many_damaged_tables_never_read_out_of_bounds(tmp_path):
 def test_memory_is_known_before_it_runs(library):
     table = machine(thermal=True)
     data = ect.dumps(table)
-    assert 1000 < library.dll.ect_work_size(data, ctypes.c_size_t(len(data))) < 40_000
+    assert library.dll.ect_work_size(data, ctypes.c_size_t(len(data))) == bounds.work_bytes(table) < 10_000
+    for seed in range(10):
+        data = ect.dumps(everything(seed))
+        assert library.dll.ect_work_size(data, ctypes.c_size_t(len(data))) == bounds.work_bytes(everything(seed))
     assert library.dll.ect_work_size(data[:300], ctypes.c_size_t(300)) == 0
 
 
@@ -299,3 +303,32 @@ def test_a_cortex_m_gives_the_bits_of_this_machine(tmp_path, library, board, sin
     assert there.stdout == here
     with capsys.disabled():
         print(f"\n{board}, {'single' if single else 'double'}, 21 components and 8 sensors: {there.stderr.strip()}")
+
+
+# The target ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+def test_the_exported_files_compile_and_move_the_machine_back(tmp_path, single):
+    """A machine 10 um too long at +X, whose example reads x = 0 by default: moved to +X in the text."""
+    files = CRuntime.write(ten_um_too_long(title="closes */ nothing"))
+    assert "readings[] = {(ect_real)0.0}" in files["example.c"]
+    files["example.c"] = files["example.c"].replace("(ect_real)0.0", "(ect_real)1000.0")
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    sources = [tmp_path / name for name in ("ect.c", "table.c", "example.c")]
+    run(COMPILERS[0], *STRICT, *(["-DECT_SINGLE"] if single else []), *sources, "-o", tmp_path / "example")
+    number, correction = run(tmp_path / "example").stdout.split()
+    assert number == "0" and float(correction) == pytest.approx(-0.01, abs=1e-9)
+
+
+def test_exported_files_are_read_back_and_changes_are_noticed():
+    table = machine(thermal=True)
+    files = CRuntime.write(table)
+    assert CRuntime.read_back(files).table == table
+    with pytest.raises(VerifyError, match=r"ect\.c: is missing or was changed"):
+        CRuntime.read_back(files | {"ect.c": files["ect.c"].replace("-o->deviation", "o->deviation")})
+    text = files["table.c"]
+    last = text.rindex(", ")
+    with pytest.raises(VerifyError, match="damaged"):
+        CRuntime.read_back(files | {"table.c": text[:last] + ", 7" + text[text.index("}", last) :]})
