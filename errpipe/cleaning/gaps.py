@@ -25,7 +25,13 @@ class Gaps(Rule):
     longest: float = Field(
         14400.0, gt=0, json_schema_extra={"unit": "s"}, description="A longer pause between two rows splits the run."
     )
-    most: float = Field(0.1, gt=0, le=1, description="Refuse to hold more than this share of a sensor's cells.")
+    most: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="Refuse to hold more than this share of a sensor's cells.",
+        json_schema_extra={"unit": "1"},
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Cells to hold, and new run labels. Raises DataError beyond the stated share."""

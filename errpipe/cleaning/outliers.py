@@ -34,9 +34,18 @@ class Outliers(Rule):
 
     rule: Literal["outliers"] = "outliers"
     threshold: float = Field(
-        6.0, ge=3, description="Multiple of the robust scatter; 5 is reached by chance in large clean recordings."
+        6.0,
+        ge=3,
+        description="Multiple of the robust scatter; 5 is reached by chance in large clean recordings.",
+        json_schema_extra={"unit": "1"},
     )
-    most: float = Field(0.02, gt=0, le=1, description="Refuse to blank more than this share of a column's cells.")
+    most: float = Field(
+        0.02,
+        gt=0,
+        le=1,
+        description="Refuse to blank more than this share of a column's cells.",
+        json_schema_extra={"unit": "1"},
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Cells to blank. Raises DataError beyond the stated share."""

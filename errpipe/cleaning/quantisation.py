@@ -18,7 +18,10 @@ class Quantisation(Rule):
 
     rule: Literal["quantisation"] = "quantisation"
     coarse: float = Field(
-        1.0, gt=0, description="Note a step above this multiple of the typical change from row to row that is not zero."
+        1.0,
+        gt=0,
+        description="Note a step above this multiple of the typical change from row to row that is not zero.",
+        json_schema_extra={"unit": "1"},
     )
 
     def find(self, recording: Recording) -> list[Action]:

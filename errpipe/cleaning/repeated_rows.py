@@ -18,7 +18,13 @@ class RepeatedRows(Rule):
     """
 
     rule: Literal["repeated_rows"] = "repeated_rows"
-    most: float = Field(0.1, gt=0, le=1, description="Refuse to remove more than this share of the rows.")
+    most: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="Refuse to remove more than this share of the rows.",
+        json_schema_extra={"unit": "1"},
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Rows to remove. Raises DataError beyond the stated share."""

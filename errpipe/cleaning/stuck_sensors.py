@@ -30,8 +30,20 @@ class StuckSensors(Rule):
     """Set aside sensors that are empty, constant or mostly stuck; blank stuck and sentinel stretches of others."""
 
     rule: Literal["stuck_sensors"] = "stuck_sensors"
-    empty: float = Field(0.5, gt=0, le=1, description="A sensor with a larger share of empty cells is set aside.")
-    most: float = Field(0.7, gt=0, le=1, description="Refuse to set aside more than this share of the sensors.")
+    empty: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="A sensor with a larger share of empty cells is set aside.",
+        json_schema_extra={"unit": "1"},
+    )
+    most: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Refuse to set aside more than this share of the sensors.",
+        json_schema_extra={"unit": "1"},
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Columns to set aside and cells to blank. Raises DataError beyond the stated share."""

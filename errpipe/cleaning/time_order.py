@@ -19,7 +19,13 @@ class TimeOrder(Rule):
     """
 
     rule: Literal["time_order"] = "time_order"
-    most: float = Field(0.01, gt=0, le=1, description="Refuse to remove more than this share of the rows.")
+    most: float = Field(
+        0.01,
+        gt=0,
+        le=1,
+        description="Refuse to remove more than this share of the rows.",
+        json_schema_extra={"unit": "1"},
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Rows to remove. Raises DataError beyond the stated share."""

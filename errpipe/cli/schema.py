@@ -17,6 +17,8 @@ MODELS = {
     "table": ("errpipe compensation table, version 1", "errpipe.domain.table:CompensationTable"),
 }
 
+WRITTEN = ("pipeline", "recording", "machine")  # by people, in YAML; the others are JSON
+
 
 def command(
     name: str = typer.Argument("pipeline", metavar="[NAME]", help=f"One of: {', '.join(MODELS)}."),
@@ -51,4 +53,5 @@ def schema_of(name: str) -> dict[str, Any]:
     title, where = MODELS[name]
     module, _, attribute = where.partition(":")
     found = getattr(import_module(module), attribute)
-    return json_schema(pipeline_model(tuple(found)) if name == "pipeline" else found, title)
+    model = pipeline_model(tuple(found)) if name == "pipeline" else found
+    return json_schema(model, title, written=name in WRITTEN)

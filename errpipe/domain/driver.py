@@ -31,80 +31,96 @@ from errpipe.domain.recording import Frozen
 
 class Constant(Frozen):
     op: Literal["constant"] = "constant"
-    value: float
+    value: float = Field(description="The value.", json_schema_extra={"unit": "of the result"})
 
 
 class Input(Frozen):
     op: Literal["input"] = "input"
-    name: str
+    name: str = Field(description="Column of the recording, channel of the controller.")
 
 
 class Affine(Frozen):
     op: Literal["affine"] = "affine"
-    offset: float = 0.0
-    weights: tuple[float, ...]
-    of: tuple[Driver, ...]
+    offset: float = Field(0.0, description="What is added to the sum.", json_schema_extra={"unit": "of the result"})
+    weights: tuple[float, ...] = Field(
+        description="What each operand is multiplied by.", json_schema_extra={"unit": "of the result per operand"}
+    )
+    of: tuple[Driver, ...] = Field(description="Operands.")
 
 
 class First(Frozen):
     op: Literal["first"] = "first"
-    of: Driver
+    of: Driver = Field(description="Operand.")
 
 
 class Lag(Frozen):
     op: Literal["lag"] = "lag"
-    of: Driver
-    tau_up: float = Field(gt=0)
-    tau_down: float = Field(gt=0)
-    start: Literal["input", "zero"] = "input"
+    of: Driver = Field(description="Operand.")
+    tau_up: float = Field(
+        gt=0, description="Time constant while the operand is above.", json_schema_extra={"unit": "s"}
+    )
+    tau_down: float = Field(
+        gt=0, description="Time constant while the operand is below.", json_schema_extra={"unit": "s"}
+    )
+    start: Literal["input", "zero"] = Field("input", description="Value at the start: the operand's, or zero.")
 
 
 class Product(Frozen):
     op: Literal["product"] = "product"
-    of: tuple[Driver, ...]
+    of: tuple[Driver, ...] = Field(description="Factors.")
 
 
 class Power(Frozen):
     op: Literal["power"] = "power"
-    of: Driver
-    exponent: float = Field(gt=0)
+    of: Driver = Field(description="Operand u.")
+    exponent: float = Field(gt=0, description="sign(u) |u|^exponent.", json_schema_extra={"unit": "1"})
 
 
 class Clip(Frozen):
     op: Literal["clip"] = "clip"
-    of: Driver
-    low: float
-    high: float
+    of: Driver = Field(description="Operand.")
+    low: float = Field(description="Lowest value let through.", json_schema_extra={"unit": "of the operand"})
+    high: float = Field(description="Highest value let through.", json_schema_extra={"unit": "of the operand"})
 
 
 class Switch(Frozen):
     op: Literal["switch"] = "switch"
-    of: Driver
-    on: float
-    off: float
+    of: Driver = Field(description="Operand.")
+    on: float = Field(description="1 from here up.", json_schema_extra={"unit": "of the operand"})
+    off: float = Field(
+        description="0 from here down; between the two it stays.", json_schema_extra={"unit": "of the operand"}
+    )
 
 
 class Direction(Frozen):
     op: Literal["direction"] = "direction"
-    axis: str
-    threshold: float = Field(0.001, ge=0)
-    start: Literal[-1, 1] = 1
+    axis: str = Field(description="Letter of the axis, such as X.")
+    threshold: float = Field(
+        0.001, ge=0, description="Travel against the direction after which it turns.", json_schema_extra={"unit": "mm"}
+    )
+    start: Literal[-1, 1] = Field(1, description="Direction before the first travel.")
 
 
 class Approach(Frozen):
     op: Literal["approach"] = "approach"
-    axis: str
-    length: float = Field(gt=0)
-    threshold: float = Field(0.001, ge=0)
-    start: Literal[-1, 1] = 1
+    axis: str = Field(description="Letter of the axis, such as X.")
+    length: float = Field(
+        gt=0, description="Travel after a reversal in which 63 % builds up.", json_schema_extra={"unit": "mm"}
+    )
+    threshold: float = Field(
+        0.001, ge=0, description="Travel against the direction after which it turns.", json_schema_extra={"unit": "mm"}
+    )
+    start: Literal[-1, 1] = Field(1, description="Direction before the first travel.")
 
 
 class Lookup(Frozen):
     op: Literal["lookup"] = "lookup"
-    of: Driver
-    start: float
-    step: float = Field(gt=0)
-    values: tuple[float, ...] = Field(min_length=2)
+    of: Driver = Field(description="Operand.")
+    start: float = Field(description="Operand at the first value.", json_schema_extra={"unit": "of the operand"})
+    step: float = Field(gt=0, description="Distance between two values.", json_schema_extra={"unit": "of the operand"})
+    values: tuple[float, ...] = Field(
+        min_length=2, description="Values, held beyond both ends.", json_schema_extra={"unit": "of the result"}
+    )
 
 
 Driver = Annotated[

@@ -16,19 +16,23 @@ from errpipe.domain.recording import Frozen
 class FittedParameter(Frozen):
     """One parameter: value, standard error and 95 % interval, all in `unit`."""
 
-    name: str
-    value: float
-    unit: str
-    standard_error: float | None = None
-    ci95: tuple[float, float] | None = None
-    note: str = ""
+    name: str = Field(description="Name of the parameter, as the term has it.")
+    value: float = Field(description="Estimate.", json_schema_extra={"unit": "of the parameter"})
+    unit: str = Field(description="Unit of value, error and interval.")
+    standard_error: float | None = Field(
+        None, description="Standard error; none: not known.", json_schema_extra={"unit": "of the parameter"}
+    )
+    ci95: tuple[float, float] | None = Field(
+        None, description="Ends of the 95 % interval.", json_schema_extra={"unit": "of the parameter"}
+    )
+    note: str = Field("", description="What should be known about the estimate.")
 
 
 class FittedTerm(Frozen):
     """A term as declared, and its parameters: the linear ones first, in the term's order, then the non-linear."""
 
-    term: dict[str, Any]
-    parameters: tuple[FittedParameter, ...]
+    term: dict[str, Any] = Field(description="The term as declared.")
+    parameters: tuple[FittedParameter, ...] = Field(description="Its parameters.")
 
     def values(self) -> dict[str, float]:
         """Parameter name -> value."""
@@ -38,42 +42,72 @@ class FittedTerm(Frozen):
 class ComponentModel(Frozen):
     """The model of one response: deviation = sum of its terms."""
 
-    component: str
-    unit: str = "um"
-    terms: tuple[FittedTerm, ...]
-    nuisance: tuple[FittedTerm, ...] = ()
-    parameter_names: tuple[str, ...] = ()
-    covariance: tuple[tuple[float, ...], ...] = ()
-    rows: int = 0
-    rows_effective: float = 0.0
-    rms_before: float = 0.0
-    rms_after: float = 0.0
-    noise_floor: float | None = None
-    half_width90: float | None = Field(None, description="Half width of the 90 % prediction interval inside validity.")
-    widening90: float = Field(0.0, description="Added half width per unit of distance outside what was seen.")
-    limit: float | None = Field(None, description="No prediction beyond this magnitude.")
+    component: str = Field(description="The response, such as EXX or E_Z.")
+    unit: str = Field("um", description="Unit of the deviation.")
+    terms: tuple[FittedTerm, ...] = Field(description="Terms whose sum is the deviation.")
+    nuisance: tuple[FittedTerm, ...] = Field((), description="Terms of the set-up, never compensated.")
+    parameter_names: tuple[str, ...] = Field((), description="Names of the covariance's rows and columns.")
+    covariance: tuple[tuple[float, ...], ...] = Field(
+        (),
+        description="Covariance of the parameters.",
+        json_schema_extra={"unit": "of the row's times the column's parameter"},
+    )
+    rows: int = Field(0, description="Rows of the fit.")
+    rows_effective: float = Field(
+        0.0,
+        description="What those rows are worth: neighbours in time repeat each other.",
+        json_schema_extra={"unit": "1"},
+    )
+    rms_before: float = Field(
+        0.0, description="RMS deviation, uncompensated.", json_schema_extra={"unit": "of the deviation"}
+    )
+    rms_after: float = Field(
+        0.0, description="RMS of what the model leaves.", json_schema_extra={"unit": "of the deviation"}
+    )
+    noise_floor: float | None = Field(
+        None,
+        description="RMS of what no model of these columns can explain.",
+        json_schema_extra={"unit": "of the deviation"},
+    )
+    half_width90: float | None = Field(
+        None,
+        description="Half width of the 90 % prediction interval inside validity.",
+        json_schema_extra={"unit": "of the deviation"},
+    )
+    widening90: float = Field(
+        0.0,
+        description="Added half width per unit of distance outside what was seen.",
+        json_schema_extra={"unit": "of the deviation per unit of distance"},
+    )
+    limit: float | None = Field(
+        None, description="No prediction beyond this magnitude.", json_schema_extra={"unit": "of the deviation"}
+    )
 
 
 class Validity(Frozen):
     """The box of what the fit has seen: column -> (lowest, highest); `margin` -> the fade outside it."""
 
-    ranges: dict[str, tuple[float, float]] = {}
-    margins: dict[str, float] = {}
+    ranges: dict[str, tuple[float, float]] = Field(
+        {}, description="Column -> lowest and highest value seen.", json_schema_extra={"unit": "of the column"}
+    )
+    margins: dict[str, float] = Field(
+        {}, description="Column -> distance outside over which it fades.", json_schema_extra={"unit": "of the column"}
+    )
 
 
 class ErrorModel(Frozen):
     """Format version 1 of `error_model.json`."""
 
     error_model: Literal[1] = 1
-    machine: str = ""
-    title: str = ""
-    version: str = ""
+    machine: str = Field("", description="Machine it is of.")
+    title: str = Field("", description="What it is, for people.")
+    version: str = Field("", description="errpipe version that fitted it.")
     inputs: dict[str, str] = Field({}, description="Artefact read by the fit -> its fingerprint.")
     columns: dict[str, dict[str, Any]] = Field({}, description="Manifest entry of every column a term reads.")
-    constants: dict[str, dict[str, Any]] = {}
-    components: tuple[ComponentModel, ...]
-    validity: Validity = Validity()
+    constants: dict[str, dict[str, Any]] = Field({}, description="Constants of the recording's manifest.")
+    components: tuple[ComponentModel, ...] = Field(description="One model per response.")
+    validity: Validity = Field(Validity(), description="The box of what the fit has seen.")
     datum: Literal["absolute", "run_start"] = Field(
         "absolute", description="What zero means: the machine's own zero, or each run's first readings."
     )
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = Field((), description="What a user should know.")

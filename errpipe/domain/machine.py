@@ -41,15 +41,27 @@ class Axis(Frozen):
     workpiece is the opposite.
     """
 
-    kind: Literal["linear", "rotary"]
-    travel: tuple[float, float] = Field(description="lowest and highest position, mm or deg")
-    direction: Direction | None = Field(None, description="of motion or turning; the letter's own where left out")
+    kind: Literal["linear", "rotary"] = Field(description="how it moves")
+    travel: tuple[float, float] = Field(
+        description="lowest and highest position, mm or deg", json_schema_extra={"unit": "of the axis"}
+    )
+    direction: Direction | None = Field(
+        None, description="of motion or turning; the letter's own where left out", json_schema_extra={"unit": "1"}
+    )
     reference: Vector = Field(
-        (0.0, 0.0, 0.0), description="point its errors are defined at, mm; a rotary axis' line runs through it"
+        (0.0, 0.0, 0.0),
+        description="point its errors are defined at; a rotary axis' line runs through it",
+        json_schema_extra={"unit": "mm"},
     )
     reference_on: Literal["carriage", "guideway"] = Field("carriage", description="whether that point travels along")
-    errors_of: Literal["tool_side", "carriage"] = "tool_side"
-    datum: float | None = Field(None, description="position at which its positioning deviation is zero, mm or deg")
+    errors_of: Literal["tool_side", "carriage"] = Field(
+        "tool_side", description="whose motion the six components are: the tool's side's, or the carriage's own"
+    )
+    datum: float | None = Field(
+        None,
+        description="position at which its positioning deviation is zero, mm or deg",
+        json_schema_extra={"unit": "of the axis"},
+    )
     drifts: bool = Field(False, description="whether the origin of its frame drifts (three components)")
 
     @model_validator(mode="after")
@@ -67,36 +79,44 @@ class Axis(Frozen):
 class Spindle(Frozen):
     """The spindle nose, and whether growth (three components) and tilt (two) are among the errors."""
 
-    position: Vector = (0.0, 0.0, 0.0)
-    direction: Direction = Field((0.0, 0.0, 1.0), description="of its axis")
-    growth: bool = False
-    tilt: bool = False
+    position: Vector = Field((0.0, 0.0, 0.0), description="of the nose", json_schema_extra={"unit": "mm"})
+    direction: Direction = Field((0.0, 0.0, 1.0), description="of its axis", json_schema_extra={"unit": "1"})
+    growth: bool = Field(False, description="whether its growth is among the errors (three components)")
+    tilt: bool = Field(False, description="whether its tilt is among the errors (two components)")
 
 
 class Tool(Frozen):
     """Tool tip = mount + offset + length along `direction`; length and offset may be given anew at run time."""
 
-    mount: Vector | None = Field(None, description="mm; the spindle's position where left out")
-    direction: Direction = Field((0.0, 0.0, -1.0), description="from the mount to the tip")
-    length: float = Field(0.0, ge=0, description="mm")
-    offset: Vector = (0.0, 0.0, 0.0)
+    mount: Vector | None = Field(
+        None, description="where it is held; the spindle's position where left out", json_schema_extra={"unit": "mm"}
+    )
+    direction: Direction = Field(
+        (0.0, 0.0, -1.0), description="from the mount to the tip", json_schema_extra={"unit": "1"}
+    )
+    length: float = Field(0.0, ge=0, description="from the mount along the direction", json_schema_extra={"unit": "mm"})
+    offset: Vector = Field(
+        (0.0, 0.0, 0.0), description="of the tip beside the length", json_schema_extra={"unit": "mm"}
+    )
 
 
 class Machine(Frozen):
     """Version 1 of a machine file."""
 
     machine: Literal[1]
-    name: str
-    title: str = ""
-    chain: tuple[str, ...]
-    axes: dict[str, Axis]
+    name: str = Field(description="name of the machine, as recordings give it")
+    title: str = Field("", description="what it is, for people")
+    chain: tuple[str, ...] = Field(description="links from workpiece to tool; a prime: carries the workpiece")
+    axes: dict[str, Axis] = Field(description="axes of the chain by letter")
     datum_axes: tuple[str, ...] = Field(
         (), description="linear axes in the order squareness refers to: the first is the datum; X, Y, Z where left out"
     )
     up: Literal["X", "Y", "Z"] = Field("Z", description="axis that points up, for sketches")
-    workpiece: Vector = Field((0.0, 0.0, 0.0), description="origin of the workpiece frame, mm")
-    spindle: Spindle = Spindle()
-    tool: Tool = Tool()
+    workpiece: Vector = Field(
+        (0.0, 0.0, 0.0), description="origin of the workpiece frame", json_schema_extra={"unit": "mm"}
+    )
+    spindle: Spindle = Field(Spindle(), description="the spindle nose")
+    tool: Tool = Field(Tool(), description="the tool, from its mount to its tip")
 
     @model_validator(mode="after")
     def _chain_holds_together(self) -> Machine:

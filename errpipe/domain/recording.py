@@ -69,13 +69,13 @@ class Frozen(BaseModel):
 class Column(Frozen):
     """What one column of the tables is."""
 
-    role: Role
-    unit: str | None = None
-    axis: str | None = None
-    component: str | None = None
-    location: str | None = None
-    of: str | None = None
-    epoch: str | None = None
+    role: Role = Field(description="What the column holds.")
+    unit: str | None = Field(None, description="Unit as it stands in the table.")
+    axis: str | None = Field(None, description="Letter of the axis by ISO 841, such as X.")
+    component: str | None = Field(None, description="Component by ISO 230-1, such as EXX, E_Z or F_X.")
+    location: str | None = Field(None, description="Where the sensor sits.")
+    of: str | None = Field(None, description="What a group is of: season, day, duty_cycle, machine.")
+    epoch: str | None = Field(None, description="When the time was 0, by ISO 8601.")
 
     @field_validator("unit")
     @classmethod
@@ -103,25 +103,33 @@ class Column(Frozen):
 class Constant(Frozen):
     """A fact about the set-up: an axis (role: axis) or a plain value with its unit."""
 
-    role: Literal["axis"] | None = None
-    kind: Literal["linear", "rotary"] | None = None
-    travel: tuple[float, float] | None = None
-    screw_lead: float | None = None
-    encoder_period: float | None = None
-    drive_end: float | None = None
-    value: float | str | None = None
-    unit: str | None = None
+    role: Literal["axis"] | None = Field(None, description="`axis` for the facts of an axis.")
+    kind: Literal["linear", "rotary"] | None = Field(None, description="How the axis moves.")
+    travel: tuple[float, float] | None = Field(
+        None, description="Lowest and highest position.", json_schema_extra={"unit": "of `unit`"}
+    )
+    screw_lead: float | None = Field(
+        None, description="Travel in one turn of the screw.", json_schema_extra={"unit": "of `unit`"}
+    )
+    encoder_period: float | None = Field(
+        None, description="Signal period of the encoder.", json_schema_extra={"unit": "of `unit`"}
+    )
+    drive_end: float | None = Field(
+        None, description="Position of the end where the motor is.", json_schema_extra={"unit": "of `unit`"}
+    )
+    value: float | str | None = Field(None, description="A plain fact.", json_schema_extra={"unit": "of `unit`"})
+    unit: str | None = Field(None, description="Unit of the numbers beside it.")
 
 
 class Manifest(Frozen):
     """Recording manifest, version 1."""
 
     recording: Literal[1]
-    title: str = ""
-    machine: str = ""
-    tables: tuple[str, ...] = Field(min_length=1)
-    constants: dict[str, Constant] = {}
-    columns: dict[str, Column]
+    title: str = Field("", description="What was measured, for people.")
+    machine: str = Field("", description="Free text, or the name of a machine file.")
+    tables: tuple[str, ...] = Field(min_length=1, description="Files of the rows, read in this order.")
+    constants: dict[str, Constant] = Field({}, description="Facts about the set-up, by axis letter or name.")
+    columns: dict[str, Column] = Field(description="What each column of the tables is.")
 
     def names(self, role: str, *, axis: str | None = None, component: str | None = None) -> tuple[str, ...]:
         """Column names of a role, in manifest order."""

@@ -32,7 +32,9 @@ class SeasonOptions(Frozen):
     correction_lags: tuple[float, ...] = Field(
         (900.0, 3600.0, 14400.0), description="Lags of its temperatures.", json_schema_extra={"unit": "s"}
     )
-    correction_penalty: float = Field(3e-3, gt=0, description="Ridge strength on columns of unit root mean square.")
+    correction_penalty: float = Field(
+        3e-3, gt=0, description="Ridge strength on columns of unit root mean square.", json_schema_extra={"unit": "1"}
+    )
     correction_width: float = Field(
         0.8, gt=0, description="Runs whose starts differ by more teach each other little.",
         json_schema_extra={"unit": "K"},
@@ -42,5 +44,7 @@ class SeasonOptions(Frozen):
         json_schema_extra={"unit": "K"},
     )  # fmt: skip
     environment: str = Field("season", description="Group whose members stand for different surroundings.")
-    coverage: float = Field(0.9, gt=0.5, lt=1, description="Coverage of the prediction interval.")
+    coverage: float = Field(
+        0.9, gt=0.5, lt=1, description="Coverage of the prediction interval.", json_schema_extra={"unit": "1"}
+    )
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")

@@ -51,7 +51,10 @@ class ModelSpec(Frozen):
         "none", description="held-out: leave out, one by one, terms without which held-out rows do no worse."
     )
     most_inflation: float = Field(
-        200.0, gt=1, description="Refuse a parameter whose variance the other columns inflate by more than this."
+        200.0,
+        gt=1,
+        description="Refuse a parameter whose variance the other columns inflate by more than this.",
+        json_schema_extra={"unit": "1"},
     )
 
     @model_validator(mode="after")

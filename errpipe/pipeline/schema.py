@@ -11,20 +11,20 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from errpipe.yamlfile import Options
+from errpipe.yamlfile import is_unit
 
 _NUMBER_WITH_UNIT = {"type": "string", "pattern": r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d].*$"}
 _NUMBERS = ("number", "integer")
 
 
-def json_schema(model: type[BaseModel], title: str) -> dict[str, Any]:
-    """The draft-07 schema of a model, by the names used in files."""
+def json_schema(model: type[BaseModel], title: str, *, written: bool) -> dict[str, Any]:
+    """The draft-07 schema of a model, by the names used in files. written: by people, in YAML, where `20 um` counts."""
     full = TypeAdapter(model).json_schema(by_alias=True, ref_template="#/definitions/{model}")
     definitions = {name: _draft7(part) for name, part in sorted(full.pop("$defs", {}).items())}
     schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_draft7(full), "title": title}
     if definitions:
         schema["definitions"] = definitions
-    if issubclass(model, Options):
+    if written:
         for _, _, prop in properties(schema):
             _accept_quantities(prop)
     return schema
@@ -100,7 +100,7 @@ def _has_number(prop: Mapping[str, Any]) -> bool:
 
 def _accept_quantities(prop: dict[str, Any]) -> None:
     """Where a property has a unit, a text such as `20 um` stands for a number."""
-    if "unit" not in prop or prop["unit"] == "1" or "const" in prop:
+    if not is_unit(prop.get("unit")) or prop["unit"] == "1" or "const" in prop:
         return
     if prop.get("type") in _NUMBERS:
         bounds = {key: prop.pop(key) for key in list(prop) if key not in ("description", "unit", "default")}

@@ -74,7 +74,9 @@ class FmuInput(Options):
     column: str = Field(description="Column of the recording.")
     unit: str | None = Field(None, description="Unit that the FMU means, where it states none.")
     rise_from: float | Literal["first"] | None = Field(
-        None, description="A temperature becomes a rise: over this many degC, or over the first reading of the session."
+        None,
+        description="A temperature becomes a rise: over this one, or over the first reading of the session.",
+        json_schema_extra={"unit": "degC"},
     )
 
 
@@ -90,8 +92,8 @@ class Tunable(Options):
     """A parameter of the FMU that is set right before anything is called missing."""
 
     parameter: str = Field(description="Name in the FMU.")
-    low: float = Field(description="Lowest value that can be, in the FMU's unit.")
-    high: float = Field(description="Highest value that can be.")
+    low: float = Field(description="Lowest value that can be.", json_schema_extra={"unit": "of the parameter"})
+    high: float = Field(description="Highest value that can be.", json_schema_extra={"unit": "of the parameter"})
 
     @model_validator(mode="after")
     def _ordered(self) -> Tunable:
@@ -105,7 +107,9 @@ class FmuOptions(Options):
 
     inputs: dict[str, FmuInput] = Field({}, description="Input of the FMU -> column that drives it.")
     outputs: dict[str, FmuOutput] = Field(min_length=1, description="Response of the recording -> variable of the FMU.")
-    parameters: dict[str, float] = Field({}, description="Values to set before the start, in the FMU's units.")
+    parameters: dict[str, float] = Field(
+        {}, description="Values to set before the start, in the FMU's units.", json_schema_extra={"unit": "of each"}
+    )
     recalibrate: tuple[Tunable, ...] = Field((), max_length=6, description="Parameters to set right on the recording.")
     step: float | None = Field(
         None, gt=0, description="Communication step; default: the FMU's own, else a quarter of the rows' step.",

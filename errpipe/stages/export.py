@@ -33,8 +33,12 @@ class Export(Stage):
     magnitude: float | None = Field(
         None, gt=0, description="Largest correction; default: what it can reach.", json_schema_extra={"unit": "um"}
     )
-    slew: float | None = Field(None, gt=0, description="Largest rate of a correction in um/s.")
-    acceleration: float | None = Field(None, gt=0, description="Largest change of that rate in um/s2.")
+    slew: float | None = Field(
+        None, gt=0, description="Largest rate of a correction.", json_schema_extra={"unit": "um/s"}
+    )
+    acceleration: float | None = Field(
+        None, gt=0, description="Largest change of that rate.", json_schema_extra={"unit": "um/s2"}
+    )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
     gate: Literal["better-than-nothing", "none"] = Field(
         "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."

@@ -18,10 +18,11 @@ class Ingest(Stage):
         None, description="Folder with a recording manifest, or a file of a known format; default: the simulated one."
     )
     format: str | None = Field(None, description="Name of the file format; default: the one that recognises the file.")
-    options: dict[str, str | float | bool] = Field({}, description="What the format itself asks for.")
+    options: dict[str, str | float | bool] = Field(
+        {}, description="What the format itself asks for.", json_schema_extra={"unit": "of each"}
+    )
 
     reads: ClassVar[Mapping[str, Need]] = {"simulated": Need("simulate", optional=True)}
-
 
     def outputs(self) -> tuple[str, ...]:
         return ("recording.yaml", "recording.parquet", "ingest.json")

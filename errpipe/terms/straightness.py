@@ -37,7 +37,7 @@ class Straightness(Term):
         description="Lower end of the axis, where the polynomial's scale starts.", json_schema_extra={"unit": "mm"}
     )
     high: float = Field(description="Upper end of the axis.", json_schema_extra={"unit": "mm"})
-    order: int = Field(4, ge=2, le=12)
+    order: int = Field(4, ge=2, le=12, description="Highest degree.")
     across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
     reports_as = "straightness"
     family = "geometric"

@@ -17,8 +17,9 @@ tuples and texts paths, but '5' is no number. (A `before` validator sees Python'
 from errpipe.yamlfile.document import Document, load, parse, read
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
-from errpipe.yamlfile.quantities import Misplaced, Options, convert
+from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit
 
 __all__ = [
-    "Document", "Misplaced", "Options", "Place", "convert", "describe", "dotted", "load", "parse", "plain", "read",
+    "Document", "Misplaced", "Options", "Place", "convert", "describe", "dotted", "is_unit", "load", "parse", "plain",
+    "read",
 ]  # fmt: skip

@@ -50,7 +50,8 @@ def entry_of(inside: Sequence[Any], number: int) -> Any:
 
 
 def model_for(inside: Sequence[Any], data: Mapping[str, Any]) -> type[BaseModel] | None:
-    """The model meant by a mapping: the only one, or the one whose Literal field holds what is written."""
+    """The model meant by a mapping: the only one, the one whose Literal field holds what is written, else the only
+    one that has no such field."""
     models = [member for member in inside if is_model(member)]
     if len(models) < 2:
         return models[0] if models else None
@@ -58,4 +59,5 @@ def model_for(inside: Sequence[Any], data: Mapping[str, Any]) -> type[BaseModel]
         for name, info in model.model_fields.items():
             if get_origin(info.annotation) is Literal and data.get(info.alias or name) in get_args(info.annotation):
                 return model
-    return None
+    untold = [model for model in models if not tags_of(model)]
+    return untold[0] if len(untold) == 1 else None

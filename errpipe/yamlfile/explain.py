@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 from errpipe.errors import Problem, did_you_mean
 from errpipe.yamlfile.annotations import entry_of, is_model, is_tagged, members, tags_of
 from errpipe.yamlfile.places import Place, describe
+from errpipe.yamlfile.quantities import is_unit
 
 # pydantic's error types of a wrong kind of value -> what is needed instead
 _NEEDED = {
@@ -214,7 +215,7 @@ class _Trail:
         """' mm' where the field has that unit, else ''."""
         extra = self.field.json_schema_extra if self.field is not None else None
         unit = extra.get("unit") if isinstance(extra, dict) else None
-        return f" {unit}" if unit and unit != "1" else ""
+        return f" {unit}" if is_unit(unit) and unit != "1" else ""
 
     @property
     def meaning(self) -> str:

@@ -81,6 +81,11 @@ class Misplaced(ValueError):
         super().__init__(message)
 
 
+def is_unit(said: Any) -> bool:
+    """Whether what a field says of its unit is one: `of the input` points at another field or file instead."""
+    return isinstance(said, str) and not said.startswith("of ")
+
+
 def convert_quantities(model: Any, data: Any, place: Place = ()) -> tuple[Any, list[tuple[Place, str]]]:
     """The data with every quantity converted that stands in a field with a unit, and what cannot be (place, why).
 
@@ -97,7 +102,7 @@ def convert_quantities(model: Any, data: Any, place: Place = ()) -> tuple[Any, l
             info = fields.get(key)
             extra = info.json_schema_extra if info is not None else None
             unit = extra.get("unit") if isinstance(extra, dict) else None
-            if isinstance(unit, str):
+            if is_unit(unit):
                 new[key], problems = _with_unit(value, unit, (*place, key))
             else:
                 kind = info.annotation if info is not None else values if chosen is None else Any

@@ -52,7 +52,6 @@ def test_it_is_draft_07_and_every_reference_leads_somewhere(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.xfail(strict=True, reason="fields of terms and of the domain's models still lack descriptions or units")
 def test_every_key_says_what_it_means_and_in_which_unit(name: str) -> None:
     assert undescribed(schema_of(name)) == []
 

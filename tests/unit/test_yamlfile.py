@@ -232,6 +232,43 @@ def test_quantities_in_fields() -> None:
     ]
 
 
+class Late(Options):
+    """No `kind`: told from its neighbours in a union by not having one."""
+
+    tau: tuple[float, ...] = Field(min_length=1, json_schema_extra={"unit": "s"})
+    above: float = Field(0.0, json_schema_extra={"unit": "of the input"})
+
+
+class Mixed(Options):
+    factors: tuple[Late | Line, ...] = Field((), min_length=1)
+
+
+def test_quantities_in_lists_of_a_model_without_a_kind() -> None:
+    model = parse("factors: [{tau: [60 s, 50 min, 2]}, {kind: line}]").validate(Mixed)
+    assert model.factors[0] == Late(tau=(60.0, 3000.0, 2.0))
+    assert "f.yaml:1:18  factors[0].tau[0]: found unit 'mm' (allowed: us, ms, s, min, h, d)." in problems(
+        "factors: [{tau: [1 mm]}]", Mixed
+    )
+
+
+def test_a_unit_that_points_elsewhere_is_none_to_convert_to() -> None:
+    class Above(Options):
+        above: float = Field(0.0, ge=0, json_schema_extra={"unit": "of the input"})
+
+    assert problems("above: 20 degC", Above) == ["f.yaml:1:8  above: found the text '20 degC' (a number is needed)"]
+    assert problems("above: -1", Above) == ["f.yaml:1:8  above: -1 is not at least 0"]
+
+
+@pytest.mark.parametrize("entry", ["{kind: line, slope: a}", "{kind: line, slop: 1}", "{kind: line, slope: -1}", "7"])
+def test_a_list_whose_entry_is_wrong_is_not_called_short_as_well(entry: str) -> None:
+    class Lines(Options):
+        lines: tuple[Line, ...] = Field(min_length=1)
+
+    (only,) = problems(f"lines: [{entry}]", Lines)
+    assert "lines[0]" in only
+    assert problems("lines: []", Lines) == ["f.yaml:1:8  lines: has 0 entries (at least 1 needed)"]
+
+
 # ---------------------------------------------------------------- environment
 
 
