@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field, TypeAdapter
+from pydantic import Field, TypeAdapter, ValidationError
 
 from errpipe.yamlfile import Options
 
@@ -43,7 +43,9 @@ UNKNOWN = "no effect carries it, so nothing says that it will come back"
 class Accept(Options):
     """When a finding becomes a term of the error model."""
 
-    confidence: float = Field(0.8, ge=0, le=1, description="Lowest confidence of a finding.")
+    confidence: float = Field(
+        0.8, ge=0, le=1, description="Lowest confidence of a finding.", json_schema_extra={"unit": "1"}
+    )
     despite_artefact: bool = Field(
         False, description="Also where the data cannot tell the finding from an artefact of measuring."
     )
@@ -82,7 +84,7 @@ def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bo
     made = []
     for response in diagnosis.responses:
         own = [_decide(f, response, recording, accept) for f in response.findings]
-        named = any(d.accepted for d in own)
+        named = any(d.accepted and d.finding.effect != "recalibration" for d in own)
         made += [_recalibration(d, recording, accept, whole, named) if d.finding.effect == "recalibration" else d
                  for d in own]  # fmt: skip
     return made
@@ -108,9 +110,9 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
     if f.effect == "recalibration":
         return refuse if sure and not worse else replace(refuse, reason=RECALIBRATION)
     terms = terms_of(f, response.component, recording)
-    if any(not t.compensable for t in terms):
+    if f.effect in ARTEFACTS or any(not t.compensable for t in terms):
         reason = ARTEFACTS.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
-        return replace(refuse, terms=terms, reason=reason, beside=sure and f.effect != "clock_offset")
+        return replace(refuse, terms=terms, reason=reason, beside=sure and bool(terms) and f.effect != "clock_offset")
     if not sure:
         return replace(refuse, reason=f"its confidence of {f.confidence:.2f} is below {accept.confidence:.2f}")
     if worse:
@@ -141,7 +143,10 @@ def terms_of(f: Finding, component: str, recording: Recording) -> tuple[Term, ..
 
     if f.term is None:
         return ()
-    term = TypeAdapter(AnyTerm).validate_python(f.term)
+    try:
+        term = TypeAdapter(AnyTerm).validate_python(f.term)
+    except ValidationError:  # a hypothesis of the search that is no term of a model
+        return ()
     first = term.linear()[0].name if term.linear() else ""
     if sum(p.name == first for p in f.parameters) < 2:
         return (term,)
