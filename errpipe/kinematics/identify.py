@@ -21,12 +21,13 @@ from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.observations import Observations, reading
 
-FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle", "offset", "squareness")
+FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle", "offset", "squareness", "radial slope")
 # Spread before measuring, rms over the travel: the bending part of three families, the straight part of two (um,
-# urad), constants in um and in urad. Sizes of ordinary machines; the readings move them.
-TYPICAL = (4.0, 3.0, 12.0, 12.0, 24.0, 30.0, 55.0)
+# urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
+# turn. Sizes of ordinary machines; the readings move them.
+TYPICAL = (4.0, 3.0, 12.0, 12.0, 24.0, 30.0, 55.0, 4.0)
 SMOOTHNESS = 3.0  # coefficients fall with this power of the wave number, unless the readings say otherwise
-CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 3.0)  # spread of log(size by family, smoothness, noise)
+CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 0.3, 3.0)  # spread of log(size by family, smoothness, noise)
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Parametrisation:
                 if rough > 0.0:
                     rows.append((f"{name}[{j}]", c, j, family, rough))
                 elif parse(name).kind != "straightness":  # the slope of a straightness is squareness
-                    rows.append((f"{name}[{j}]", c, j, {0: 3, 1: 1, 2: 4}[family], 1.0))
+                    rows.append((f"{name}[{j}]", c, j, {0: 3, 1: 7, 2: 4}[family], 1.0))
         names, *columns = zip(*rows, strict=True)
         return cls(chain, bases, Prior(names, *map(np.array, columns)))
 
