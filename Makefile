@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.set-up
 PYTEST := $(BIN)/python -m pytest
+SEED ?= 7
 # One thread for linear algebra: results must not depend on how many cores a machine has.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -53,7 +54,8 @@ bench: $(SETUP) ## speed, as ratios to other libraries in the same run
 	@$(BIN)/python -m tests.bench $(ARGS)
 
 trials: $(SETUP) ## diagnosis on machines whose faults are known
-	@$(BIN)/python -m tests.trials.run --jobs 2 $(ARGS)
+	@mkdir -p out
+	@$(BIN)/python -m tests.trials.run --seed $(SEED) --jobs 2 --markdown out/trials.md --json out/trials.json $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

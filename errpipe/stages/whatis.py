@@ -9,11 +9,13 @@ from errpipe.errors import DataError
 from errpipe.stages import _artefacts
 
 DOCUMENTS = {
+    "acceptance": "findings that became terms, and why others did not",
     "cleaning": "cleaning report",
     "diagnosis": "diagnosis",
     "export": "export report",
     "fit": "what a fit was asked for",
     "ingest": "ingest report",
+    "twin": "where simulated values came from",
     "validation": "validation on held-out rows",
 }
 
