@@ -432,7 +432,7 @@ def _unique(what: str, names) -> set[str]:
     return seen
 
 
-def _check_node(number: int, node: Node, inputs: set[str]) -> None:
+def _check_node(number: int, node: AnyNode, inputs: set[str]) -> None:
     fewest, most = node.operands
     if not fewest <= len(node.of) <= most:
         raise ValueError(f"node {number} ({node.op}): {len(node.of)} operands (allowed: {fewest}..{most})")

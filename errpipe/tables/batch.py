@@ -107,7 +107,7 @@ class Positions:
             self.program, self._knots, self._knots_first, columns, self.moving, self._node_fixed, self._node_moves,
             self._profile_fixed, self._profile_moves, self._fade, out,
         )  # fmt: skip
-        missing = np.isnan(columns.sum(axis=0))
+        missing = np.isnan(columns).any(axis=0)
         if missing.any():
             out[:, missing] = np.nan
         return out

@@ -194,7 +194,7 @@ def compile_table(
     made = [g.profile(build, spans, travel or {}, error_bound, most_intervals) for g in flat]
     made = _on_common_grids(flat, made)
     profiles = {p: n for n, p in enumerate(sorted(dict.fromkeys(made), key=_grid_order(made)))}
-    pairs = []
+    pairs: list[t.Pair] = []
     for component, found in zip(components, groups, strict=True):
         for group in found:
             number = profiles[made[len(pairs)]]

@@ -89,9 +89,9 @@ def dumps(table: t.CompensationTable) -> bytes:
     )
     fixed = (table.slow_every, table.position_cycle_s, table.thermal_cycle_s, table.ramp_s, table.fade_s)
     head = lay.HEADER.pack(lay.MAGIC, lay.VERSION, lay.HEADER_SIZE, at, 0, *fixed) + identity + index
-    data = bytearray(head + bytes(lay.HEADER_SIZE - len(head)) + body)
-    struct.pack_into("<I", data, 20, zlib.crc32(data[lay.CRC_FROM:]))
-    return bytes(data)
+    whole = bytearray(head + bytes(lay.HEADER_SIZE - len(head)) + body)
+    struct.pack_into("<I", whole, 20, zlib.crc32(whole[lay.CRC_FROM :]))
+    return bytes(whole)
 
 
 def _sections(table: t.CompensationTable) -> dict[int, bytes]:
@@ -139,7 +139,9 @@ def _input_record(i: t.TableInput, first: int) -> bytes:
     )  # fmt: skip
 
 
-def _node_record(node: t.Node, first: int, constants: int, inputs: dict[str, int], table: t.CompensationTable) -> bytes:
+def _node_record(
+    node: t.AnyNode, first: int, constants: int, inputs: dict[str, int], table: t.CompensationTable
+) -> bytes:
     code, _, fields = lay.OPERATIONS[node.op]
     flags = lay.SLOW if node.slow else 0
     parameters = [float(getattr(node, f)) for f in fields]
@@ -423,6 +425,6 @@ def _first_problem(err: ValidationError) -> str:
 
 
 def _near(place: tuple) -> str:
-    parts = {"inputs": t.TableInput, "profiles": t.Profile, "pairs": t.Pair, "outputs": t.Output}
+    parts: dict[str, type[t.Part]] = {"inputs": t.TableInput, "profiles": t.Profile, "outputs": t.Output}
     part = parts.get(str(place[0]), t.CompensationTable) if len(place) > 1 else t.CompensationTable
     return did_you_mean(str(place[-1]), part.model_fields)

@@ -83,7 +83,7 @@ class Evaluator:
         """
         self._status = _BIT["running"]
         replay = dt is not None
-        step = dt if replay else self.table.position_cycle_s
+        step = self.table.position_cycle_s if dt is None else dt
         slow = replay or self._until_slow == 0
         self._until_slow = (self.table.slow_every if slow else self._until_slow) - 1
         faults, sources, lost = self._condition(inputs, step)
@@ -258,7 +258,8 @@ class Evaluator:
             up, down = self._alphas[n]
             alpha = up if before >= y else down
         else:
-            alpha = exp(-(dt / (node.tau_up if before >= y else node.tau_down)))
+            tau = node.tau_up if before >= y else node.tau_down
+            alpha = exp(-(dt / tau))
         return before + (y - before) * alpha
 
     def _direction(self, n: int, node: t.DirectionNode, started: bool) -> float:
@@ -309,7 +310,7 @@ class Evaluator:
             v = self._value[n]
             outside = channel.valid[0] - v if v < channel.valid[0] else v - channel.valid[1]
             if outside > 0.0:
-                left = 1.0 - outside / channel.margin
+                left = 1.0 - outside / (channel.margin or 1.0)
                 if left < target:
                     target = left
         return target if target > 0.0 else 0.0

@@ -12,16 +12,11 @@ from errpipe.targets import _sample
 from errpipe.targets._base import ReadBack
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WholeTable(ReadBack):
     """Nothing is lost: corrections come from the table that was read back."""
 
-    table: CompensationTable | None = None
-
-    @classmethod
-    def of(cls, table: CompensationTable) -> WholeTable:
-        """Of the table that stood in the files."""
-        return cls(table=table)
+    table: CompensationTable
 
     def axes(self) -> tuple[str, ...]:
         return tuple(_sample.outputs_by_axis(self.table))

@@ -52,7 +52,7 @@ class CRuntime(Target):
         table = ect.loads(data)
         for name, text in cls.write(table).items():
             expect(files.get(name) == text, name, "is missing or was changed")
-        return WholeTable.of(table)
+        return WholeTable(table=table)
 
 
 def _macro(kind: str, name: str) -> str:

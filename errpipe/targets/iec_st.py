@@ -76,7 +76,7 @@ class IecSt(Target):
         table = ect.loads(found[0])
         for name, text in cls.write(table).items():
             expect(files.get(name) == text, name, "is missing or was changed")
-        return WholeTable.of(table)
+        return WholeTable(table=table)
 
 
 def room_for(table: CompensationTable) -> dict[str, int]:
@@ -217,7 +217,7 @@ def _data_type(name: str, text: str) -> str:
         rows = [line for line in text.splitlines() if _VARIABLE.match(line)]
         base = f"<struct>{''.join(map(_variable, rows))}</struct>"
     else:
-        low, high, element = re.search(r"ARRAY \[(\d+)\.\.(\d+)\] OF (\w+)", text).groups()
+        low, high, element = re.findall(r"ARRAY \[(\d+)\.\.(\d+)\] OF (\w+)", text)[0]
         base = _type(element, low, high)
     return f'<dataType name="{name}"><baseType>{base}</baseType></dataType>'
 
