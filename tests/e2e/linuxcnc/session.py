@@ -11,6 +11,7 @@ import fcntl
 import os
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from pathlib import Path
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
 NOBODY = 65534
+MARK = "ERRPIPE_LINUXCNC_SESSION"
 LOCK = Path(tempfile.gettempdir()) / "errpipe-linuxcnc.lock"
 NEEDED = ("linuxcnc", "halrun", "halcmd", "halcompile", "halstreamer", "halsampler")
 
@@ -33,12 +35,17 @@ def missing() -> str:
 
 
 @contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Nobody else's HAL runs meanwhile, and none is left behind."""
-    with LOCK.open("a") as lock:
+def alone() -> Iterator[Path]:
+    """A folder that another user's id can reach too; nobody else's HAL runs meanwhile, and none is left behind.
+
+    Not pytest's folder: every pytest that starts closes that to others again.
+    """
+    with LOCK.open("a") as lock, tempfile.TemporaryDirectory(prefix="errpipe-linuxcnc-") as name:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        folder = Path(name)
+        folder.chmod(0o755)
         try:
-            yield
+            yield folder
         finally:
             end(environment(folder), folder)
 
@@ -47,22 +54,31 @@ def environment(folder: Path) -> dict[str, str]:
     """For LinuxCNC's programs: Debian's Python (its hal and linuxcnc modules), no display, files they may write."""
     env = {
         "PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(folder), "LANG": "C.UTF-8",
-        "RTAPI_FIFO_PATH": str(folder / ".fifo"),
+        "RTAPI_FIFO_PATH": str(folder / ".fifo"), MARK: str(folder),
     }  # fmt: skip
     if os.geteuid() == 0:
         env["RTAPI_UID"] = str(NOBODY)
         for path in (folder, *folder.rglob("*")):
             os.chown(path, NOBODY, NOBODY)
-        top = Path(tempfile.gettempdir())
-        for parent in folder.parents:
-            if top in parent.parents:
-                parent.chmod(parent.stat().st_mode | 0o055)
     return env
 
 
 def end(env: dict[str, str], folder: Path) -> None:
-    """Unload whatever HAL runs."""
+    """Unload whatever HAL runs, and end what of this session is still there."""
     quiet(["halrun", "-U"], env, folder, 30)
+    for process in left(folder):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+
+
+def left(folder: Path) -> list[int]:
+    """Numbers of the processes that a session in a folder started (its mark stands in their environment)."""
+    mark, found = f"{MARK}={folder}".encode(), []
+    for path in Path("/proc").glob("[0-9]*/environ"):
+        with contextlib.suppress(OSError):
+            if mark in path.read_bytes().split(b"\0"):
+                found.append(int(path.parent.name))
+    return found
 
 
 def quiet(command: list[str], env: dict[str, str], folder: Path, seconds: float) -> int:

@@ -35,10 +35,9 @@ COUNT = 0.1  # um, of an external offset
 
 
 @pytest.fixture(scope="module")
-def linuxcnc(tmp_path_factory):
+def linuxcnc():
     """Runs sessions with the component of a table installed; removes it in the end."""
-    folder = tmp_path_factory.mktemp("closed-loop")
-    with session.alone(folder):
+    with session.alone() as folder:
         modules = []
 
         def run(name, way, made=None, **more):

@@ -100,15 +100,20 @@ net w errpipe.wrong-rate => sampler.0.pin.5
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """The component, compiled by LinuxCNC's own tool and installed for the time of these tests."""
-    folder = tmp_path_factory.mktemp("component")
-    made = table()
-    (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
-    with session.alone(folder):
+def place():
+    """A folder of which LinuxCNC has the use, for the time of these tests; the component is installed."""
+    with session.alone() as folder:
+        (folder / COMPONENT).write_text(LinuxcncHal.write(table())[COMPONENT])
         module = session.install(folder / COMPONENT)
-        yield made
+        yield folder
         module.unlink()
+
+
+@pytest.fixture
+def folder(place, request):
+    own = place / request.node.name
+    own.mkdir()
+    return own
 
 
 def stream(folder, readings):
@@ -140,10 +145,10 @@ def stream(folder, readings):
     return np.loadtxt(folder / "out.txt"), tmax, crc
 
 
-def test_seven_thousand_cycles_equal_the_reference(installed, tmp_path, capsys):
-    made = installed
+def test_seven_thousand_cycles_equal_the_reference(folder, capsys):
+    made = table()
     given = np.array([[float(f"{v:.9f}") for v in row] for row in stimulus()])
-    found, tmax, crc = stream(tmp_path, given)
+    found, tmax, crc = stream(folder, given)
     assert found.shape == (CYCLES, 7)
     assert np.array_equal(found[:, 0], np.arange(found[0, 0], found[0, 0] + CYCLES)), "a cycle was lost"
     assert crc == int(ect.fingerprint(made), 16)
@@ -172,36 +177,36 @@ def test_seven_thousand_cycles_equal_the_reference(installed, tmp_path, capsys):
         )
 
 
-def test_a_thread_of_another_rate_moves_nothing_and_says_so(installed, tmp_path):
-    (tmp_path / "slow.hal").write_text(
+def test_a_thread_of_another_rate_moves_nothing_and_says_so(folder):
+    (folder / "slow.hal").write_text(
         "loadrt threads name1=servo-thread period1=1000000\nloadrt errpipe\naddf errpipe servo-thread\n"
         "setp errpipe.in-x 123\nsetp errpipe.in-y 100\nsetp errpipe.enable 1\nstart\nloadusr -w sleep 0.3\n"
         "getp errpipe.wrong-rate\ngetp errpipe.correction-x\ngetp errpipe.heartbeat\n"
     )
-    env = session.environment(tmp_path)
+    env = session.environment(folder)
     try:
-        code = session.quiet(["halrun", "-f", "slow.hal"], env, tmp_path, 20)
+        code = session.quiet(["halrun", "-f", "slow.hal"], env, folder, 20)
     finally:
-        session.end(env, tmp_path)
-    wrong, moved, beats = session.values(tmp_path)
+        session.end(env, folder)
+    wrong, moved, beats = session.values(folder)
     assert (code, wrong, float(moved)) == (0, "TRUE", 0.0) and int(beats, 0) > 10
 
 
-def test_a_damaged_table_is_refused_by_the_controller(installed, tmp_path):
+def test_a_damaged_table_is_refused_by_the_controller(folder):
     """One wrong byte in the component's table: LinuxCNC does not start with it, and says why."""
-    text = LinuxcncHal.write(installed)[COMPONENT]
+    text = LinuxcncHal.write(table())[COMPONENT]
     start = text.index("errpipe_table[")
     at = text.index("0x", start + 4000)
     wrong = f"0x{int(text[at + 2 : at + 4], 16) ^ 1:02x}"
     changed = (text[:at] + wrong + text[at + 4 :]).replace("component errpipe ", "component errpipe_damaged ")
-    (tmp_path / "errpipe_damaged.comp").write_text(changed)
-    module = session.install(tmp_path / "errpipe_damaged.comp")
-    env = session.environment(tmp_path)
+    (folder / "errpipe_damaged.comp").write_text(changed)
+    module = session.install(folder / "errpipe_damaged.comp")
+    env = session.environment(folder)
     try:
-        (tmp_path / "load.hal").write_text("loadrt errpipe_damaged\n")
-        code = session.quiet(["halrun", "-f", "load.hal"], env, tmp_path, 20)
+        (folder / "load.hal").write_text("loadrt errpipe_damaged\n")
+        code = session.quiet(["halrun", "-f", "load.hal"], env, folder, 20)
     finally:
-        session.end(env, tmp_path)
+        session.end(env, folder)
         module.unlink()
     assert code != 0
-    assert "table refused: damaged (checksum)" in session.said(tmp_path)
+    assert "table refused: damaged (checksum)" in session.said(folder)
