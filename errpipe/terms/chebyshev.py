@@ -11,7 +11,8 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.terms._base import Example, Lowered, Parameter, Term, position
+from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import position_name
 
@@ -47,6 +48,10 @@ class Chebyshev(Term):
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (position_name(recording, self.axis),)
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls(axis="X"))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return self._profile().basis(position(recording, self.axis))

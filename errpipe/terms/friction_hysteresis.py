@@ -12,6 +12,7 @@ from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
 from errpipe.kernels.events import approach_overrun
 from errpipe.terms._base import (
+    Example,
     Lowered,
     Parameter,
     Term,
@@ -21,6 +22,7 @@ from errpipe.terms._base import (
     position,
     sessions,
 )
+from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, position_name, share
 
@@ -64,6 +66,10 @@ class FrictionHysteresis(Term):
             if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
                 sided = bool(recording.names("direction", axis=axis)) and not is_radial(component)
                 yield cls(axis=axis, radial=is_radial(component), overrun=OVERRUN if sided else 0.0)
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls(axis="X"))  # all travel is recorded, as a controller sees it
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         if self.overrun:

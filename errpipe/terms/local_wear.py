@@ -38,12 +38,11 @@ class LocalWear(Term):
         return (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        widest = 0.15 * self.length
+        narrow, wide = 0.01 * self.length, max(0.15 * self.length, 1.0)
+        usual = (min(max(12.0, narrow), wide / 2), max(min(75.0, wide), 2 * narrow))
         return (
             Parameter("centre", "mm", (0.0, self.length), (-10 * self.length, 10 * self.length), "middle of it"),
-            Parameter(
-                "width", "mm", (12.0, 75.0), (0.01 * self.length, max(widest, 1.0)), "standard deviation of the bell"
-            ),
+            Parameter("width", "mm", usual, (narrow, wide), "standard deviation of the bell"),
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from errpipe.domain.driver import Constant
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.terms._base import Example, Lowered, Parameter, Term
+from errpipe.terms._example import worked
 
 
 class Offset(Term):
@@ -29,6 +30,10 @@ class Offset(Term):
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return ()
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls())
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return np.ones((len(recording), 1))

@@ -11,7 +11,8 @@ from pydantic import Discriminator, Field, Tag
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Lowered, Parameter, Term, drive, position
+from errpipe.terms._base import Example, Lowered, Parameter, Term, drive, position
+from errpipe.terms._example import worked
 from errpipe.terms._place import position_name
 
 
@@ -115,6 +116,14 @@ class ProfileDriver(Term):
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         at = (position_name(recording, self.axis),) if self.axis else ()
         return tuple(dict.fromkeys((*d.inputs(self._driver([1.0] * len(self._lagged()))), *at)))
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls(
+            axis="X",
+            profile=shapes.Line(origin=100.0),
+            driver=(Factor(input="T_nut", reference="first", lag=True),),
+        ))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         size = drive(self._driver(nonlinear), recording)[:, None]

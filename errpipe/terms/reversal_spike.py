@@ -10,7 +10,8 @@ from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.kernels.events import since_turn
-from errpipe.terms._base import Parameter, Term, direction, direction_column, sessions
+from errpipe.terms._base import Example, Parameter, Term, direction, direction_column, sessions
+from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, share
 
@@ -50,6 +51,10 @@ class ReversalSpike(Term):
                 feed = recording.name("feed")
                 varies = feed is not None and recording.frame[feed].nunique() > 1
                 yield cls(axis=axis, feed=feed if varies else None, radial=is_radial(component))
+
+    @classmethod
+    def example(cls) -> Example:
+        return first_binding(cls, rows(step=0.002))  # gone within 0.1 s
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         side = direction(recording, self.axis)

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Example, Parameter, Term
+from errpipe.terms._example import worked
 
 
 class RunOffset(Term):
@@ -34,6 +35,10 @@ class RunOffset(Term):
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return recording.names("run")
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls())
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         names = np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Parameter, Term, position
+from errpipe.terms._base import Example, Parameter, Term, position
+from errpipe.terms._example import worked
 
 UM_PER_URAD_MM = 1e-3
 
@@ -46,6 +47,10 @@ class RunPose(Term):
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return recording.names("run")
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls())
 
     def shared(self, recording: Recording, component: str, *nonlinear: float) -> np.ndarray:
         """Design columns for one of the two components, shape (rows, 3 per run)."""
