@@ -1,0 +1,128 @@
+"""What holds for every term, from its worked case: a term added to TERMS is tested here without a line of code."""
+
+import inspect
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from errpipe.terms import TERMS
+from errpipe.terms._base import Term, drive, plain, position
+
+CASES = {kind.model_fields["term"].default: kind.example() for kind in TERMS}
+
+
+@pytest.fixture(params=CASES, ids=str)
+def case(request):
+    return CASES[request.param]
+
+
+def basis(case, recording=None, values=None):
+    """Design columns; of a term shared by two responses those of both, one below the other."""
+    recording = case.recording if recording is None else recording
+    values = case.term.nonlinear_values(case.parameters) if values is None else values
+    shared = getattr(case.term, "shared", None)
+    if shared is None:
+        return case.term.basis(recording, *values)
+    return np.vstack([shared(recording, component, *values) for component in ("E_X", "E_Y")])
+
+
+def test_finite_and_one_column_per_parameter(case):
+    names = [p.name for p in (*case.term.linear(), *case.term.nonlinear())]
+    assert len(set(names)) == len(names) and set(names) == set(case.parameters)
+    found = basis(case)
+    assert found.shape[1] == len(case.term.linear()) and np.isfinite(found).all()
+    assert len(found) % len(case.recording) == 0
+    assert np.abs(found).max() > 0
+
+
+def test_no_parameters_no_deviation(case):
+    assert_allclose(basis(case) @ np.zeros(len(case.term.linear())), 0.0, atol=0)
+
+
+def test_its_linear_parameters_can_be_told_apart(case):
+    found = basis(case)
+    size = np.linalg.norm(found, axis=0)
+    assert (size > 0).all()
+    assert np.linalg.matrix_rank(found / size) == found.shape[1]
+
+
+def test_plain_data_give_the_term_back(case):
+    assert type(case.term).model_validate(plain(case.term)) == case.term
+
+
+def test_the_compiled_form_says_the_same(case):
+    lowered = case.term.lower(case.parameters)
+    if lowered is None:
+        return
+    assert case.term.compensable
+    total = np.zeros(len(case.recording))
+    for pair in lowered:
+        at = np.zeros(len(total)) if pair.axis is None else position(case.recording, pair.axis)
+        profile = 1.0 if pair.profile is None else pair.profile(at)
+        total = total + profile * drive(pair.driver, case.recording)
+    value = case.term.value(case.recording, case.parameters)
+    assert_allclose(total, value, rtol=1e-9, atol=1e-9 * np.abs(value).max())
+
+
+def test_what_is_compiled_knows_nothing_of_what_comes(case):
+    if case.term.lower(case.parameters) is None:
+        return
+    rows = np.arange(len(case.recording)) < 300
+    assert_allclose(basis(case, case.recording.take(rows)), basis(case)[rows], rtol=1e-12, atol=1e-12)
+
+
+def test_derivative_against_a_wider_difference(case):
+    values = case.term.nonlinear_values(case.parameters)
+    if not values or hasattr(case.term, "shared"):
+        return
+    told = case.term.basis_derivative(case.recording, *values)
+    for j, value in enumerate(values):
+        step = 1e-6 * max(abs(value), 1e-6)
+        up, down = (basis(case, values=[*values[:j], value + s, *values[j + 1 :]]) for s in (step, -step))
+        wide = (up - down) / (2 * step)
+        # a threshold (a switch, a sample) makes a basis jump: compare where most rows are
+        off = np.abs(told[:, :, j] - wide) > 1e-2 * np.abs(wide).max() + 1e-12
+        assert off.mean() < 0.02
+
+
+def test_a_fixed_parameter_is_not_solved_for(case):
+    if not case.term.nonlinear():
+        return
+    fixed = {p.name: case.parameters[p.name] for p in case.term.nonlinear()}
+    term = case.term.model_copy(update={"fixed": fixed})
+    assert term.free() == ()
+    linear = {p.name: case.parameters[p.name] for p in term.linear()}
+    assert_allclose(
+        term.value(case.recording, linear), case.term.value(case.recording, case.parameters), rtol=0, atol=0
+    )
+
+
+def test_it_names_its_columns_and_reads_no_other(case):
+    if not case.term.compensable:  # an artefact names the one column that tells, and may read more
+        return
+    drivers = case.term.drivers(case.recording)
+    columns = case.recording.manifest.columns
+    assert set(drivers) <= set(columns)
+    others = [n for n, c in columns.items() if n not in drivers and c.role not in ("run", "time")]
+    shifted = {name: case.recording.array(name)[::-1] for name in others}
+    other = case.recording.with_columns(shifted, {})
+    assert_allclose(basis(case, other), basis(case), rtol=0, atol=0)
+
+
+def test_sizes_lie_within_bounds_and_have_units(case):
+    for p in (*case.term.linear(), *case.term.nonlinear()):
+        assert p.unit and p.bounds[0] <= p.typical[0] <= p.typical[1] <= p.bounds[1], p.name
+
+
+def test_the_page_in_the_paper(case):
+    """Equation, assumptions, sizes, direction and source stand in the docstring."""
+    text = inspect.getdoc(type(case.term)) or ""
+    assert text != inspect.getdoc(Term)
+    for word in ("Equation", "Assumes", "Typical", "Moves", "Source"):
+        assert f"\n{word}" in text, word
+
+
+def test_a_sentence_for_people(case):
+    said = case.term.says(case.parameters)
+    assert said and "nan" not in said and "{" not in said
