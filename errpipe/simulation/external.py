@@ -262,11 +262,11 @@ def _model(recording: Recording, model: ErrorModel) -> dict[str, Values]:
             f"twin: the error model reads {lacking[0]}, which the recording lacks.{did_you_mean(lacking[0], here)}"
         )
     for name, facts in model.columns.items():
-        own = recording.manifest.columns[name]
-        if (own.role, own.unit) != (facts["role"], facts.get("unit", own.unit)):
+        here_is = recording.manifest.columns[name]
+        if (here_is.role, here_is.unit) != (facts["role"], facts.get("unit", here_is.unit)):
             raise DataError(
                 f"twin: {name}: the error model means {facts['role']} in {facts.get('unit')}, the recording holds "
-                f"{own.role} in {own.unit}"
+                f"{here_is.role} in {here_is.unit}"
             )
     present = recording.components()
     own = [c for c in model.components if c.component in present]
@@ -333,7 +333,7 @@ def _aligned(recording: Recording, component: str, table, wanted: CsvColumn, how
     if convert.unit != unit:
         raise DataError(f"twin: {component}: recorded in {unit}, simulated in {wanted.unit} ({name}, {wanted.column})")
     sign = -1.0 if wanted.means == "correction" else 1.0
-    simulated = sign * convert(table[wanted.column].to_numpy(dtype=float))
+    simulated: np.ndarray = sign * np.asarray(convert(table[wanted.column].to_numpy(dtype=float)))
     t, run, labels = recording.time(), recording.run_codes(), recording.run_labels()
     values = np.full(len(recording), np.nan)
     outside, gaps, absent = (np.zeros(len(recording), dtype=bool) for _ in range(3))
@@ -367,7 +367,7 @@ def _series(table, simulated: np.ndarray, how: FromCsv, label: str, name: str) -
     rows = np.arange(len(table))
     if how.run is not None:
         rows = np.flatnonzero(table[how.run].to_numpy() == label)
-    t, values = convert(table[how.time].to_numpy(dtype=float)[rows]), simulated[rows]
+    t, values = np.asarray(convert(table[how.time].to_numpy(dtype=float)[rows])), simulated[rows]
     if not t.size:
         return None
     back = np.flatnonzero(~(np.diff(t) >= 0))

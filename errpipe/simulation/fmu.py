@@ -143,7 +143,8 @@ def run(
         plan = Plan(recording, how, worker)
         progress(0.1, f"running {plan.name}")
         start = {t.parameter: plan.start_value(t.parameter) for t in how.recalibrate}
-        values, told = plan.simulate(start), []
+        values = plan.simulate(start)
+        told: list[dict[str, Any]] = []
         if how.recalibrate:
             values, told = _recalibrated(recording, how, plan, start, values, progress)
     figures = {"fmu": plan.name, "fmi": plan.facts["version"], "step_s": plan.step, "parameters": told}
@@ -166,6 +167,8 @@ class Worker:
             [sys.executable, "-P", str(script)], cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=self.told, start_new_session=True, env={k: os.environ[k] for k in KEPT if k in os.environ},
         )  # fmt: skip
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.orders, self.answers = self.process.stdin, self.process.stdout
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -174,7 +177,7 @@ class Worker:
         except (ProcessLookupError, PermissionError, AttributeError):
             self.process.kill()
         self.process.wait()
-        for stream in (self.process.stdin, self.process.stdout, self.told):
+        for stream in (self.orders, self.answers, self.told):
             with contextlib.suppress(BrokenPipeError):
                 stream.close()
 
@@ -189,8 +192,8 @@ class Worker:
 
     def _asked(self, order: dict[str, Any], doing: str) -> Any:
         try:
-            self.process.stdin.write((json.dumps(order) + "\n").encode())
-            self.process.stdin.flush()
+            self.orders.write((json.dumps(order) + "\n").encode())
+            self.orders.flush()
         except (BrokenPipeError, ValueError):
             raise self._ended(doing) from None
         line = self._line(doing)
@@ -204,7 +207,7 @@ class Worker:
 
     def _line(self, doing: str) -> bytes:
         """One line of the answer. Raises DataError when time is up."""
-        pipe, line = self.process.stdout, b""
+        pipe, line = self.answers, b""
         end = time.monotonic() + self.how.time_limit
         while not line.endswith(b"\n"):
             left = end - time.monotonic()
@@ -370,13 +373,13 @@ class Plan:
         return own, unit, -1.0 if wanted.means == "correction" else 1.0
 
     def _write_inputs(self, t: np.ndarray) -> None:
-        self.stretches = []
+        self.stretches: list[tuple[np.ndarray, np.ndarray, dict[str, Any]]] = []
         for k, s in enumerate(np.unique(self.session)):
             rows = np.flatnonzero(self.session == s)
             at = t[rows] - t[rows[0]]
             if at[-1] / self.step > MOST_STEPS:
                 raise DataError(f"{self.name}: {at[-1]:g} s in steps of {self.step:g} s are too many (say `step`)")
-            order = {"stop": float(max(at[-1], self.step)), "inputs": "", "output": f"out{k}.npy"}
+            order: dict[str, Any] = {"stop": float(max(at[-1], self.step)), "inputs": "", "output": f"out{k}.npy"}
             if self.inputs:
                 new = np.r_[True, np.diff(at) > 0]
                 types = [("time", float), *((name, float) for name in self.inputs)]

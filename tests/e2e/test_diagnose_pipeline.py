@@ -122,6 +122,43 @@ def test_a_recording_without_twins_is_a_clear_message(tmp_path: Path) -> None:
         piped(tmp_path, alone, {"kind": "diagnose"})
 
 
+def test_a_csv_stands_in_for_the_simulation_and_a_new_one_is_noticed(tmp_path: Path) -> None:
+    recording = axis()
+    kinds = {n: c for n, c in recording.manifest.columns.items() if c.role != "simulated"}
+    alone = Recording(recording.manifest.model_copy(update={"columns": kinds}), recording.frame.drop(columns="EXX_sim"))
+    table = pd.DataFrame({"run": recording.frame["run"], "t": recording.time() / 60, "d": recording.array("EXX_sim")})
+    (tmp_path / "sim.csv").write_text(table.to_csv(index=False))
+    by = {"kind": "csv", "time_unit": "min", "run": "run", "columns": {"EXX": {"column": "d", "unit": "um"}}}
+    out = piped(tmp_path, alone, {"kind": "twin", "file": "sim.csv", "by": by})
+    from errpipe.stages._artefacts import recording_in
+
+    np.testing.assert_allclose(recording_in(out / "twin").array("EXX_sim"), recording.array("EXX_sim"), atol=1e-9)
+    assert read(out / "twin/twin.json")["twins"][0]["source"] == "sim.csv"
+    assert str(tmp_path) not in (out / "twin/twin.json").read_text()
+    table["d"] += 1.0
+    (tmp_path / "sim.csv").write_text(table.to_csv(index=False))
+    steps = runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), out)
+    assert [s.name for s in steps if s.action == "run"] == ["twin"]
+
+
+def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was(tmp_path: Path) -> None:
+    from errpipe.pipeline.stage import Context
+    from errpipe.simulation import folder
+    from errpipe.stages.diagnosis import Diagnose
+
+    folder.write(tmp_path / "in", axis())
+    (tmp_path / "season").mkdir()
+    (tmp_path / "season/fit.json").write_text('{"family": "season"}')
+    (tmp_path / "season/error_model.json").write_text("{}")
+    (tmp_path / "out").mkdir()
+    folders = {"recording": {"in": tmp_path / "in"}, "fit": {"season": tmp_path / "season"}}
+    Diagnose(kind="diagnose").run(Context(tmp_path / "out", stages=folders))
+    told = read(tmp_path / "out/acceptance.json")
+    assert told["accepted"] == [] and "season model" in told["refused"][0]["reason"]
+    for name in ("fit.json", "error_model.json"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "season" / name).read_bytes()
+
+
 # ---------------------------------------------------------------- what is accepted, from findings written by hand
 
 
