@@ -127,20 +127,18 @@ def build(
 
 
 FOLDS = 5
+BLOCKS = 8  # stretches of the recording that make up one fold
 
 
 def folds(run: np.ndarray) -> tuple[np.ndarray, str]:
-    """Who sits out together: whole runs where there are at least three, else blocks of a run; and the scheme's name.
+    """Which rows sit out together, shape (rows,), and the scheme's name.
 
-    Run after run (block after block) goes to the next of FOLDS folds, so that each fold is spread over the recording.
+    The recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, dealt out in turn, so that each fold
+    sees every run and thermal state, and no row is judged beside its own neighbours alone.
     """
-    codes = np.unique(run)
-    if codes.size >= 3:
-        place = np.searchsorted(codes, run)
-        scheme = "leave-one-run-out" if codes.size <= FOLDS else f"leave-runs-out, {FOLDS} groups"
-        return place % FOLDS, scheme
-    block = np.arange(run.size) * 3 * FOLDS // run.size
-    return block % FOLDS, f"blocks, {FOLDS} groups"
+    count = min(FOLDS * BLOCKS, max(run.size // 4, FOLDS))
+    block = np.arange(run.size) * count // max(run.size, 1)
+    return block % FOLDS, f"{count} blocks of neighbouring rows in {FOLDS} groups"
 
 
 def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -172,7 +170,7 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, waves: W
             points = grid(group[0], recording, waves)
             # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
-            odds = prior_of(group[0], component) + float(shared)
+            odds = prior_of(group[0]) + float(shared)
             for values in points:
                 yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds)
     if component.startswith("F_"):
@@ -291,7 +289,7 @@ def _free_grid(term: Term, name: str, recording: Recording, waves: Waves) -> tup
     raise KeyError(f"no grid for {term.term}.{name}")
 
 
-def prior_of(term: Term, component: str) -> float:
+def prior_of(term: Term) -> float:
     """Log prior odds of a binding beside its like: the stranger, the lower."""
     if term.term == "torque_ripple" or (term.term == "pitch_cyclic" and not term.fixed):
         return -3.0  # the strongest of some hundred waves was picked
@@ -299,8 +297,6 @@ def prior_of(term: Term, component: str) -> float:
         return -3.0
     if term.term == "clock_offset":
         return -1.0
-    if term.term == "feed_heating" and component.startswith("E_"):
-        return -5.0  # a slow walk over a grid does not warm a screw
     return 0.0
 
 

@@ -12,7 +12,7 @@ from errpipe.diagnosis import admit, hypotheses, partial
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.evidence import Active, Data, Scene, correlation_time
 from errpipe.diagnosis.prepare import Pair
-from errpipe.diagnosis.search import Explanation, Search
+from errpipe.diagnosis.search import MOST, Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.diagnosis.simulated import SENSITIVITY
 from errpipe.domain.recording import Recording
@@ -53,28 +53,33 @@ class Case:
 
 TUNABLE_SD = 0.3  # relative freedom of a simulation's tunable parameters
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
+DEPENDENT = 1.8  # rows per independent row of what is left, from which rows count for less
 WIDE_PRICE = 10.0  # log Bayes factor it takes to believe so
 
 
-def _settled(library, data, nuisance, prior, rough, recal, run) -> tuple[Search, Explanation]:
-    """Search until the noise level agrees with what the explanation leaves, and the rows with their correlation."""
-    sigma, rows = rough, None
-    for _ in range(5):
+def _settled(library, data, nuisance, prior, rough, rows=None, most=MOST) -> tuple[Search, Explanation]:
+    """Search until the noise level agrees with what the explanation leaves."""
+    sigma = rough
+    for _ in range(4):
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
+        search.most = most
         explanation = search.explain()
-        scene = search.scene([(f.index, f.size) for f in explanation.found])
-        left = scene.rms()
-        time = correlation_time(scene.residual(), run)
-        worth = None if time < 2.0 else max(run.size / time, 30.0)
-        if abs(left / sigma - 1) < 0.03 and (worth is None or (rows and abs(worth / rows - 1) < 0.3)):
+        left = search.scene([(f.index, f.size) for f in explanation.found]).rms()
+        if abs(left / sigma - 1) < 0.03:
             break
-        sigma, rows = max(left, 1e-9), worth or rows
+        sigma = max(left, 1e-9)
     return search, explanation
 
 
-def _doubtful(search: Search, explanation: Explanation) -> bool:
-    """Is so much left over, and so smooth, that the gains may be further off than usual?"""
-    return search.rows is not None
+def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
+    """The explanation once effects that act in part have joined the library."""
+    if not partial.add_parts(search, conditioned, rows, explanation.alone):
+        return explanation
+    in_part = search.explain()
+    if not in_part.found:
+        return explanation
+    search.sigma = max(search.scene([(f.index, f.size) for f in in_part.found]).rms(), 1e-9)
+    return in_part
 
 
 WILD = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
@@ -121,22 +126,24 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     every = library.add(np.column_stack([s.columns for s in loose]))
     edges = np.cumsum([0, *[s.columns.shape[1] for s in loose]])
     places = [every[a:b] for a, b in itertools.pairwise(edges)]
-    search, explanation = _settled(library, data, nuisance, prior, rough, recal, run)
-    wide = Active(nuisance.index, nuisance.sd * np.r_[1.0, np.full(nuisance.sd.size - 1, WIDE)])
-    if _doubtful(search, explanation):
-        other, loose_gains = _settled(library, data, wide, prior, rough, recal, run)
-        other.rows = search.rows
+    search, explanation = _settled(library, data, nuisance, prior, rough)
+    explanation = _with_parts(search, explanation, conditioned, rows)
+    left = search.scene([(f.index, f.size) for f in explanation.found]).residual()
+    time = correlation_time(left, run)
+    if time > DEPENDENT:
+        # the best that can be said leaves rows that go together: they count for less, and gains may be far off
+        # (how much less, the best single effect tells: what two reach together may have been bent to the rows)
+        worth = max(run.size / time, 30.0)
+        single, one = _settled(library, data, nuisance, search.prior, rough, worth, most=1)
+        left = single.scene([(f.index, f.size) for f in one.found]).residual()
+        worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
+        search, explanation = _settled(library, data, nuisance, search.prior, rough, worth)
+        wide = Active(nuisance.index, nuisance.sd * np.r_[1.0, np.full(nuisance.sd.size - 1, WIDE)])
+        other, loose_gains = _settled(library, data, wide, search.prior, rough, worth)
         chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
         if other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
             search, explanation, nuisance = other, loose_gains, wide
     sigma = search.sigma
-    fresh = partial.add_parts(search, conditioned, rows, explanation.alone)
-    if fresh:
-        in_part = search.explain()
-        if in_part.found:
-            explanation = in_part
-            sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)
-            search.sigma = sigma
     chosen = [(f.index, f.size) for f in explanation.found]
     rest = admit.remainder(search, library, chosen, loose, places)
     return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal,

@@ -79,6 +79,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
     y = search.data.y
+    clock = recording.name("time")
     for groups in partitions(recording, rows):
         order = np.argsort(groups.code, kind="stable")
         edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
@@ -86,7 +87,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
             h = library.hypotheses[index]
             if h.effect in ALREADY_LOCAL or h.mask or alone[index] < -1e5:
                 continue
-            if groups.kind != "runs" and groups.kind not in h.drivers and len(h.drivers) > 1:
+            on_axis = groups.kind in h.drivers or h.terms[0].family in ("geometric", "reversal", "servo", "friction")
+            if groups.kind not in ("runs", clock) and not on_axis:
                 continue
             at = library.slices[index]
             W = library.table.W[:, at.start : at.start + library.cores[index]]

@@ -10,7 +10,8 @@ from errpipe.diagnosis.evidence import Active, Data, Scene, Scored
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
-SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason
+SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason,
+MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
 
 
@@ -39,6 +40,7 @@ class Search:
     def __init__(self, library: Library, data: Data, nuisance: Active, sigma: float, prior: np.ndarray,
                  threshold: float, threshold_more: float, rows: float | None = None):  # fmt: skip
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
+        self.most = MOST
         self.rows = rows  # how many rows' worth of evidence the rows hold, where they are not independent
         self.threshold, self.threshold_more = threshold, threshold_more
 
@@ -117,13 +119,13 @@ class Search:
 
     def _forward(self, chosen, total, everything):
         chosen = list(chosen)
-        while len(chosen) < MOST:
+        while len(chosen) < self.most:
             more = self.score(chosen, everything)
             gain = np.array([s.gain for s in more]) + self.prior
             taken = {self.library.hypotheses[i].effect for i, _ in chosen}
             gain[[h.effect in taken for h in self.library.hypotheses]] = -np.inf
             k = int(np.argmax(gain))
-            price = self.threshold_more + SHARE_OF_FIRST * max(total, 0.0)
+            price = min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
             if gain[k] < price:
                 break
             chosen.append((k, more[k].size))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.terms._base import Example, Term
@@ -17,6 +16,8 @@ def rows(step: float = 15.0) -> Recording:
 
     Every column moves, and no two alike, so that a term that reads the wrong one is found out.
     """
+    import pandas as pd
+
     k = np.arange(ROWS)
     t = step * k
     x, y = 200.0 + 200.0 * np.sin(2 * np.pi * k / 97), 150.0 * np.cos(2 * np.pi * k / 97 + 0.3)

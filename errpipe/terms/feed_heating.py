@@ -46,7 +46,9 @@ class FeedHeating(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FeedHeating]:
-        for axis in () if is_radial(component) else axes_acting(recording, component):
+        if is_radial(component) or component.startswith("E_"):
+            return  # a slow walk over the work space does not warm a screw
+        for axis in axes_acting(recording, component):
             yield cls(axis=axis, column=recording.name("velocity", axis=axis))
 
     def speed(self, recording: Recording) -> np.ndarray:
