@@ -7,7 +7,8 @@ Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL; PLCopen XML (TC6 
           as an array of bytes, so that a program runs before the first download.
 Accepts   only what every compiler tried takes: no // comments, no __ in names, literal bounds, reals with a point,
           no TRUNC, explicit conversions, no rounding of ties (floor is LREAL_TO_DINT and a comparison), FOR only
-          between literal bounds (MATIEC runs a FOR from a to a not at all), WHILE elsewhere.
+          between literal bounds (MATIEC runs a FOR from a to a not at all), WHILE elsewhere, NOT only before a
+          variable (STruC++ refuses it before a comparison).
 Precision LREAL, the operations of the format page in its order: the bits of the other evaluators, where the compiler
           does not fuse or reorder them.
 """
