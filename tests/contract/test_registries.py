@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import types
 from importlib import import_module
 from pathlib import Path
@@ -30,6 +31,25 @@ def test_every_file_is_registered_and_nothing_else(package: str) -> None:
     files = {path.stem for path in (TOP / package).glob("*.py") if not path.stem.startswith("_")}
     registered = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
     assert {home(entry) for entry in registered} == files
+
+
+def test_every_stage_file_is_a_stage_or_the_work_of_a_verb() -> None:
+    files = {path.stem for path in (TOP / "stages").glob("*.py") if not path.stem.startswith("_")}
+    stages = {home(stage) for stage in import_module("errpipe.stages").STAGES}
+    asked = {name for verb in (TOP / "cli").glob("*.py") for name in re.findall(r'work\("(\w+)"', verb.read_text())}
+    assert stages <= files and files == stages | (asked & files)
+    assert not asked - files, "a verb asks for work that no file does"
+
+
+@pytest.mark.parametrize("package", REGISTRIES)
+def test_every_plug_in_is_documented(package: str) -> None:
+    silent = []
+    for entry in getattr(import_module(f"errpipe.{package}"), REGISTRIES[package]):
+        kind = entry if isinstance(entry, type | types.ModuleType) else type(entry)
+        module = entry if isinstance(entry, types.ModuleType) else import_module(kind.__module__)
+        told = [(module.__doc__ or "").strip(), (vars(kind).get("__doc__") or "").strip()]
+        silent += [] if all(told) else [home(entry)]
+    assert silent == []
 
 
 @pytest.mark.parametrize("package", REGISTRIES)
