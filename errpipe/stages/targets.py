@@ -40,7 +40,45 @@ def compare_targets(table: Path) -> dict[str, Any]:
             rows.append({"target": target.name, "refused": str(err)})
             continue
         rows += [{"target": target.name, **loss} for loss in losses]
+    rows += [{"target": " + ".join(names), **loss} for names, losses in _best_together(found) for loss in losses]
     return {"comparison": rows, "says": [_line(row) for row in rows]}
+
+
+def together(targets: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """Every choice of two or more targets whose files one controller adds up."""
+    from itertools import combinations
+
+    def add_up(a: Any, b: Any) -> bool:
+        return b.name in a.goes_with or a.name in b.goes_with
+
+    most = max((len(t.goes_with) for t in targets), default=0) + 1
+    found = [c for size in range(2, most + 1) for c in combinations(targets, size)]
+    return [c for c in found if all(add_up(a, b) for a, b in combinations(c, 2))]
+
+
+def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list[dict[str, str]], Any]:
+    """Files of each part, none saying what another one says, and what the controller makes of all. Raises GateError."""
+    files = [part.write_beside(table, [o.name for o in parts if o is not part]) for part in parts]
+    first, *rest = (part.read_back(own) for part, own in zip(parts, files, strict=True))
+    return files, sum(rest, start=first)
+
+
+def _best_together(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
+    """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
+    from errpipe.targets import TARGETS
+
+    best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
+    for parts in together(TARGETS):
+        try:
+            _, read = write_together(table, parts)
+        except GateError:
+            continue
+        losses = _loss_rows(table, read)
+        size, names = sum(x["rms_um"] ** 2 for x in losses), tuple(p.name for p in parts)
+        family = min((names[0], *parts[0].goes_with))
+        if family not in best or size < best[family][0]:
+            best[family] = (size, names, losses)
+    return [(names, losses) for _, names, losses in best.values()]
 
 
 def export(table: Path, names: Sequence[str], out: Path) -> dict[str, Any]:
@@ -62,8 +100,9 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
     from errpipe import jsonfile
 
     out = []
-    for target in chosen(names):
-        files = target.write(table)
+    targets = chosen(names)
+    for target in targets:
+        files = target.write_beside(table, _beside(target, targets))
         losses = _losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(folder / target.name / name, text)
@@ -74,6 +113,11 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
             for name in files
         ]
     return out
+
+
+def _beside(target: Any, targets: Sequence[Any]) -> list[str]:
+    """Names of the other targets of an export that go with one."""
+    return [o.name for o in targets if o is not target and (o.name in target.goes_with or target.name in o.goes_with)]
 
 
 def chosen(names: Sequence[str]) -> list[Any]:
@@ -88,11 +132,15 @@ def chosen(names: Sequence[str]) -> list[Any]:
 
 
 def _losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list[dict[str, Any]]:
+    return _loss_rows(table, target.read_back(files))
+
+
+def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
     from errpipe.targets import _sample
 
     return [
         {"axis": x.axis, "largest_um": x.largest, "rms_um": x.rms, "table_rms_um": x.table_rms}
-        for x in _sample.loss(table, target.read_back(files))
+        for x in _sample.loss(table, read)
     ]
 
 

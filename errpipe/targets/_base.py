@@ -84,6 +84,9 @@ class ReadBack:
     planes: tuple[Plane, ...] = ()
     lines: tuple[Line, ...] = ()
 
+    def __add__(self, other: ReadBack) -> ReadBack:
+        return ReadBack(self.curves + other.curves, self.planes + other.planes, self.lines + other.lines)
+
     def axes(self) -> tuple[str, ...]:
         """Axes that would be moved."""
         return tuple(dict.fromkeys(p.axis for p in (*self.curves, *self.planes, *self.lines)))
@@ -116,11 +119,17 @@ class Target:
     limits: ClassVar[str]  # of the format, in words
     source: ClassVar[str]  # the manual or the program's source that says so
     activation: ClassVar[Sequence[str]] = ()  # what a person at the machine sets and reads back
+    goes_with: ClassVar[Sequence[str]] = ()  # targets whose files the same controller adds to these (said by either)
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         """File name -> text. Raises GateError where the table does not fit the format."""
         raise TypeError(f"{cls.__name__} does not write")
+
+    @classmethod
+    def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
+        """As `write`, without what the files of `others` (names of targets that go with this one) say already."""
+        return cls.write(table)
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

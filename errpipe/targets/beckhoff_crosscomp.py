@@ -7,7 +7,7 @@ Order     `.setpoint` of the master ascending in 0.1 um; straight between, held 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -31,16 +31,24 @@ class BeckhoffCrosscomp(Target):
     limits = "1001 nodes per table; one curve per pair of axes; mean of both directions; no temperature"
     source = "TF5200 axis compensation, cross compensation; ISG kernel parameters kw.crosscomp"
     activation = ("lr_param.crosscomp 1 of the slave axis", "compare the slave's offset at three master positions")
+    goes_with = ("beckhoff_ssfk", "beckhoff_temperature")
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
+        return cls.write_beside(table, ())
+
+    @classmethod
+    def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
         axes, files = _sample.axes_of(table), {}
         for axis in _sample.outputs_by_axis(table):
+            # Whether another curve holds what stands still: only one of an axis' curves may.
+            rest = "beckhoff_ssfk" in others and axis in _sample.positions_of(table)
             for over in _sample.positions_of(table):
                 if over == axis or not _sample.moves_with(table, axis, over):
                     continue
                 points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
-                curve = _sample.curve(table, axis, over, points.positions(), relative=True)
+                curve = _sample.curve(table, axis, over, points.positions(), relative=rest)
+                rest = True
                 files[f"cross_{axis}_over_{over}.lis"] = _text(axes, axis, over, curve)
         if not files:
             raise GateError("beckhoff_crosscomp: no axis of the table is corrected over another one")

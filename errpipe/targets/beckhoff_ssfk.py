@@ -37,6 +37,7 @@ class BeckhoffSsfk(Target):
         "lr_param.ssfk 1; P-COMP-00059 at least the number of nodes",
         "read the active compensation value of the axis back at three points, from both sides",
     )
+    goes_with = ("beckhoff_crosscomp", "beckhoff_temperature")
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

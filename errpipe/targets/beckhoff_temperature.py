@@ -16,7 +16,7 @@ from errpipe.targets._base import Line, ReadBack, Target, expect
 
 FILE = "temp_comp.lis"
 LEAST_UM = 0.01  # per kelvin over the travel
-_ROW = re.compile(r"# (\w) (\S+) T0=(\S+) offset_per_K=(\S+) coefficient_per_K=(\S+) position_0=(\S+)")
+_ROW = re.compile(r"# (\w) (.+) T0=(\S+) offset_per_K=(\S+) coefficient_per_K=(\S+) position_0=(\S+)")
 
 
 class BeckhoffTemperature(Target):
@@ -29,6 +29,7 @@ class BeckhoffTemperature(Target):
     limits = "a straight line over the axis per sensor; settled state, no lag"
     source = "ISG kernel documentation, temperature compensation (P-AXIS-00272, -00273, -00274)"
     activation = ("lr_param.temp_comp 1", "the PLC writes offset and coefficient; read the axis' compensation back")
+    goes_with = ("beckhoff_ssfk", "beckhoff_crosscomp")
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

@@ -39,11 +39,14 @@ class HeidenhainCom(Target):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         axes = list(_sample.positions_of(table))
         corrected = list(_sample.outputs_by_axis(table))
-        files = {}
-        for over in axes:
-            own = [a for a in corrected if _sample.moves_with(table, a, over)]
+        files, whole = {}, {}
+        moved = {over: [a for a in corrected if _sample.moves_with(table, a, over)] for over in axes}
+        for axis in corrected:  # what stands still is in one curve of an axis only: its own, else the first
+            over = [o for o in sorted(axes, key=lambda letter, own=axis: letter != own) if axis in moved[o]]
+            whole[axis] = over[0] if over else ""
+        for over, own in moved.items():
             if own:
-                files[f"{over}.COM"] = _com(table, over, own)
+                files[f"{over}.COM"] = _com(table, over, own, whole)
         if not files:
             raise GateError("heidenhain_com: no axis of the table is corrected over a position")
         return {**files, "CONFIG.CMA": _cma(axes, files)}
@@ -59,10 +62,10 @@ class HeidenhainCom(Target):
         return ReadBack(curves=tuple(curves))
 
 
-def _com(table: CompensationTable, over: str, own: list[str]) -> str:
+def _com(table: CompensationTable, over: str, own: list[str], whole: Mapping[str, str]) -> str:
     count = max(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0].count for axis in own)
     x = np.linspace(*_sample.span(table, over), count)
-    curves = {axis: _sample.curve(table, axis, over, x, relative=axis != over) for axis in own}
+    curves = {axis: _sample.curve(table, axis, over, x, relative=whole[axis] != over) for axis in own}
     reversal = curves[over].up - curves[over].down if over in curves else np.zeros(count)
     lines = [f"BEGIN {over}.COM MM", " ".join(["NR", "AXISPOS", "BACKLASH", *own])]
     for n in range(count):

@@ -65,7 +65,7 @@ class KlipperSections(Target):
         lines = tuple(
             Line("Z", sensor, float(reference), -float(coefficient), 0.0)
             for sensor, reference, coefficient in re.findall(
-                r"# sensor (\S+) reference (\S+)\n\[z_thermal_adjust\]\ntemp_coeff: (\S+)", text
+                r"# sensor (.+) reference (\S+)\n\[z_thermal_adjust\]\ntemp_coeff: (\S+)", text
             )
         )
         return ReadBack(curves=curves, planes=planes, lines=lines)

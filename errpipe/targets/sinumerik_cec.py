@@ -9,7 +9,7 @@ Limits    828D: 8 tables of 200 points; held outside MIN..MAX.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -38,17 +38,26 @@ class SinumerikCec(Target):
         "MD32710 CEC_ENABLE = 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] = 1; reference again",
         "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points",
     )
+    goes_with = ("sinumerik_lec", "sinumerik_temperature")
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
+        return cls.write_beside(table, ())
+
+    @classmethod
+    def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
         blocks: list[str] = []
         axes = _sample.axes_of(table)
+        screws = "sinumerik_lec" in others  # they hold each axis over itself: here it would act twice
         for axis in _sample.outputs_by_axis(table):
-            for over in _sample.positions_of(table):
-                if not _sample.moves_with(table, axis, over):
+            # Whether another curve holds what stands still: only one of an axis' curves may.
+            rest = screws and axis in _sample.positions_of(table)
+            for over in sorted(_sample.positions_of(table), key=lambda letter, own=axis: letter != own):
+                if (screws and over == axis) or not _sample.moves_with(table, axis, over):
                     continue
                 points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
-                curve = _sample.curve(table, axis, over, points.positions(), relative=axis != over)
+                curve = _sample.curve(table, axis, over, points.positions(), relative=rest)
+                rest = True
                 same = float(np.abs(curve.up - curve.down).max()) * 1e3 < SAME_UM
                 sides = {0: curve.up} if same else {1: curve.up, -1: curve.down}
                 for side, value in sides.items():

@@ -36,6 +36,7 @@ class SinumerikLec(Target):
         "the value at the reference point must be 0: read $AA_ENC_COMP back and compare three points",
         "MD32450 BACKLASH carries what differs between the directions",
     )
+    goes_with = ("sinumerik_cec", "sinumerik_temperature")
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

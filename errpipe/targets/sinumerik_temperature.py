@@ -18,7 +18,7 @@ from errpipe.targets._base import Line, ReadBack, Target, expect
 FILE = "TEMP_COMP.SPF"
 LEAST_UM = 0.01  # per kelvin over the travel; less is left out
 _ROW = re.compile(
-    r"; (\w)\[(\w+)\] sensor=(\S+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)"
+    r"; (\w)\[(\w+)\] sensor=(.+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)"
 )  # fmt: skip
 
 
@@ -36,6 +36,7 @@ class SinumerikTemperature(Target):
         "the PLC writes SD43900 and SD43910 from the sensors by the formulas of the file, SD43920 once",
         "read $VA_... compensation value of the axis at two temperatures and compare",
     )
+    goes_with = ("sinumerik_lec", "sinumerik_cec")
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

@@ -1,0 +1,105 @@
+"""Files that one controller adds up: no part says what another one says, and together they lose less than apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.domain.table import CompensationTable
+from errpipe.stages import targets as stage
+from errpipe.tables import ect
+from errpipe.targets import TARGETS, _sample
+from errpipe.terms._base import Lowered
+from tests.unit.targets import machines
+
+BY_NAME = {t.name: t for t in TARGETS}
+SINUMERIK = ("sinumerik_cec", "sinumerik_lec", "sinumerik_temperature")
+BECKHOFF = ("beckhoff_crosscomp", "beckhoff_ssfk", "beckhoff_temperature")
+
+
+def bent_and_warm():
+    """A screw error, a bow of Y over X, a lean of X over Y, and a screw that grows."""
+    lean = tables.MonomialSource(-1e-3, "C0Y", (d.Input(name="y"),))
+    screw = (machines.straight("X", 10.0), machines.straight("X", 5.5, driver=d.above("T", 20.0)))
+    bow = Lowered(d.ONE, "X", lambda x: 8.0 * np.sin(np.pi * x / 500.0))
+    return tables.compile_table(
+        [
+            tables.ComponentSource("EXX", "um", screw),
+            tables.ComponentSource("EYX", "um", (bow,)),
+            tables.ComponentSource("C0Y", "urad", (Lowered(d.Constant(value=25.0)),)),
+        ],
+        outputs=[
+            tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"), lean), "X"),
+            tables.OutputSource("Y", (tables.MonomialSource(1.0, "EYX"),), "Y"),
+        ],
+        inputs=machines.INPUTS, travel=machines.AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("names", [SINUMERIK, BECKHOFF], ids=lambda n: n[0].split("_")[0])
+def test_together_they_say_nearly_everything(names):
+    table = bent_and_warm()
+    _, read = stage.write_together(table, [BY_NAME[n] for n in names])
+    whole = {x.axis: x for x in _sample.loss(table, read)}
+    assert max(x.largest for x in whole.values()) < 0.6  # rounding, and the settled slope at the edge of its fade
+    for name in names:
+        alone = {x.axis: x for x in _sample.loss(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
+        assert max(x.rms for x in alone.values()) > 5 * max(x.rms for x in whole.values()), name
+
+
+def test_the_screw_is_not_compensated_twice():
+    """Leadscrew table and cross table each hold X over X when written alone; beside each other only one does."""
+    table, cec = bent_and_warm(), BY_NAME["sinumerik_cec"]
+    alone = {(c.axis, c.over) for c in cec.read_back(cec.write(table)).curves}
+    beside = {(c.axis, c.over) for c in cec.read_back(cec.write_beside(table, ["sinumerik_lec"])).curves}
+    assert alone - beside == {("X", "X")}
+
+
+def test_only_files_of_one_controller_are_added_up():
+    for parts in stage.together(TARGETS):
+        assert len({p.name.split("_")[0] for p in parts}) == 1
+    assert tuple(BY_NAME[n] for n in SINUMERIK) in stage.together(TARGETS)
+    assert tuple(BY_NAME[n] for n in BECKHOFF) in stage.together(TARGETS)
+
+
+def test_names_of_companions_exist():
+    for target in TARGETS:
+        assert set(target.goes_with) <= set(BY_NAME) - {target.name}
+
+
+def test_compare_targets_shows_the_best_choice(tmp_path):
+    ect.write(bent_and_warm(), tmp_path / "table.ect")
+    says = stage.compare_targets(tmp_path / "table.ect")["comparison"]
+    found = {row["target"] for row in says if " + " in row["target"]}
+    # The cross tables can hold the screw too, so the leadscrew table is not needed here.
+    assert found == {"sinumerik_cec + sinumerik_temperature", " + ".join(BECKHOFF)}
+    assert all(row["rms_um"] < 0.3 for row in says if " + " in row["target"])
+
+
+def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
+    table = bent_and_warm()
+    files = stage.write_targets(table, ["sinumerik_lec", "sinumerik_cec"], tmp_path)
+    assert {f["file"].split("/")[0] for f in files} == {"sinumerik_lec", "sinumerik_cec"}
+    text = (tmp_path / "sinumerik_cec" / "NC_CEC.INI").read_text()
+    curves = BY_NAME["sinumerik_cec"].read_back({"NC_CEC.INI": text}).curves
+    assert {(c.axis, c.over) for c in curves} == {("X", "Y"), ("Y", "X")}
+
+
+@pytest.mark.parametrize("name", ["sinumerik_cec", "beckhoff_crosscomp", "heidenhain_com"])
+def test_a_cross_curve_that_stands_alone_holds_its_constant(name):
+    """Y moves over X only: nothing else would hold the height of the bow in the middle of X."""
+    table = bent_and_warm()
+    found = {x.axis: x for x in _sample.loss(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
+    assert found["Y"].largest < 0.15
+
+
+def test_a_sensor_may_have_a_space_in_its_name():
+    text = machines.warm().model_dump_json()
+    for key in ("name", "input"):
+        text = text.replace(f'"{key}":"T"', f'"{key}":"T nut"')
+    table = CompensationTable.model_validate_json(text)
+    for name in ("sinumerik_temperature", "beckhoff_temperature", "klipper_sections"):
+        read = BY_NAME[name].read_back(BY_NAME[name].write(table))
+        assert {line.sensor for line in read.lines} == {"T nut"}, name
