@@ -3,15 +3,16 @@
 After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the others. With x the readings and
 `start` the first reading of the run (on a controller: since it was switched on),
 
-    r_i = x_i - sum_j v_ij x_j, less its value at the start     departure from the best estimate
-    p_i = x_i - sum_j w_ij x_j, less its value at the start     departure that tells sensors apart
+    r_i = x_i - sum v_ij x_j, less its value at the start     departure from the best estimate, which also
+                                                            reads first-order lags of the others
+    p_i = x_i - sum w_ij x_j, less its value at the start     departure that tells sensors apart
     slow_i  = lag(p_i, filter) / its threshold                  over minutes, so that noise says nothing
     quick_i = lag(p_i - lag(p_i, horizon), filter) / its threshold     what came in the last hour: smaller faults
 
     blamed_i = 1 for good once |quick_i| >= 1 + c_ij |quick_j| for every other j; or so for slow
     frozen_i = 1 while lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than ever when healthy,
                no sooner than WARM_UP freeze times after the start
-    guarded reading = x_i, less (r_i + sum_j v_ij r_j over failed j) while it is blamed or frozen:
+    guarded reading = x_i, less (r_i + sum v_ij r_j over failed j) while it is blamed or frozen:
                its estimate from what stands in for the others, set to x_i at the start
 
 Two sets of weights, because the estimate that follows best cannot tell which of two close sensors failed: their
@@ -44,6 +45,13 @@ MOST_OPERANDS = 8
 FOR_GOOD = -1.0  # a switch's lower level that no square ever reaches: once on, it stays on until the next start
 
 
+class Source(Frozen):
+    """A sensor's reading, or its first-order lag, that says something about another sensor."""
+
+    name: str
+    lag_s: float | None = Field(None, gt=0)
+
+
 class GuardedSensor(Frozen):
     """One sensor. Units: the sensor's own (degC; differences K), s."""
 
@@ -51,11 +59,13 @@ class GuardedSensor(Frozen):
     low: float = Field(description="No healthy reading lies below.")
     high: float = Field(description="No healthy reading lies above.")
     max_rate: float = Field(gt=0, description="No healthy reading changes faster, per s.")
-    sources: tuple[str, ...] = Field(description="The sensors it is estimated from.")
-    weights: tuple[float, ...] = Field(description="Their weights w_ij, which keep faults apart.")
-    estimate: tuple[float, ...] = Field(description="Their weights v_ij in the best estimate.")
-    offset: float = Field(description="Typical x_i - sum_j v_ij x_j, where no start is known.")
-    residual: float = Field(ge=0, description="Standard deviation of that since the start, on groups left out.")
+    others: tuple[str, ...] = Field(description="The other sensors.")
+    weights: tuple[float, ...] = Field(description="Weights w of the others, which keep faults apart.")
+    sources: tuple[Source, ...] = Field(description="What it is best estimated from.")
+    estimate: tuple[float, ...] = Field(description="Weights v of the sources.")
+    static: tuple[float, ...] = Field(description="Weights of the others where neither lag nor start is known:")
+    offset: float = Field(description="reading = offset + sum of static weights x the others' readings.")
+    residual: float = Field(ge=0, description="Standard deviation of r on groups that had no part in the weights.")
     quick: float = Field(gt=0, description="Threshold of the quick departure.")
     slow: float = Field(gt=0, description="Threshold of the slow departure.")
     still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
@@ -82,11 +92,31 @@ class SensorGuard(Frozen):
         return tuple(s.name for s in self.sensors)
 
 
-def departure(sensor: GuardedSensor, weights: tuple[float, ...]) -> d.Driver:
-    """How far a reading has moved away from the weighted sum of the others since the start of the run."""
-    sources = tuple(d.Input(name=n) for n in sensor.sources)
-    unexplained = d.Affine(weights=(1.0, *(-w for w in weights)), of=(d.Input(name=sensor.name), *sources))
-    return d.Affine(weights=(1.0, -1.0), of=(unexplained, d.First(of=unexplained)))
+def departure(sensor: GuardedSensor) -> d.Driver:
+    """r: how far a reading has moved away from its best estimate since the start of the run."""
+    sources = tuple(_delayed(s, d.Input(name=s.name)) for s in sensor.sources)
+    return _since_start(_less(d.Input(name=sensor.name), sources, sensor.estimate))
+
+
+def apart(sensor: GuardedSensor) -> d.Driver:
+    """p: the departure that tells sensors apart."""
+    return _since_start(_less(d.Input(name=sensor.name), tuple(map(_input, sensor.others)), sensor.weights))
+
+
+def _input(name: str) -> d.Driver:
+    return d.Input(name=name)
+
+
+def _less(own: d.Driver, others: tuple[d.Driver, ...], weights: tuple[float, ...]) -> d.Driver:
+    return d.Affine(weights=(1.0, *(-w for w in weights)), of=(own, *others))
+
+
+def _since_start(of: d.Driver) -> d.Driver:
+    return d.Affine(weights=(1.0, -1.0), of=(of, d.First(of=of)))
+
+
+def _delayed(source: Source, of: d.Driver) -> d.Driver:
+    return of if source.lag_s is None else _lag(of, source.lag_s)
 
 
 def _lag(of: d.Driver, tau: float) -> d.Driver:
@@ -95,14 +125,14 @@ def _lag(of: d.Driver, tau: float) -> d.Driver:
 
 def quick(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     """|quick_i|: 1 and more is a fault somewhere."""
-    scaled = d.Affine(weights=(1.0 / sensor.quick,), of=(departure(sensor, sensor.weights),))
+    scaled = d.Affine(weights=(1.0 / sensor.quick,), of=(apart(sensor),))
     recent = d.Affine(weights=(1.0, -1.0), of=(scaled, _lag(scaled, guard.horizon_s)))
     return _size(_lag(recent, guard.filter_s))
 
 
 def slow(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     """|slow_i|: 1 and more is a fault somewhere."""
-    return _size(_lag(d.Affine(weights=(1.0 / sensor.slow,), of=(departure(sensor, sensor.weights),)), guard.filter_s))
+    return _size(_lag(d.Affine(weights=(1.0 / sensor.slow,), of=(apart(sensor),)), guard.filter_s))
 
 
 def _size(of: d.Driver) -> d.Driver:
@@ -134,9 +164,9 @@ def _by_itself(
     sensor = guard.sensor(name)
     own = statistic(guard, sensor)
     flags: list[d.Driver] = []
-    for source, weight in zip(sensor.sources, sensor.weights, strict=True):
-        share = MARGIN * abs(weight) * thresholds[source] / thresholds[name]
-        other = statistic(guard, guard.sensor(source))
+    for key, weight in zip(sensor.others, sensor.weights, strict=True):
+        share = MARGIN * abs(weight) * thresholds[key] / thresholds[name]
+        other = statistic(guard, guard.sensor(key))
         flags.append(d.Switch(of=d.Affine(weights=(1.0, -share), of=(own, other)), on=1.0, off=1.0 - TIE))
     return _all(flags)
 
@@ -172,15 +202,15 @@ def fault(guard: SensorGuard, name: str) -> d.Driver:
 def reading(guard: SensorGuard, name: str) -> d.Driver:
     """The reading while it is believed, else what stands in for it."""
     sensor = guard.sensor(name)
-    own = departure(sensor, sensor.estimate)
-    others = tuple(_failed_departure(guard, source) for source in sensor.sources)
+    own = departure(sensor)
+    others = tuple(_delayed(s, _failed_departure(guard, s.name)) for s in sensor.sources)
     off = d.Product(of=(fault(guard, name), d.Affine(weights=(1.0, *sensor.estimate), of=(own, *others))))
     return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), off))
 
 
 def _failed_departure(guard: SensorGuard, name: str) -> d.Driver:
     sensor = guard.sensor(name)
-    return d.Product(of=(fault(guard, name), departure(sensor, sensor.estimate)))
+    return d.Product(of=(fault(guard, name), departure(sensor)))
 
 
 def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:

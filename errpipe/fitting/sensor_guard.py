@@ -10,17 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from errpipe.domain import driver as d
 from errpipe.domain import sensor_guard as g
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.terms._base import drive
+from errpipe.terms._base import drive, sessions
 
 FILTER = 300.0  # s: machines warm up over minutes and more, noise and switching heaters are quicker
 FREEZE = 300.0  # s
 HORIZON = 3600.0  # s
+LAGS = (900.0, 3600.0)  # s: heat reaches one sensor later than another; two lags made estimates 2 to 5 times closer
 RIDGES = np.logspace(-5, 1, 25)  # times the readings' mean square; the smallest is taken that keeps faults apart
 APART = 0.8  # of a fault at most shows in another sensor's statistic, or the wrong sensor is blamed
 KINDS = 3  # of alarms: quick, slow, frozen
@@ -44,17 +47,66 @@ class Watch:
 
 def watch(guard: g.SensorGuard, recording: Recording) -> Watch:
     """Faults (bool) and guarded readings, row by row and causal: as the compiled drivers do it."""
+    conditioned, impossible = _conditioned(guard, recording)
     names = guard.names()
-    recording, impossible = _conditioned(guard, recording)
-    fault = np.column_stack([drive(g.fault(guard, n), recording) for n in names]) > 0.5
-    reading = np.column_stack([drive(g.reading(guard, n), recording) for n in names])
-    return Watch(names, fault | impossible, reading)
+    found = _drive_all([*(g.fault(guard, n) for n in names), *(g.reading(guard, n) for n in names)], conditioned)
+    return Watch(names, (found[:, : len(names)] > 0.5) | impossible, found[:, len(names) :])
+
+
+def faults(guard: g.SensorGuard, recording: Recording) -> np.ndarray:
+    """Which readings are not believed, shape (rows, sensors): `watch` without the readings that stand in."""
+    conditioned, impossible = _conditioned(guard, recording)
+    return (_drive_all([g.fault(guard, n) for n in guard.names()], conditioned) > 0.5) | impossible
+
+
+class _Values(dict[str, np.ndarray]):
+    """Columns by name, beside the runs and times of a recording: as much of one as `drive` looks at."""
+
+    def __init__(self, recording: Recording):
+        super().__init__()
+        self.recording = recording
+
+    def __len__(self) -> int:
+        return len(self.recording)
+
+    def array(self, name: str) -> np.ndarray:
+        return self[name] if name in self else self.recording.array(name)
+
+    def name(self, role: str) -> str | None:
+        return self.recording.name(role)
+
+    def run_codes(self) -> np.ndarray:
+        return self.recording.run_codes()
+
+    def time(self) -> np.ndarray:
+        return self.recording.time()
+
+
+def _drive_all(drivers: Sequence[d.Driver], recording: Recording) -> np.ndarray:
+    """`drive` of several drivers with much in common, each part once; shape (rows, drivers)."""
+    values = _Values(recording)
+    known: dict[d.Driver, str] = {}
+
+    def name(driver: d.Driver) -> str:
+        if isinstance(driver, d.Input):
+            return driver.name
+        of = getattr(driver, "of", None)
+        if isinstance(of, tuple):
+            driver = driver.model_copy(update={"of": tuple(d.Input(name=name(child)) for child in of)})
+        elif of is not None:
+            driver = driver.model_copy(update={"of": d.Input(name=name(of))})
+        if driver not in known:
+            known[driver] = f"#{len(known)}"
+            values[known[driver]] = drive(driver, values)  # type: ignore[arg-type]
+        return known[driver]
+
+    return np.column_stack([values.array(name(driver)) for driver in drivers])
 
 
 def _conditioned(guard: g.SensorGuard, recording: Recording) -> tuple[Recording, np.ndarray]:
     """Readings as a table's inputs give them on: what is empty, impossible or racing holds the one before."""
     columns, doubted = {}, []
-    run, t = recording.run_codes(), recording.time()
+    run, t = sessions(recording), recording.time()
     for s in guard.sensors:
         values, doubt = _believed(recording.array(s.name), run, t, s)
         columns[s.name] = values
@@ -64,6 +116,8 @@ def _conditioned(guard: g.SensorGuard, recording: Recording) -> tuple[Recording,
 
 def _believed(x: np.ndarray, run: np.ndarray, t: np.ndarray, s: g.GuardedSensor) -> tuple[np.ndarray, np.ndarray]:
     out, doubt = x.copy(), np.zeros(x.size, dtype=bool)
+    if _all_possible(x, run, t, s):
+        return out, doubt
     good, when = np.nan, 0.0
     for i in range(x.size):
         if i == 0 or run[i] != run[i - 1]:
@@ -104,23 +158,26 @@ def learn(
         )
     rows = _Healthy(x, run, t, held_out, filter_s, horizon_s)
     rate = false_alarms / 1000 / len(names) / KINDS  # per hour, sensor and kind of alarm
-    apart, close = _apart(rows, rate), _close(rows, rate)
+    apart, close = _apart(rows, rate), _close(rows)
     alive = _lagged((x - _lagged(x, run, t, freeze_s)) ** 2, run, t, freeze_s)
     sensors_out = []
     for i, name in enumerate(names):
         others = [j for j in range(len(names)) if j != i]
         low, high = np.min(x[:, i]), np.max(x[:, i])
         margin = max(BEYOND * (high - low), RANGE_MARGIN)
+        static, offset = _static(x[:, others], x[:, i])
         sensors_out.append(
             g.GuardedSensor(
                 name=name,
                 low=float(low - margin),
                 high=float(high + margin),
                 max_rate=float(RATE * _fastest(x[:, i], run, t)),
-                sources=tuple(names[j] for j in others),
-                weights=tuple(float(apart.weights[i, j]) for j in others),
-                estimate=tuple(float(close.weights[i, j]) for j in others),
-                offset=float(np.median(x[:, i] - x[:, others] @ close.weights[i, others])),
+                others=tuple(names[j] for j in others),
+                weights=tuple(float(apart.weights[i, 0, j]) for j in others),
+                sources=tuple(g.Source(name=names[j], lag_s=lag) for lag in (None, *LAGS) for j in others),
+                estimate=tuple(float(close.weights[i, k, j]) for k in range(1 + len(LAGS)) for j in others),
+                static=static,
+                offset=offset,
                 residual=float(np.sqrt(np.mean(close.residual[:, i] ** 2))),
                 quick=float(apart.quick[i]),
                 slow=float(apart.slow[i]),
@@ -129,8 +186,13 @@ def learn(
         )
     return g.SensorGuard(
         sensors=tuple(sensors_out), filter_s=filter_s, horizon_s=horizon_s, freeze_s=freeze_s,
-        false_alarms=false_alarms, hours=hours, shows_elsewhere=apart.shows,
+        false_alarms=false_alarms, hours=hours, shows_elsewhere=apart.elsewhere(),
     )  # fmt: skip
+
+
+def _all_possible(x: np.ndarray, run: np.ndarray, t: np.ndarray, s: g.GuardedSensor) -> bool:
+    slow_enough = np.abs(np.diff(x)) <= s.max_rate * np.maximum(np.diff(t), 1e-9)
+    return bool(np.all((x >= s.low) & (x <= s.high)) and np.all(slow_enough | (np.diff(run) != 0)))
 
 
 @dataclass(frozen=True)
@@ -144,6 +206,12 @@ class _Healthy:
     filter_s: float
     horizon_s: float
 
+    @cached_property
+    def stacked(self) -> np.ndarray:
+        """Rises since the start of the run and their lags, shape (rows, 1 + lags, sensors)."""
+        rise = _rises(self.x, self.run)
+        return np.stack([rise, *(self.lagged(rise, tau) for tau in LAGS)], axis=1)
+
     def lagged(self, values: np.ndarray, tau: float) -> np.ndarray:
         return _lagged(values, self.run, self.t, tau)
 
@@ -152,57 +220,68 @@ class _Healthy:
 
 
 @dataclass(frozen=True)
-class _Departures:
-    """Weights (sensors, sensors), departures of rows left out (rows, sensors), thresholds (sensors,).
+class _Apart:
+    """Weights (sensors, 1, sensors) and thresholds (sensors,) of the departures that tell sensors apart."""
 
-    shows: the largest share of a fault of one sensor that shows in another one's quick departure, by thresholds.
-    """
+    weights: np.ndarray
+    quick: np.ndarray
+    slow: np.ndarray
+
+    def elsewhere(self) -> float:
+        """The largest share of a fault of one sensor that shows in another one's departure, by thresholds."""
+        shows = np.abs(self.weights[:, 0])
+        return max(float(np.max(shows * t[None, :] / t[:, None])) for t in (self.quick, self.slow))
+
+
+def _apart(rows: _Healthy, rate: float) -> _Apart:
+    """With the least ridge that keeps faults apart; learnt from what is recent, as quick faults are."""
+    rise = rows.stacked[:, :1]
+    recent = rows.recent(rise[:, 0])[:, None]
+    noise = np.std(np.diff(rows.x, axis=0)[np.diff(rows.run) == 0], axis=0) / np.sqrt(2)
+    least = np.maximum(LEAST_NOISE * noise, 1e-6)
+    for ridge in RIDGES:
+        residual = _left_out(rise, recent, rows.group, ridge)
+        statistics = (rows.lagged(rows.recent(residual), rows.filter_s), rows.lagged(residual, rows.filter_s))
+        levels = [[_seldom(np.abs(column), rows.run, rows.t, rate) for column in s.T] for s in statistics]
+        found = _Apart(_weights(recent, ridge), *np.maximum(levels, least))
+        if found.elsewhere() <= APART:
+            break
+    return found
+
+
+@dataclass(frozen=True)
+class _Close:
+    """Weights (sensors, 1 + lags, sensors) of the best estimates, and what they leave of rows left out."""
 
     weights: np.ndarray
     residual: np.ndarray
-    quick: np.ndarray
-    slow: np.ndarray
-    shows: float
 
 
-def _departures(rows: _Healthy, learnt_from: np.ndarray, ridge: float, rate: float) -> _Departures:
-    rise = _rises(rows.x, rows.run)
-    residual = _left_out(rise, learnt_from, rows.group, ridge)
-    noise = np.std(np.diff(rows.x, axis=0)[np.diff(rows.run) == 0], axis=0) / np.sqrt(2)
-    least = np.maximum(LEAST_NOISE * noise, 1e-6)
-    quick, slow = (
-        np.maximum([_seldom(np.abs(column), rows.run, rows.t, rate) for column in statistic.T], least)
-        for statistic in (rows.lagged(rows.recent(residual), rows.filter_s), rows.lagged(residual, rows.filter_s))
-    )
-    weights = _weights(learnt_from, ridge)
-    return _Departures(weights, residual, quick, slow, float(np.max(np.abs(weights) * quick[None, :] / quick[:, None])))
+def _close(rows: _Healthy) -> _Close:
+    """With the ridge that leaves the least of groups left out."""
+    values = rows.stacked
+    left = {r: _left_out(values, values, rows.group, r) for r in RIDGES[::2]}
+    ridge = min(left, key=lambda r: float(np.sum(np.log(np.mean(left[r] ** 2, axis=0)))))
+    return _Close(_weights(values, ridge), left[ridge])
 
 
-def _close(rows: _Healthy, rate: float) -> _Departures:
-    """With the weights that leave the least of groups left out."""
-    rise = _rises(rows.x, rows.run)
-    left = {r: np.mean(_left_out(rise, rise, rows.group, r) ** 2, axis=0) for r in RIDGES}
-    return _departures(rows, rise, min(left, key=lambda r: float(np.sum(np.log(left[r])))), rate)
-
-
-def _apart(rows: _Healthy, rate: float) -> _Departures:
-    """With the least ridge that keeps faults apart; learnt from what is recent, as quick faults are."""
-    recent = rows.recent(_rises(rows.x, rows.run))
-    for ridge in RIDGES:
-        found = _departures(rows, recent, ridge, rate)
-        if found.shows <= APART:
-            break
-    return found
+def _static(others: np.ndarray, own: np.ndarray) -> tuple[tuple[float, ...], float]:
+    """Weights and offset of a sensor as a plain sum of the others' readings."""
+    centre, middle = others.mean(axis=0), float(own.mean())
+    square = (others - centre).T @ (others - centre) / len(own)
+    ridge = 1e-3 * np.mean(np.diag(square)) * np.eye(square.shape[0])
+    weights = np.linalg.solve(square + ridge, (others - centre).T @ (own - middle) / len(own))
+    return tuple(float(w) for w in weights), middle - float(centre @ weights)
 
 
 def _rows(
     recording: Recording, names: tuple[str, ...], group: str | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Readings, runs, times and groups of the rows in which every sensor has a reading."""
+    """Readings, sessions, times and groups of the rows in which every sensor has a reading."""
     x = np.column_stack([recording.array(n) for n in names]) if names else np.zeros((len(recording), 0))
     whole = np.isfinite(x).all(axis=1)
     labels = recording.run_codes() if group is None else np.unique(recording.frame[group], return_inverse=True)[1]
-    return x[whole], recording.run_codes()[whole], recording.time()[whole], labels[whole]
+    return x[whole], sessions(recording)[whole], recording.time()[whole], labels[whole]
 
 
 def _rises(x: np.ndarray, run: np.ndarray) -> np.ndarray:
@@ -212,18 +291,28 @@ def _rises(x: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 
 def _weights(values: np.ndarray, ridge: float) -> np.ndarray:
-    """w_ij: regression of each sensor on all others from one covariance, shape (sensors, sensors), zero diagonal."""
-    square = values.T @ values / len(values)
-    precision = np.linalg.inv(square + ridge * np.mean(np.diag(square)) * np.eye(len(square)))
-    return np.eye(len(square)) - precision / np.diag(precision)[:, None]
+    """Ridge regression of each sensor on all others and their lags; 0 on itself.
+
+    values: shape (rows, 1 + lags, sensors), the readings themselves first. Result (sensors, 1 + lags, sensors).
+    """
+    rows, kinds, count = values.shape
+    flat = values.reshape(rows, kinds * count)
+    square = flat.T @ flat / rows
+    square[np.diag_indices_from(square)] += ridge * np.mean(np.diag(square)[:count])
+    out = np.zeros((count, kinds, count))
+    for i in range(count):
+        free = np.flatnonzero(np.arange(kinds * count) % count != i)
+        out[i].reshape(-1)[free] = np.linalg.solve(square[np.ix_(free, free)], square[free, i])
+    return out
 
 
-def _left_out(rise: np.ndarray, learnt_from: np.ndarray, group: np.ndarray, ridge: float) -> np.ndarray:
-    """r of every row, weights learnt without its group; same shape as rise."""
-    out = np.empty_like(rise)
+def _left_out(values: np.ndarray, learnt_from: np.ndarray, group: np.ndarray, ridge: float) -> np.ndarray:
+    """Departure of every row from its estimate, weights learnt without its group; shape (rows, sensors)."""
+    out = values[:, 0].copy()
     for label in np.unique(group):
         inside = group == label
-        out[inside] = rise[inside] - rise[inside] @ _weights(learnt_from[~inside], ridge).T
+        weights = _weights(learnt_from[~inside], ridge)
+        out[inside] -= np.einsum("rkj,ikj->ri", values[inside], weights)
     return out
 
 
