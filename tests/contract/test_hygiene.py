@@ -1,0 +1,87 @@
+"""What no file of the project may hold: paths of one machine, hosts of package registries, pickles, idle tests."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PYTHON = ("errpipe", "tests", "examples")
+
+# Written with a class of one letter, so that this file does not hold what it looks for.
+FORBIDDEN = (
+    r"[/]work/", r"[/]tmp/studio", r"[/]root/", r"pypi[.]org", r"files[.]pythonhosted", r"deb[.]debian",
+    r"registry[.]npmjs",
+)  # fmt: skip
+
+
+def tracked() -> list[Path]:
+    """Files under version control; where this is no checkout, all but what tools leave behind."""
+    asked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if asked.returncode == 0 and asked.stdout:
+        return [ROOT / name for name in asked.stdout.split("\0") if name and (ROOT / name).is_file()]
+    left = {".venv", ".git", "__pycache__", "out", "build", "dist"}
+    return [p for p in ROOT.rglob("*") if p.is_file() and not left & set(p.relative_to(ROOT).parts)]
+
+
+def python() -> list[tuple[str, ast.Module]]:
+    """Every Python file: its name and its syntax tree."""
+    files = [path for path in tracked() if path.suffix == ".py" and path.relative_to(ROOT).parts[0] in PYTHON]
+    return [(str(path.relative_to(ROOT)), ast.parse(path.read_text(encoding="utf-8"))) for path in files]
+
+
+def idle(name: str, tree: ast.Module) -> list[str]:
+    """Pickles, tests that cannot fail, and skips that do not say why."""
+    found = []
+    for node in ast.walk(tree):
+        where = f"{name}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
+            found += [f"{where}: {n}" for n in names if n.split(".")[0] in ("pickle", "cPickle", "dill", "cloudpickle")]
+        if isinstance(node, ast.Assert) and isinstance(node.test, ast.Constant) and node.test.value:
+            found.append(f"{where}: asserts a constant")
+        if isinstance(node, ast.Call) and re.search(r"(^|\.)(skip|skipif|xfail)$", ast.unparse(node.func)):
+            bare = not node.args and not any(word.arg == "reason" for word in node.keywords)
+            condition = ast.unparse(node.func).endswith(("skipif", "mark.xfail", "mark.skip"))
+            if bare or (condition and not any(word.arg == "reason" for word in node.keywords)):
+                found.append(f"{where}: skips without a reason")
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            marks = [ast.unparse(mark) for mark in node.decorator_list]
+            found += [f"{where}: {mark} without a reason" for mark in marks if re.search(r"\.(skip|xfail)$", mark)]
+    return found
+
+
+def test_no_path_of_one_machine_and_no_registry() -> None:
+    wrong = []
+    for path in tracked():
+        text = path.read_bytes().decode("utf-8", errors="replace")
+        for word in re.findall("|".join(FORBIDDEN), text):
+            wrong.append(f"{path.relative_to(ROOT)}: {word}")
+    assert wrong == []
+
+
+def test_no_pickle_no_idle_assertion_no_silent_skip() -> None:
+    assert [line for name, tree in python() for line in idle(name, tree)] == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import pickle", "from pickle import loads", "def test(): assert True", "assert 1",
+        "pytest.skip()", "@pytest.mark.skip\ndef test(): ...", "pytest.mark.skipif(True)",
+        "pytest.mark.xfail(strict=True)",
+    ],
+)  # fmt: skip
+def test_what_is_looked_for_is_found(text: str) -> None:
+    assert idle("t.py", ast.parse(text))
+
+
+@pytest.mark.parametrize(
+    "text", ["pytest.skip('no compiler')", "pytest.mark.skipif(True, reason='why')", "assert x, True", "picky = 1"]
+)
+def test_what_is_allowed_is_let_through(text: str) -> None:
+    assert idle("t.py", ast.parse(text)) == []
