@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -25,7 +24,8 @@ from errpipe.domain import table as t
 from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._base import Target, expect
+from errpipe.targets._whole import WholeTable
 
 COMPONENT = "errpipe.comp"
 JOINTS = "errpipe-joints.hal"
@@ -35,29 +35,6 @@ COUNT_SIZE = "0.0001"  # mm per count of an external offset
 MOST_BYTES = 1 << 20  # of a table as C source: more takes the compiler too long
 LONGEST_PIN = 24  # of HAL's 47 characters, with room for the component's name and a prefix
 _TABLE = re.compile(r"errpipe_table\[(\d+)\][^{]*\{([^}]*)\}")
-
-
-@dataclass(frozen=True)
-class Whole(ReadBack):
-    """What a controller makes of a file that holds the table itself: the reference evaluator's answer."""
-
-    table: t.CompensationTable | None = None
-
-    def axes(self) -> tuple[str, ...]:
-        """Axes that would be moved."""
-        return tuple(_sample.outputs_by_axis(self.table)) if self.table else ()
-
-    def correction(
-        self, axis: str, positions: Mapping[str, np.ndarray], side: np.ndarray, sensors: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
-        """Correction of one axis, mm (deg), in settled states, shape (n,)."""
-        if self.table is None or axis not in self.axes():
-            return np.zeros(side.size)
-        names = _sample.positions_of(self.table)
-        known = {i.name for i in self.table.inputs}
-        states = {names[letter]: values for letter, values in positions.items() if letter in names}
-        states |= {name: values for name, values in sensors.items() if name in known}
-        return _sample.corrections(self.table, axis, states, side)
 
 
 class LinuxcncHal(Target):
@@ -96,7 +73,7 @@ class LinuxcncHal(Target):
         }
 
     @classmethod
-    def read_back(cls, files: Mapping[str, str]) -> Whole:
+    def read_back(cls, files: Mapping[str, str]) -> WholeTable:
         found = _TABLE.search(files[COMPONENT])
         expect(found is not None and files[COMPONENT].rstrip().endswith("}"), COMPONENT, "holds no whole table")
         assert found is not None
@@ -108,7 +85,7 @@ class LinuxcncHal(Target):
             for axis in _sample.outputs_by_axis(table)
             if axis in _sample.positions_of(table)
         )
-        return Whole(curves=curves, table=table)
+        return WholeTable(curves=curves, table=table)
 
 
 def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
