@@ -5,13 +5,19 @@ from __future__ import annotations
 from errpipe.stages.clean import Clean
 from errpipe.stages.diagnosis import Diagnose
 from errpipe.stages.export import Export
+from errpipe.stages.export_volumetric import ExportVolumetric
 from errpipe.stages.fit import Fit
 from errpipe.stages.fit_plate import FitPlate
 from errpipe.stages.fit_season import FitSeason
+from errpipe.stages.identify import Identify
 from errpipe.stages.ingest import Ingest
 from errpipe.stages.report import Report
 from errpipe.stages.simulate import Simulate
+from errpipe.stages.simulate_test import SimulateTest
 from errpipe.stages.simulate_with import SimulateWith
 from errpipe.stages.validate import Validate
 
-STAGES = (Clean, Diagnose, Export, Fit, FitPlate, FitSeason, Ingest, Report, Simulate, SimulateWith, Validate)
+STAGES = (
+    Clean, Diagnose, Export, ExportVolumetric, Fit, FitPlate, FitSeason, Identify, Ingest, Report, Simulate,
+    SimulateTest, SimulateWith, Validate,
+)  # fmt: skip

@@ -22,7 +22,7 @@ class Ingest(Stage):
         {}, description="What the format itself asks for.", json_schema_extra={"unit": "of each"}
     )
 
-    reads: ClassVar[Mapping[str, Need]] = {"simulated": Need("simulate", optional=True)}
+    reads: ClassVar[Mapping[str, Need]] = {"simulated": Need("simulate", "simulate_test", optional=True)}
 
     def outputs(self) -> tuple[str, ...]:
         return ("recording.yaml", "recording.parquet", "ingest.json")

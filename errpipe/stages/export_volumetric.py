@@ -1,0 +1,117 @@
+"""An identified machine compiled into a volumetric table: component profiles and the synthesis at the tool point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from errpipe.pipeline.stage import Context, Need, Stage
+from errpipe.stages import _artefacts
+from errpipe.stages.identify import IDENTIFICATION, MACHINE
+
+if TYPE_CHECKING:
+    from errpipe.domain.table import CompensationTable, TableInput
+
+STATES = 500
+
+
+class ExportVolumetric(Stage):
+    """Tool length and offsets are inputs at run time; the cost of a cycle is fixed."""
+
+    kind: Literal["export_volumetric"]
+    error_bound: float = Field(
+        0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
+    )
+    targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
+    reads: ClassVar[Mapping[str, Need]] = {"identify": Need("identify")}
+
+    def outputs(self) -> tuple[str, ...]:
+        return (_artefacts.TABLE, _artefacts.TWIN, "export.json")
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe import jsonfile, yamlfile
+        from errpipe.domain.machine import Machine
+        from errpipe.kinematics import summary
+        from errpipe.kinematics.chain import compile_chain
+        from errpipe.stages.targets import write_targets
+        from errpipe.tables import ect
+
+        folder = context.needed("identify")
+        chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
+        document = jsonfile.read(folder / IDENTIFICATION)
+        errors = summary.errors(chain, document)
+        table = compile_machine(chain, errors, jsonfile.fingerprint(document), context.title, self.error_bound)
+        ect.write(table, context.folder / _artefacts.TABLE)
+        ect.write_json(table, context.folder / _artefacts.TWIN)
+        proof = [{"component": "tool point", "largest_difference_um": largest_difference(chain, errors, table)}]
+        files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
+        files += write_targets(table, self.targets, context.folder)
+        facts = {"proof": proof, "files": files, "left_out": []}
+        context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
+        return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
+
+
+def compile_machine(chain: Any, errors: Any, fingerprint: str, title: str, error_bound: float) -> CompensationTable:
+    """The volumetric table of a machine."""
+    from errpipe import __version__, tables
+    from errpipe.kinematics import compensation
+
+    pairs = compensation.lowered(errors)
+    outputs = [
+        tables.OutputSource(
+            o.name, tuple(tables.MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
+        )
+        for o in compensation.outputs(chain, used=tuple(pairs))
+    ]
+    return tables.compile_table(
+        [tables.ComponentSource(name, chain.unit(name), found) for name, found in pairs.items()],
+        inputs=_inputs(chain),
+        outputs=outputs,
+        travel={axis: tuple(t) for axis, t in zip(chain.axes, chain.travel, strict=True)},
+        error_bound=error_bound,
+        machine=chain.machine.name,
+        title=title,
+        version=__version__,
+        fingerprint=fingerprint,
+    )
+
+
+def _inputs(chain: Any) -> list[TableInput]:
+    from errpipe.domain.table import TableInput
+
+    def unit(axis: str) -> str:
+        return "mm" if chain.machine.axes[axis].kind == "linear" else "deg"
+
+    places = [
+        TableInput(
+            name=axis, kind="position", axis=axis, unit=unit(axis), low=low - 1, high=high + 1,
+            default=min(max(0.0, low), high),
+        )
+        for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True)
+    ]  # fmt: skip
+    length = TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=1000, default=100)
+    offsets = [
+        TableInput(name=f"tool_offset_{d}", kind="tool", unit="mm", low=-500, high=500, default=0) for d in "XYZ"
+    ]
+    return [*places, length, *offsets]
+
+
+def largest_difference(chain: Any, errors: Any, table: CompensationTable) -> float:
+    """Table beside the exact transforms at random poses, um: gridding, rounding and what is second order."""
+    import numpy as np
+
+    from errpipe.kinematics import synthesis
+    from errpipe.tables import batch
+
+    q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (STATES, len(chain.axes)))
+    tip = chain.tip(100.0, (0.0, 0.0, 0.0))
+    want = synthesis.first_order(chain, q, errors.at(q), tip)[:, :3]
+    axes = {a: np.asarray(chain.machine.direction(a)) for a in chain.axes if chain.machine.axes[a].kind == "linear"}
+    found = batch.position(table, q, tuple(chain.axes), {"tool_length": 100.0})
+    worst = 0.0
+    for n, output in enumerate(table.outputs):
+        if output.axis in axes:
+            worst = max(worst, float(np.abs(found[:, n] - want @ axes[output.axis]).max()))
+    return worst
