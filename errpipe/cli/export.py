@@ -19,7 +19,7 @@ def command(
 
     \b
     Example:
-      errpipe export out/axis/export/table.ect --target linuxcnc_comp --out out/linuxcnc
+      errpipe export out/axis/export/table.ect --target linuxcnc_screw --out out/linuxcnc
     """
     from errpipe.cli.say import answer, work
 

@@ -33,6 +33,12 @@ def axes_of(table: CompensationTable) -> list[str]:
     return sorted(found, key=lambda letter: ("XYZABCUVW".find(letter[0]), letter))
 
 
+def own_first(table: CompensationTable, axis: str) -> list[str]:
+    """Letters of all axes whose position the table reads, `axis` itself first."""
+    letters = list(positions_of(table))
+    return [letter for letter in letters if letter == axis] + [letter for letter in letters if letter != axis]
+
+
 def sensors_of(table: CompensationTable) -> list[str]:
     """Names of the temperature-like inputs."""
     return [i.name for i in table.inputs if i.kind == "sensor"]

@@ -42,8 +42,7 @@ class HeidenhainCom(Target):
         files, whole = {}, {}
         moved = {over: [a for a in corrected if _sample.moves_with(table, a, over)] for over in axes}
         for axis in corrected:  # what stands still is in one curve of an axis only: its own, else the first
-            over = [o for o in sorted(axes, key=lambda letter, own=axis: letter != own) if axis in moved[o]]
-            whole[axis] = over[0] if over else ""
+            whole[axis] = next((o for o in _sample.own_first(table, axis) if axis in moved[o]), "")
         for over, own in moved.items():
             if own:
                 files[f"{over}.COM"] = _com(table, over, own, whole)

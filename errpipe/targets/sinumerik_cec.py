@@ -52,7 +52,7 @@ class SinumerikCec(Target):
         for axis in _sample.outputs_by_axis(table):
             # Whether another curve holds what stands still: only one of an axis' curves may.
             rest = screws and axis in _sample.positions_of(table)
-            for over in sorted(_sample.positions_of(table), key=lambda letter, own=axis: letter != own):
+            for over in _sample.own_first(table, axis):
                 if (screws and over == axis) or not _sample.moves_with(table, axis, over):
                     continue
                 points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
