@@ -33,8 +33,12 @@ def correct(
 
     try:
         text = Path(program).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as err:
-        raise DataError(f"{program}: cannot be read as text ({err})") from None
+    except FileNotFoundError:
+        raise DataError(f"{program}: there is no such file (an NC program is needed)") from None
+    except OSError as err:
+        raise DataError(f"{program}: cannot be read: {(err.strerror or str(err)).lower()}") from None
+    except UnicodeDecodeError as err:
+        raise DataError(f"{program}: not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
     deviation = deviation_of(_artefacts.read_table(table), at)
     try:
         corrected, done = rewrite(
