@@ -131,6 +131,27 @@ def test_demo_then_nothing_to_do(tmp_path, capsys, at_root):
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "demo").rglob("*") if p.is_file()} == stamps
 
 
+@pytest.mark.slow
+def test_a_machine_identified_and_compiled(tmp_path, at_root):
+    """The truth behind the simulated point clouds lies in its intervals, and the table gives the machine back."""
+    from errpipe import yamlfile
+    from errpipe.domain.machine import Machine
+    from errpipe.kinematics.chain import compile_chain
+    from errpipe.simulation import metrology
+
+    out = tmp_path / "out"
+    assert main(["run", "pipelines/vertical-centre-volumetric.yaml", "--out", str(out)]) == 0
+    found = json.loads((out / "identify" / "identification.json").read_text())
+    chain = compile_chain(yamlfile.load(ROOT / "examples" / "machines" / "vertical-centre.yaml", Machine))
+    truth = metrology.smooth_machine(chain, 1)
+    inside = [c["ci95"][0] <= truth[c["component"]] <= c["ci95"][1] for c in found["constants"]]
+    assert len(inside) == 3 and sum(inside) >= 2
+    assert found["unseen"] == [] and found["volumetric"]["standard_error_um"] < 2.0
+    exported = json.loads((out / "export_volumetric" / "export.json").read_text())
+    assert exported["proof"][0]["largest_difference_um"] < 0.05
+    assert main(["verify", str(out / "export_volumetric")]) == 0
+
+
 class TestReal:
     pytestmark = real
 
