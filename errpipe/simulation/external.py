@@ -168,6 +168,55 @@ def with_twins(
     return recording, twins, extra
 
 
+def by_name(recording: Recording, file: Path) -> FromCsv | FromModel | FromFmu:
+    """How to read a simulation's file when only its name is given: what is called alike belongs together.
+
+    .csv: the time column is called as in the recording (or t, time), a response's column EXX, EXX_sim or as its error
+    column (with _sim); .json: an error model; .fmu: see `fmu.by_name`. Units are the recording's own where the file
+    states none. Raises DataError where nothing is called alike.
+    """
+    match Path(file).suffix.lower():
+        case ".csv":
+            return _csv_by_name(recording, Path(file))
+        case ".json":
+            return FromModel(kind="error_model")
+        case ".fmu":
+            from errpipe.simulation import fmu
+
+            return FromFmu(kind="fmu", **fmu.by_name(recording, Path(file)))
+    raise DataError(f"{Path(file).name}: a simulation is a .csv, an error model (.json) or an .fmu")
+
+
+def names_of(recording: Recording, component: str) -> tuple[str, ...]:
+    """What a response's simulated values may be called elsewhere."""
+    error = error_column(recording, component)
+    return (f"{error}_sim", f"{component}_sim", component, error)
+
+
+def _csv_by_name(recording: Recording, file: Path) -> FromCsv:
+    import csv
+
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            header = [name.strip() for name in next(csv.reader(stream), [])]
+    except (OSError, UnicodeDecodeError) as err:
+        raise DataError(f"{file.name}: not a CSV table: {type(err).__name__}") from None
+    clock = next((n for n in (recording.name("time"), "t", "time") if n in header), None)
+    if clock is None:
+        raise DataError(f"{file.name}: needs a time column (found {', '.join(header) or 'nothing'})")
+    columns = {}
+    for component in recording.components():
+        name = next((n for n in names_of(recording, component) if n in header), None)
+        if name is not None:
+            unit = recording.manifest.columns[error_column(recording, component)].unit or "um"
+            columns[component] = CsvColumn(column=name, unit=unit)
+    if not columns:
+        told = ", ".join(recording.components())
+        raise DataError(f"{file.name}: no column for any response of the recording ({told}; found {', '.join(header)})")
+    run = recording.name("run")
+    return FromCsv(kind="csv", time=clock, run=run if run in header else None, columns=columns)
+
+
 def _needed(file: Path | None, what: str) -> Path:
     if file is None:
         raise UsageError(f"twin: `file` is missing: the path of {what}")

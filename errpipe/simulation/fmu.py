@@ -135,10 +135,7 @@ def run(
     recording: Recording, how: FmuOptions, file: Path, progress: Callable[[float, str], None] = lambda share, text: None
 ) -> Ran:
     """Simulate every session of the recording. Raises UsageError without FMPy, DataError for all that goes wrong."""
-    if importlib.util.find_spec("fmpy") is None:
-        raise UsageError("an FMU is run by FMPy, which is not installed: pip install 'errpipe[fmu]'")
-    if not Path(file).is_file():
-        raise DataError(f"{Path(file).name}: there is no such file")
+    _refuse_missing(Path(file))
     with tempfile.TemporaryDirectory(prefix="errpipe-fmu-") as folder, Worker(Path(file), Path(folder), how) as worker:
         plan = Plan(recording, how, worker)
         progress(0.1, f"running {plan.name}")
@@ -149,6 +146,43 @@ def run(
             values, told = _recalibrated(recording, how, plan, start, values, progress)
     figures = {"fmu": plan.name, "fmi": plan.facts["version"], "step_s": plan.step, "parameters": told}
     return Ran(values, plan.name, tuple(plan.notes), figures)
+
+
+def by_name(recording: Recording, file: Path) -> dict[str, Any]:
+    """`inputs` and `outputs` of an FMU whose variables are called as the recording's columns and responses are.
+
+    Units are the recording's own where the FMU declares none. Raises DataError where no output is a response.
+    """
+    from errpipe.simulation.external import names_of
+
+    _refuse_missing(file)
+    how = FmuOptions(outputs={"EXX": FmuOutput(variable="not asked yet")})
+    with tempfile.TemporaryDirectory(prefix="errpipe-fmu-") as folder, Worker(file, Path(folder), how) as worker:
+        variables = worker.load()["variables"]
+    columns = recording.manifest.columns
+    inputs = {
+        name: FmuInput(column=name, unit=None if v["unit"] else columns[name].unit)
+        for name, v in variables.items()
+        if v["causality"] == "input" and name in columns and name in recording.frame.columns
+    }
+    outputs, given = {}, [n for n, v in variables.items() if v["causality"] == "output"]
+    for component in recording.components():
+        name = next((n for n in names_of(recording, component) if n in given), None)
+        if name is not None:
+            unit = columns[str(recording.name("error", component=component))].unit
+            outputs[component] = FmuOutput(variable=name, unit=None if variables[name]["unit"] else unit)
+    if not outputs:
+        told = ", ".join(recording.components())
+        near = did_you_mean(recording.components()[0], given) if recording.components() else ""
+        raise DataError(f"{file.name}: none of its outputs ({', '.join(given)}) is a response ({told}).{near}")
+    return {"inputs": inputs, "outputs": outputs}
+
+
+def _refuse_missing(file: Path) -> None:
+    if importlib.util.find_spec("fmpy") is None:
+        raise UsageError("an FMU is run by FMPy, which is not installed: pip install 'errpipe[fmu]'")
+    if not file.is_file():
+        raise DataError(f"{file.name}: there is no such file")
 
 
 # ---------------------------------------------------------------- the process

@@ -203,3 +203,30 @@ def test_a_response_that_is_not_there_is_named(tmp_path: Path) -> None:
         external.with_twins(recorded(), how, file)
     with pytest.raises(UsageError, match="`file` is missing"):
         external.with_twins(recorded(), how)
+
+
+def test_by_name_what_is_called_alike_belongs_together(tmp_path: Path) -> None:
+    recording = recorded(runs=2)
+    file = tmp_path / "sim.csv"
+    frame = pd.DataFrame({"run": recording.frame["run"], "t": recording.time(), "EXX_sim": 2.0, "other": 1.0})
+    file.write_text(frame.to_csv(index=False))
+    how = external.by_name(recording, file)
+    assert (how.time, how.run, how.columns["EXX"].column, how.columns["EXX"].unit) == ("t", "run", "EXX_sim", "um")
+    out, _, _ = external.with_twins(recording, how, file)
+    assert_allclose(out.array("EXX_sim"), 2.0)
+    assert external.by_name(recording, tmp_path / "model.json").kind == "error_model"
+
+
+@pytest.mark.parametrize(
+    "name, text, message",
+    [
+        ("sim.csv", "t,dev\n0,1\n", r"no column for any response of the recording \(EXX; found t, dev\)"),
+        ("sim.csv", "a,EXX\n0,1\n", r"needs a time column \(found a, EXX\)"),
+        ("sim.csv", "", r"needs a time column \(found nothing\)"),
+        ("sim.mat", "", r"a simulation is a \.csv, an error model"),
+    ],
+)
+def test_by_name_where_nothing_is(tmp_path: Path, name: str, text: str, message: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(DataError, match=message):
+        external.by_name(recorded(), tmp_path / name)

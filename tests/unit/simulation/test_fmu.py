@@ -259,6 +259,19 @@ def test_missing_readings_are_filled_between_and_told(model: Path) -> None:
         simulated(empty, model)
 
 
+def test_by_name_columns_drive_inputs_of_their_name(model: Path) -> None:
+    recording = recorded()
+    kinds = {"rise": recording.manifest.columns["T"], "t": recording.manifest.columns["t"],
+             "z": recording.manifest.columns["E_Z"]}  # fmt: skip
+    frame = recording.frame.rename(columns={"T": "rise", "E_Z": "z"})[["rise", "t", "z"]]
+    alike = Recording(recording.manifest.model_copy(update={"columns": kinds}), frame)
+    how = external.by_name(alike, model)
+    assert how.inputs["rise"].column == "rise" and how.inputs["rise"].unit == "degC"
+    assert how.outputs["E_Z"].variable == "z" and how.outputs["E_Z"].unit == "um"
+    with pytest.raises(DataError, match=r"none of its outputs \(z\) is a response \(E_Z\)"):
+        external.by_name(recording, model)
+
+
 def test_a_file_that_is_no_fmu(tmp_path: Path, model: Path) -> None:
     (tmp_path / "no.fmu").write_text("no zip")
     with pytest.raises(DataError, match=r"no\.fmu: loading it failed"):
