@@ -38,10 +38,10 @@ class Signs:
 
 
 NAMING = {
-    "constant": 0.6, "gain": 0.15, "margin": 0.45, "leftover": -2.0, "share": -3.0, "shapes": -0.15,
-    "others": -0.35, "core": 0.3, "agreement": 0.8, "rank": -0.5,
+    "constant": -3.3, "gain": 0.13, "margin": 0.5, "most": -3.5, "shapes": -0.15, "others": -0.8, "core": 4.5,
+    "agreement": 0.7, "rank": -0.6,
 }  # fmt: skip
-UNKNOWN = {"constant": -3.0, "most": 12.0, "shapes": 0.15, "others": 0.4, "agreement": -0.8}
+UNKNOWN = {"constant": -3.2, "most": 10.0, "shapes": 0.1, "others": 0.8, "margin": -0.2, "agreement": -0.3}
 
 
 def features(s: Signs) -> dict[str, float]:

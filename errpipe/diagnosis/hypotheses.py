@@ -221,7 +221,7 @@ class Waves:
             power = np.where(allowed, power, 0.0)
             peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
             for k in peaks[np.argsort(-power[peaks], kind="stable")][: most // 2]:
-                for shift in (-0.25, 0.0, 0.25):
+                for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
                     found.add(float(1.0 / max(frequency[k] + shift / span, 1e-6)))
         return tuple(sorted(found))
 
@@ -362,11 +362,12 @@ def slacks(
             yield turns[:, k], 0.12
     elif name in ("scale_expansion", "feed_heating") and not radial:
         x = position(recording, term.axis)
-        yield x, 0.7
+        yield x, 0.2 if name == "feed_heating" else 0.7
         yield from wavy(base[:, 0], x)
         # the growth is counted from the fixed end, wherever that is
-        level = base[:, 0] / np.where(np.abs(x) > 1e-9, x, 1e-9) * (np.nanmax(x) - np.nanmin(x))
-        yield np.where(np.abs(x) > 1e-6, level, 0.0), 0.7 if name == "feed_heating" else 0.3
+        reach = x - term.fixed_end if name == "feed_heating" else x
+        level = base[:, 0] / np.where(np.abs(reach) > 1e-9, reach, 1e-9) * (np.nanmax(x) - np.nanmin(x))
+        yield np.where(np.abs(reach) > 1e-6, level, 0.0), 0.3
         if name == "feed_heating":
             for column, freedom in decays(recording, nl[0], 0.1, 0.5):
                 yield column * x, freedom
@@ -395,6 +396,14 @@ def slacks(
             yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.12
     elif name == "coolant_effect":
         yield from decays(recording, nl[0], 0.2, 0.2)
+    elif name == "air_refraction":
+        yield position(recording, term.axis), 1.0  # counted from the weather of an unknown day
+    elif name == "local_wear" and not radial:
+        centre, width = nl
+        for shift in (-0.6, 0.6):
+            yield term.basis(recording, centre + shift * width, width)[:, 0] - base[:, 0], 0.5
+    elif name == "cutting_compliance" and term.overhang:
+        yield recording.array(term.force), 0.4  # what gives way besides the bar
     elif name == "viscous_friction":
         yield np.abs(base[:, 0]), 0.4  # it may differ by direction
     elif name == "reversal_spike":

@@ -61,7 +61,7 @@ def signs_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Signs:
 
 def unreached(case: Case, left: float) -> float:
     """Share of the structured variance that is still there at a residual rms of `left`."""
-    noise = 1.05 * case.rough
+    noise = 1.2 * case.rough  # neighbours do not see the slow share of the noise
     base = case.search.scene([]).rms()
     if base <= noise:
         return 0.0
@@ -81,7 +81,7 @@ def _strange_alone(case: Case, held: holdout.HeldOut) -> float:
     base = case.search.scene([]).rms()
     drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
     rough = base / max(case.rough, 1e-12)
-    z = -3.0 + 0.08 * gain + 3.0 * drop + 6.0 * max(rough - 1.15, 0.0)
+    z = -3.5 + 0.06 * min(gain, 100.0) + 3.0 * drop + 6.0 * max(rough - 1.25, 0.0)
     return float(np.clip(1 / (1 + np.exp(-z)), 0.01, 0.97))
 
 

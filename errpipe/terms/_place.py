@@ -34,9 +34,9 @@ def is_radial(component: str) -> bool:
 
 def axes(recording: Recording, kind: str = "linear") -> tuple[str, ...]:
     """Axes whose position (or command) is recorded, in manifest order."""
-    found = []
+    found: list[str] = []
     for name in (*recording.names("position"), *recording.names("command")):
-        letter = recording.manifest.columns[name].axis
+        letter = str(recording.manifest.columns[name].axis)
         known = recording.manifest.axis(letter)
         if letter not in found and ((known.kind if known else None) or "linear") == kind:
             found.append(letter)

@@ -45,8 +45,8 @@ class AirRefraction(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[AirRefraction]:
-        airs = [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]
-        pressures = [n for n in recording.names("pressure") if not recording.manifest.columns[n].location]
+        airs: list[str | None] = [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]
+        pressures: list[str | None] = [n for n in recording.names("pressure") if not recording.manifest.columns[n].location]
         for axis in () if is_radial(component) else axes_acting(recording, component):
             for sensor in airs or [None]:
                 for pressure in pressures or [None]:

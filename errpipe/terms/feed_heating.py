@@ -19,8 +19,8 @@ from errpipe.terms._place import axes_acting, is_radial, position_name
 class FeedHeating(Term):
     """The nut rubs on the screw and warms it: the screw gets longer the more the axis runs, and recovers at rest.
 
-    Equation   tau dy/dt + y = |v| / 100 mm/s;  deviation = slope * x * y      [um] = [um/m] * [m]
-    Assumes    the whole screw warms alike; heat in proportion to the distance run
+    Equation   tau dy/dt + y = |v| / 100 mm/s;  deviation = slope * (x - fixed_end) * y   [um] = [um/m] * [m]
+    Assumes    the whole screw warms alike and grows away from its fixed bearing; heat in proportion to the distance run
     Typical    10..60 um/m at steady running, tau 1000..6000 s
     Moves      positive slope: the axis goes ever further past its targets while it runs
     Source     Ni 1997; ISO 230-3 (linear motion of components)
@@ -49,7 +49,9 @@ class FeedHeating(Term):
         if is_radial(component) or component.startswith("E_"):
             return  # a slow walk over the work space does not warm a screw
         for axis in axes_acting(recording, component):
-            yield cls(axis=axis, column=recording.name("velocity", axis=axis))
+            known = recording.manifest.axis(axis)
+            end = known.drive_end if known is not None and known.drive_end is not None else 0.0
+            yield cls(axis=axis, column=recording.name("velocity", axis=axis), fixed_end=end)
 
     def speed(self, recording: Recording) -> np.ndarray:
         """Mean speed from each row to the next in mm/s, shape (rows,).
@@ -74,4 +76,4 @@ class FeedHeating(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (tau,) = nonlinear
         warm = responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
-        return (warm * position(recording, self.axis) * 1e-3)[:, None]
+        return (warm * (position(recording, self.axis) - self.fixed_end) * 1e-3)[:, None]

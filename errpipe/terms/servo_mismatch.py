@@ -45,7 +45,7 @@ class ServoMismatch(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         along = [
-            recording.array(recording.name("velocity", axis=a)) * share(recording, a, True)
+            recording.array(recording.names("velocity", axis=a)[0]) * share(recording, a, True)
             for a in (self.first, self.second)
         ]
         return (-0.5 * (along[0] - along[1]))[:, None]
