@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
-import math
 import os
 import select
 import signal
@@ -32,41 +31,16 @@ from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
+from errpipe.simulation.fmu_recalibration import recalibrated
+from errpipe.simulation.fmu_units import SPELLINGS, convert
 from errpipe.terms._base import sessions
 from errpipe.yamlfile import Options
 
 MOST_STEPS = 5_000_000  # communication steps of one session
 INNER = 4  # steps between two rows where the FMU states none: an input is held during a step
-ROUNDS = 15  # of the recalibration
-WORTH = 0.01  # a recalibration must take this share of the mismatch away to be believed (from taste)
 TAIL = 400  # characters of what the FMU last said
 KEPT = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP", "TMPDIR", "HOME",
         "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # fmt: skip
-
-# dimension -> {unit: (zero, factor)}: base = (value - zero) * factor
-_UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    "length": {"m": (0, 1), "mm": (0, 1e-3), "um": (0, 1e-6), "nm": (0, 1e-9), "cm": (0, 1e-2), "inch": (0, 0.0254),
-               "km": (0, 1e3)},
-    "angle": {"rad": (0, 1), "mrad": (0, 1e-3), "urad": (0, 1e-6), "deg": (0, math.pi / 180),
-              "arcsec": (0, math.pi / 648e3)},
-    "time": {"s": (0, 1), "ms": (0, 1e-3), "min": (0, 60), "h": (0, 3600), "d": (0, 86400)},
-    "speed": {"m/s": (0, 1), "mm/s": (0, 1e-3), "mm/min": (0, 1e-3 / 60), "m/min": (0, 1 / 60)},
-    "acceleration": {"m/s2": (0, 1), "mm/s2": (0, 1e-3)},
-    "rotation": {"rad/s": (0, 1), "rpm": (0, math.pi / 30), "1/s": (0, 2 * math.pi), "deg/s": (0, math.pi / 180),
-                 "deg/min": (0, math.pi / 10800)},
-    "temperature": {"degC": (-273.15, 1), "K": (0, 1), "degF": (-459.67, 5 / 9)},
-    "temperature rise": {"K": (0, 1), "degC": (0, 1), "degF": (0, 5 / 9)},
-    "force": {"N": (0, 1), "kN": (0, 1e3)},
-    "mass": {"kg": (0, 1), "g": (0, 1e-3), "t": (0, 1e3)},
-    "pressure": {"Pa": (0, 1), "hPa": (0, 100), "mbar": (0, 100), "kPa": (0, 1e3), "bar": (0, 1e5)},
-    "number": {"1": (0, 1), "%": (0, 0.01)},
-}  # fmt: skip
-_SPELLINGS = {
-    "C": "degC", "Cel": "degC", "celsius": "degC", "deg_C": "degC", "F": "degF", "µm": "um", "μm": "um", "in": "inch",
-    "rev/min": "rpm", "1/min": "rpm", "r/min": "rpm", "Hz": "1/s", "m/s^2": "m/s2", "m.s-2": "m/s2", "m.s-1": "m/s",
-    "rad.s-1": "rad/s", "mm/s^2": "mm/s2", "-": "1", "": "1",
-}  # fmt: skip
-
 
 class FmuInput(Options):
     """Which column drives an input of the FMU."""
@@ -143,7 +117,7 @@ def run(
         values = plan.simulate(start)
         told: list[dict[str, Any]] = []
         if how.recalibrate:
-            values, told = _recalibrated(recording, how, plan, start, values, progress)
+            values, told = recalibrated(recording, how, plan, start, values, progress)
     figures = {"fmu": plan.name, "fmi": plan.facts["version"], "step_s": plan.step, "parameters": told}
     return Ran(values, plan.name, tuple(plan.notes), figures)
 
@@ -340,8 +314,8 @@ class Plan:
         written = said if said is not None else declared
         if written is None:
             raise DataError(f"{self.name}: {name} states no unit: say the one it means (`unit`)")
-        unit = _SPELLINGS.get(written, written)
-        if declared is not None and _SPELLINGS.get(declared, declared) != unit:
+        unit = SPELLINGS.get(written, written)
+        if declared is not None and SPELLINGS.get(declared, declared) != unit:
             raise DataError(f"{self.name}: {name} is declared in {declared}, not in {written}")
         return unit
 
@@ -440,109 +414,3 @@ class Plan:
                 values = np.interp(at, table[:, 0], table[:, 1 + names.index(variable)])
                 out[component][rows] = sign * convert(values, own, unit, self.name)
         return out
-
-
-def convert(values: Any, own: str, unit: str, why: str, rise: bool = False) -> Any:
-    """Values from one unit into another. Raises DataError beginning with `why` where they measure different things."""
-    kinds = [k for k, units in _UNITS.items() if own in units and unit in units]
-    kinds = [k for k in kinds if (k == "temperature rise") == rise] if own in ("K", "degC", "degF") else kinds
-    if not kinds:
-        of = {u: next((k for k, known in _UNITS.items() if u in known), "not a known unit") for u in (own, unit)}
-        raise DataError(f"{why}: {own} is {of[own]}, {unit} is {of[unit]}")
-    (zero, factor), (to_zero, to_factor) = _UNITS[kinds[0]][own], _UNITS[kinds[0]][unit]
-    if own == unit:
-        return values
-    return (values - zero) * factor / to_factor + to_zero
-
-
-# ---------------------------------------------------------------- recalibration
-
-
-def _recalibrated(
-    recording: Recording, how: FmuOptions, plan: Plan, start: dict[str, float], begin: dict[str, np.ndarray], progress
-) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
-    """The simulation with its tunable parameters set right, within their bounds, and what became of each."""
-    from scipy.optimize import least_squares
-
-    low, high = (np.array([getattr(t, end) for t in how.recalibrate]) for end in ("low", "high"))
-    names = [t.parameter for t in how.recalibrate]
-    mismatch = _Mismatch(recording, begin)
-    cache: dict[bytes, np.ndarray] = {}
-
-    def residual(share: np.ndarray) -> np.ndarray:
-        key = share.tobytes()
-        if key not in cache:
-            progress(min(0.2 + 0.7 * len(cache) / (ROUNDS * (len(names) + 1)), 0.9), "recalibrating")
-            cache[key] = mismatch(plan.simulate(dict(zip(names, low + share * (high - low), strict=True))))
-        return cache[key]
-
-    inside = np.clip((np.array([start[n] for n in names]) - low) / (high - low), 1e-3, 1 - 1e-3)
-    found = least_squares(
-        residual, inside, bounds=(0.0, 1.0), diff_step=1e-3, loss="soft_l1", f_scale=3.0, max_nfev=ROUNDS,
-        xtol=1e-5, ftol=1e-6,
-    )  # fmt: skip
-    before, after = mismatch.rms(begin), 0.0
-    tuned = dict(zip(names, map(float, low + found.x * (high - low)), strict=True))
-    values = plan.simulate(tuned)
-    after = mismatch.rms(values)
-    moved = after < (1 - WORTH) * before
-    if not moved:
-        plan.notes.append("recalibration took nothing away: the parameters stay as they were")
-    shown = [mismatch.shows(values, plan.simulate(tuned | {n: _aside(tuned[n], a, b)}))
-             for n, a, b in zip(names, low, high, strict=True)]  # fmt: skip
-    told = [
-        {
-            "parameter": n, "start": start[n], "value": tuned[n] if moved else start[n], "low": float(a),
-            "high": float(b), "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3), "shows": s,
-        }
-        for n, a, b, x, s in zip(names, low, high, found.x, shown, strict=True)
-    ]  # fmt: skip
-    plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in told if not t["shows"]]
-    plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in told if t["at_a_bound"]]
-    return (values if moved else begin), told
-
-
-def _aside(value: float, low: float, high: float) -> float:
-    """A tenth of the range away, inside it."""
-    step = 0.1 * (high - low)
-    return float(value + step if value + step <= high else value - step)
-
-
-class _Mismatch:
-    """Recorded less simulated, without the datum, over each response's spread."""
-
-    def __init__(self, recording: Recording, begin: Mapping[str, np.ndarray]):
-        self.recorded = {c: recording.array(str(recording.name("error", component=c))) for c in begin}
-        self.rows = {c: np.flatnonzero(np.isfinite(v) & np.isfinite(begin[c])) for c, v in self.recorded.items()}
-        for component, rows in self.rows.items():
-            if rows.size < 10:
-                raise DataError(f"twin: {component}: only {rows.size} rows to recalibrate on (at least 10)")
-        self.scale = {c: self._spread(c, begin[c]) for c in begin}
-
-    def _spread(self, component: str, begin: np.ndarray) -> float:
-        left = (self.recorded[component] - begin)[self.rows[component]]
-        step = 1.4826 * np.median(np.abs(np.diff(left))) / math.sqrt(2)
-        return float(max(step, 0.01 * np.std(left), 1e-9))
-
-    def __call__(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        parts = []
-        for component, rows in self.rows.items():
-            left = (self.recorded[component] - values[component])[rows]
-            left = np.where(np.isfinite(left), left, 1e6 * self.scale[component])  # far off, so the search turns back
-            parts.append((left - np.median(left)) / self.scale[component])
-        return np.concatenate(parts)
-
-    def shows(self, values: Mapping[str, np.ndarray], moved: Mapping[str, np.ndarray]) -> bool:
-        """Whether what moved is more than a constant, somewhere, and not lost in the noise."""
-        for component, rows in self.rows.items():
-            change = (moved[component] - values[component])[rows]
-            change = change[np.isfinite(change)]
-            shape = float(np.quantile(np.abs(change - np.median(change)), 0.95)) if change.size else 0.0
-            if shape > 0.02 * self.scale[component] and shape > 0.02 * abs(float(np.median(change))):
-                return True
-        return False
-
-    def rms(self, values: Mapping[str, np.ndarray]) -> float:
-        """Root mean square without the widest tenth (outliers), over all responses."""
-        left = np.sort(np.abs(self(values)))
-        return float(np.sqrt(np.mean(left[: int(0.9 * left.size)] ** 2)))

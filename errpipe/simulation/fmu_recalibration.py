@@ -1,0 +1,112 @@
+"""A few parameters of a simulation set right on a recording, before anything is called missing.
+
+Bounded least squares on recorded less simulated, robust against outliers. The datum of the recording stays out of it:
+a constant between recording and simulation moves no parameter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+
+if TYPE_CHECKING:
+    from errpipe.simulation.fmu import FmuOptions, Plan
+
+ROUNDS = 15  # of the recalibration
+WORTH = 0.01  # a recalibration must take this share of the mismatch away to be believed (from taste)
+
+
+def recalibrated(
+    recording: Recording, how: FmuOptions, plan: Plan, start: dict[str, float], begin: dict[str, np.ndarray], progress
+) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
+    """The simulation with its tunable parameters set right, within their bounds, and what became of each."""
+    from scipy.optimize import least_squares
+
+    low, high = (np.array([getattr(t, end) for t in how.recalibrate]) for end in ("low", "high"))
+    names = [t.parameter for t in how.recalibrate]
+    mismatch = _Mismatch(recording, begin)
+    cache: dict[bytes, np.ndarray] = {}
+
+    def residual(share: np.ndarray) -> np.ndarray:
+        key = share.tobytes()
+        if key not in cache:
+            progress(min(0.2 + 0.7 * len(cache) / (ROUNDS * (len(names) + 1)), 0.9), "recalibrating")
+            cache[key] = mismatch(plan.simulate(dict(zip(names, low + share * (high - low), strict=True))))
+        return cache[key]
+
+    inside = np.clip((np.array([start[n] for n in names]) - low) / (high - low), 1e-3, 1 - 1e-3)
+    found = least_squares(
+        residual, inside, bounds=(0.0, 1.0), diff_step=1e-3, loss="soft_l1", f_scale=3.0, max_nfev=ROUNDS,
+        xtol=1e-5, ftol=1e-6,
+    )  # fmt: skip
+    before, after = mismatch.rms(begin), 0.0
+    tuned = dict(zip(names, map(float, low + found.x * (high - low)), strict=True))
+    values = plan.simulate(tuned)
+    after = mismatch.rms(values)
+    moved = after < (1 - WORTH) * before
+    if not moved:
+        plan.notes.append("recalibration took nothing away: the parameters stay as they were")
+    shown = [mismatch.shows(values, plan.simulate(tuned | {n: _aside(tuned[n], a, b)}))
+             for n, a, b in zip(names, low, high, strict=True)]  # fmt: skip
+    told = [
+        {
+            "parameter": n, "start": start[n], "value": tuned[n] if moved else start[n], "low": float(a),
+            "high": float(b), "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3), "shows": s,
+        }
+        for n, a, b, x, s in zip(names, low, high, found.x, shown, strict=True)
+    ]  # fmt: skip
+    plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in told if not t["shows"]]
+    plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in told if t["at_a_bound"]]
+    return (values if moved else begin), told
+
+
+def _aside(value: float, low: float, high: float) -> float:
+    """A tenth of the range away, inside it."""
+    step = 0.1 * (high - low)
+    return float(value + step if value + step <= high else value - step)
+
+
+class _Mismatch:
+    """Recorded less simulated, without the datum, over each response's spread."""
+
+    def __init__(self, recording: Recording, begin: Mapping[str, np.ndarray]):
+        self.recorded = {c: recording.array(str(recording.name("error", component=c))) for c in begin}
+        self.rows = {c: np.flatnonzero(np.isfinite(v) & np.isfinite(begin[c])) for c, v in self.recorded.items()}
+        for component, rows in self.rows.items():
+            if rows.size < 10:
+                raise DataError(f"twin: {component}: only {rows.size} rows to recalibrate on (at least 10)")
+        self.scale = {c: self._spread(c, begin[c]) for c in begin}
+
+    def _spread(self, component: str, begin: np.ndarray) -> float:
+        left = (self.recorded[component] - begin)[self.rows[component]]
+        step = 1.4826 * np.median(np.abs(np.diff(left))) / math.sqrt(2)
+        return float(max(step, 0.01 * np.std(left), 1e-9))
+
+    def __call__(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        parts = []
+        for component, rows in self.rows.items():
+            left = (self.recorded[component] - values[component])[rows]
+            left = np.where(np.isfinite(left), left, 1e6 * self.scale[component])  # far off, so the search turns back
+            parts.append((left - np.median(left)) / self.scale[component])
+        return np.concatenate(parts)
+
+    def shows(self, values: Mapping[str, np.ndarray], moved: Mapping[str, np.ndarray]) -> bool:
+        """Whether what moved is more than a constant, somewhere, and not lost in the noise."""
+        for component, rows in self.rows.items():
+            change = (moved[component] - values[component])[rows]
+            change = change[np.isfinite(change)]
+            shape = float(np.quantile(np.abs(change - np.median(change)), 0.95)) if change.size else 0.0
+            if shape > 0.02 * self.scale[component] and shape > 0.02 * abs(float(np.median(change))):
+                return True
+        return False
+
+    def rms(self, values: Mapping[str, np.ndarray]) -> float:
+        """Root mean square without the widest tenth (outliers), over all responses."""
+        left = np.sort(np.abs(self(values)))
+        return float(np.sqrt(np.mean(left[: int(0.9 * left.size)] ** 2)))
