@@ -44,7 +44,8 @@ class Gaps(Rule):
     def _held(self, recording: Recording, name: str, t: np.ndarray, run: np.ndarray) -> Action | None:
         values = recording.array(name)
         missing = np.isnan(values)
-        rows, held = [], []
+        rows: list[int] = []
+        held: list[float] = []
         for start, over in zip(*stretches(missing), strict=True):
             end = start + int(np.argmax(np.r_[run[start:over] != run[start], True]))  # no further than the run
             if start > 0 and run[start - 1] == run[start] and t[end - 1] - t[start - 1] <= self.hold:

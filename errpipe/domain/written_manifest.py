@@ -70,7 +70,7 @@ class WrittenManifest(Manifest):
     """A manifest whose columns are `WrittenColumn`s, each response and the clock once, and tables of its own folder."""
 
     tables: tuple[Annotated[str, AfterValidator(_inside)], ...] = Field(min_length=1)
-    columns: dict[str, WrittenColumn]
+    columns: dict[str, WrittenColumn]  # type: ignore[assignment]  # narrower than a Manifest's, and frozen
 
     @model_validator(mode="after")
     def _one_of_each(self) -> WrittenManifest:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -76,7 +76,7 @@ def read(path: Path, options: Options | None = None) -> Recording:
                 if (way, i, cycle) in readings:
                     value = readings[way, i, cycle]
                     rows.append((str(cycle), targets[i] * factor, way * turned, (value - targets[i]) * factor * 1e3))
-    runs, position, way, deviation = zip(*rows, strict=True)
+    runs, position, ways, deviation = zip(*rows, strict=True)
     axis = options.axis
     component = components.positioning(axis)
     columns = {
@@ -86,7 +86,7 @@ def read(path: Path, options: Options | None = None) -> Recording:
         component: Column(role="error", component=component, unit="um"),
     }
     title = f"ISO 230-2 acceptance of {axis}: {len(targets)} targets, {len(set(runs))} cycles"
-    data = (np.array(runs, dtype=object), np.array(position), np.array(way, dtype=float), np.array(deviation))
+    data = (np.array(runs, dtype=object), np.array(position), np.array(ways, dtype=float), np.array(deviation))
     frame = pd.DataFrame(dict(zip(columns, data, strict=True)))
     return Recording(Manifest(recording=1, title=title, tables=(Path(path).name,), columns=columns), frame)
 
@@ -110,7 +110,7 @@ def _parse(path: Path) -> tuple[dict[int, float], dict[tuple[int, int, int], flo
         if len(index) != _SHAPE[key]:
             wanted = "[target]" if _SHAPE[key] == 1 else "[target,cycle]"
             raise DataError(f"{path}:{line}  {text.partition('=')[0]}: {key} is counted by {wanted}")
-        where = targets if key == "TGT_DATA" else readings
+        where: dict[Any, float] = targets if key == "TGT_DATA" else readings
         entry = index[0] if key == "TGT_DATA" else (WAYS[key], *index)
         if entry in where:
             raise DataError(f"{path}:{line}  {text.partition('=')[0]} stands in the file twice")

@@ -53,7 +53,7 @@ def sniff(path: Path) -> bool:
 def load_manifest(path: Path) -> Manifest:
     """The manifest of a folder (or the file itself), units as written. Raises ConfigError with every problem."""
     path = Path(path)
-    door = yamlfile.load(path / MANIFEST if path.is_dir() else path, WrittenManifest)
+    door: WrittenManifest = yamlfile.load(path / MANIFEST if path.is_dir() else path, WrittenManifest)
     return Manifest.model_validate(door.model_dump())
 
 

@@ -115,7 +115,8 @@ def _facts(lines: list[_Line]) -> list[tuple[str, str]]:
 
 def _targets(path: Path, lines: list[_Line]) -> np.ndarray:
     """Target positions in mm, shape (targets,)."""
-    count, values, listing = None, [], False
+    count, listing = None, False
+    values: list[float] = []
     for number, text in lines:
         key, colon, rest = text.partition(":")
         if colon and key.strip().lower() == "target-count":

@@ -72,8 +72,8 @@ def sketch(chain: Chain) -> str:
                 labels.append((head, f"{name}'" if side == "workpiece" else name, colour))
             _end(axes, chain, side, place, size, blocks, labels)
         _paint(axes, blocks)
-        for at, text, colour in labels:
-            x, y = at if len(at) == 2 else flat(at)
+        for anchor, text, colour in labels:
+            x, y = anchor if len(anchor) == 2 else flat(anchor)
             short = len(text) < 3
             axes.text(
                 x, y, text, color=colour, fontsize=11 if short else 9, weight="bold" if short else None, zorder=20
@@ -211,7 +211,8 @@ def _frame(axes: Axes, place: np.ndarray, chain: Chain) -> None:
     for letter, way in zip("XYZ", upright(chain).T, strict=True):
         start = np.where(way < 0, high, low)
         end = start + way * (np.abs(way) @ (high - low) + 0.05 * np.ptp(place, axis=0).max())
-        axes.text(*flat(end), letter, color=COLOURS[letter], ha="center", va="center", fontsize=9, weight="bold")
+        across, up = flat(end)
+        axes.text(across, up, letter, color=COLOURS[letter], ha="center", va="center", fontsize=9, weight="bold")
 
 
 def slices(

@@ -6,12 +6,11 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # One colour per meaning in every figure of the project; all differ in lightness, so they survive a grey printer.
@@ -22,7 +21,7 @@ ALARM = "#b3261e"
 INK = "#20262c"
 MOST_POINTS = 900  # a cloud of more dots says no more and costs megabytes
 
-STYLE = {
+STYLE: dict[Any, Any] = {  # rcParams of matplotlib
     "svg.hashsalt": "errpipe",
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -46,7 +45,7 @@ STYLE = {
 
 
 @contextmanager
-def figure(width: float = 7.2, height: float = 3.0, rows: int = 1, columns: int = 1) -> Iterator[tuple[Figure, Axes]]:
+def figure(width: float = 7.2, height: float = 3.0, rows: int = 1, columns: int = 1) -> Iterator[tuple[Figure, Any]]:
     """A figure and its axes (an array of axes where rows or columns exceed 1); sizes in inches."""
     import matplotlib
 

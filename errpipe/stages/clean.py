@@ -11,7 +11,7 @@ from errpipe.cleaning import DEFAULT, RULES
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 
-AnyRule = Annotated[Union[RULES], Field(discriminator="rule")]  # noqa: UP007  (made from the registry)
+AnyRule = Annotated[Union[RULES], Field(discriminator="rule")]  # type: ignore[valid-type]  # noqa: UP007  (made from the registry)
 
 
 class Clean(Stage):

@@ -89,7 +89,8 @@ class ReadBack:
 
     def axes(self) -> tuple[str, ...]:
         """Axes that would be moved."""
-        return tuple(dict.fromkeys(p.axis for p in (*self.curves, *self.planes, *self.lines)))
+        parts: tuple[Curve | Plane | Line, ...] = (*self.curves, *self.planes, *self.lines)
+        return tuple(dict.fromkeys(p.axis for p in parts))
 
     def correction(
         self, axis: str, positions: Mapping[str, np.ndarray], side: np.ndarray, sensors: Mapping[str, np.ndarray]

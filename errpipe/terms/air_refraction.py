@@ -46,7 +46,8 @@ class AirRefraction(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[AirRefraction]:
         airs: list[str | None] = [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]
-        pressures: list[str | None] = [n for n in recording.names("pressure") if not recording.manifest.columns[n].location]
+        columns = recording.manifest.columns
+        pressures: list[str | None] = [n for n in recording.names("pressure") if not columns[n].location]
         for axis in () if is_radial(component) else axes_acting(recording, component):
             for sensor in airs or [None]:
                 for pressure in pressures or [None]:

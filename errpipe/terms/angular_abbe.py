@@ -51,7 +51,8 @@ class AngularAbbe(Term):
         if direction_of(component) is None or own_axis(component) is not None:
             return
         pointing = direction_of(component)
-        levers: list[tuple[str | None, str]] = [(a, position_name(recording, a)) for a in axes(recording) if a != pointing]
+        levers: list[tuple[str | None, str]] = []
+        levers += [(a, position_name(recording, a)) for a in axes(recording) if a != pointing]
         levers += [(None, n) for n in recording.names("overhang")]
         for axis in axes(recording):
             low, high = travel(recording, axis)

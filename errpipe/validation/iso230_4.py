@@ -83,7 +83,7 @@ def circles(recording: Recording) -> tuple[Circle, ...]:
     if name is None:
         raise DataError("a circular test needs an error column of component E_R (radial deviation)")
     letters = [str(recording.manifest.columns[n].axis) for n in recording.names("position")]
-    columns = {a: recording.array(recording.name("position", axis=a)) for a in letters}
+    columns = {a: recording.array(recording.names("position", axis=a)[0]) for a in letters}
     value, codes, out = recording.array(name), recording.run_codes(), []
     for number, label in enumerate(recording.run_labels()):
         rows = (codes == number) & np.isfinite(value)

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Any, get_args, get_origin
+from typing import Any, TypeGuard, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
 
@@ -81,7 +81,7 @@ class Misplaced(ValueError):
         super().__init__(message)
 
 
-def is_unit(said: Any) -> bool:
+def is_unit(said: Any) -> TypeGuard[str]:
     """Whether what a field says of its unit is one: `of the input` points at another field or file instead."""
     return isinstance(said, str) and not said.startswith("of ")
 

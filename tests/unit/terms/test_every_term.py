@@ -1,6 +1,7 @@
 """What holds for every term, from its worked case: a term added to TERMS is tested here without a line of code."""
 
 import inspect
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,12 +10,17 @@ from numpy.testing import assert_allclose
 from errpipe.terms import TERMS
 from errpipe.terms._base import Term, drive, plain, position
 
-CASES = {kind.model_fields["term"].default: kind.example() for kind in TERMS}
+KINDS = {kind.model_fields["term"].default: kind for kind in TERMS}
 
 
-@pytest.fixture(params=CASES, ids=str)
+@cache
+def example(name):
+    return KINDS[name].example()
+
+
+@pytest.fixture(params=KINDS, ids=str)
 def case(request):
-    return CASES[request.param]
+    return example(request.param)
 
 
 def basis(case, recording=None, values=None):
