@@ -31,6 +31,9 @@ class FeedHeating(Term):
     column: str | None = Field(
         None, description="Column of the feed or velocity that heats; none: the axis' own travel."
     )
+    fixed_end: float = Field(
+        0.0, description="Position of the screw's fixed bearing, from where it grows.", json_schema_extra={"unit": "mm"}
+    )
     reports_as = "feed_heating"
     family = "thermal"
 
