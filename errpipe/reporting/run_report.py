@@ -10,7 +10,6 @@ import numpy as np
 
 from errpipe.reporting import page, svg
 
-
 LONG = 3 * 86400.0  # s; a longer recording is mostly pauses, and is drawn by rows
 
 
