@@ -20,11 +20,16 @@ def targets() -> dict[str, Any]:
     from errpipe.targets import TARGETS
 
     rows = [
-        {"name": t.name, "controller": t.controller, "confidence": t.confidence, "sign": t.sign, "limits": t.limits}
+        {"name": t.name, "controller": t.controller, "confidence": t.confidence, "sign": t.sign, "limits": t.limits,
+         "goes_with": list(t.goes_with)}
         for t in TARGETS
-    ]
-    says = [f"{r['name']:<22} {r['confidence']:<13} {r['controller']}\n    {r['sign']}; {r['limits']}" for r in rows]
-    return {"targets": rows, "says": says}
+    ]  # fmt: skip
+    return {"targets": rows, "says": [_described(row) for row in rows]}
+
+
+def _described(row: dict[str, Any]) -> str:
+    told = f"{row['name']:<22} {row['confidence']:<13} {row['controller']}\n    {row['sign']}; {row['limits']}"
+    return told + (f"\n    goes with {', '.join(row['goes_with'])}" if row["goes_with"] else "")
 
 
 def compare_targets(table: Path) -> dict[str, Any]:
@@ -102,17 +107,30 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
     out = []
     targets = chosen(names)
     for target in targets:
-        files = target.write_beside(table, _beside(target, targets))
+        others = _beside(target, targets)
+        files = target.write_beside(table, others)
         losses = _losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(folder / target.name / name, text)
-        jsonfile.write_text(folder / target.name / CHECKLIST, checklist(target, target.read_back(files), losses))
+        steps = checklist(target, target.read_back(files), losses) + _companions(table, target, others)
+        jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         told = _told(losses)
         out += [
             {"file": f"{target.name}/{name}", "what": target.controller, "error": told, "read_back": "compared"}
             for name in files
         ]
     return out
+
+
+def _companions(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
+    """What a checklist says of files that are loaded besides; nothing where there are none."""
+    if not others:
+        return ""
+    _, read = write_together(table, [target, *chosen(others)])
+    return (
+        f"\nLoad these files only together with those of {', '.join(others)}: what they say is left out here.\n"
+        f"Together they leave {_told(_loss_rows(table, read))}.\n"
+    )
 
 
 def _beside(target: Any, targets: Sequence[Any]) -> list[str]:

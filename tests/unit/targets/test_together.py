@@ -9,6 +9,7 @@ from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import CompensationTable
 from errpipe.stages import targets as stage
+from errpipe.stages.verify import verify
 from errpipe.tables import ect
 from errpipe.targets import TARGETS, _sample
 from errpipe.terms._base import Lowered
@@ -85,6 +86,8 @@ def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
     text = (tmp_path / "sinumerik_cec" / "NC_CEC.INI").read_text()
     curves = BY_NAME["sinumerik_cec"].read_back({"NC_CEC.INI": text}).curves
     assert {(c.axis, c.over) for c in curves} == {("X", "Y"), ("Y", "X")}
+    told = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
+    assert "only together with those of sinumerik_lec" in told
 
 
 @pytest.mark.parametrize("name", ["sinumerik_cec", "beckhoff_crosscomp", "heidenhain_com"])
@@ -103,3 +106,9 @@ def test_a_sensor_may_have_a_space_in_its_name():
     for name in ("sinumerik_temperature", "beckhoff_temperature", "klipper_sections"):
         read = BY_NAME[name].read_back(BY_NAME[name].write(table))
         assert {line.sensor for line in read.lines} == {"T nut"}, name
+
+
+def test_files_exported_together_are_verified_together(tmp_path):
+    ect.write(bent_and_warm(), tmp_path / "table.ect")
+    stage.export(tmp_path / "table.ect", list(SINUMERIK), tmp_path / "out")
+    assert sum("read back" in line for line in verify(tmp_path / "out")["says"]) == 3
