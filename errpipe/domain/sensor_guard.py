@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Literal
 
 from pydantic import Field
@@ -43,6 +44,10 @@ MARGIN = 1.2  # times what another sensor's fault makes of a departure: only wha
 TIE = 1e-9
 MOST_OPERANDS = 8
 FOR_GOOD = -1.0  # a switch's lower level that no square ever reaches: once on, it stays on until the next start
+
+
+# The same part asked for again is the same object, so that whoever walks a driver can know it again.
+_shared = lru_cache(maxsize=1024)
 
 
 class Source(Frozen):
@@ -92,12 +97,14 @@ class SensorGuard(Frozen):
         return tuple(s.name for s in self.sensors)
 
 
+@_shared
 def departure(sensor: GuardedSensor) -> d.Driver:
     """r: how far a reading has moved away from its best estimate since the start of the run."""
     sources = tuple(_delayed(s, d.Input(name=s.name)) for s in sensor.sources)
     return _since_start(_less(d.Input(name=sensor.name), sources, sensor.estimate))
 
 
+@_shared
 def apart(sensor: GuardedSensor) -> d.Driver:
     """p: the departure that tells sensors apart."""
     return _since_start(_less(d.Input(name=sensor.name), tuple(map(_input, sensor.others)), sensor.weights))
@@ -123,6 +130,7 @@ def _lag(of: d.Driver, tau: float) -> d.Driver:
     return d.Lag(of=of, tau_up=tau, tau_down=tau)
 
 
+@_shared
 def quick(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     """|quick_i|: 1 and more is a fault somewhere."""
     scaled = d.Affine(weights=(1.0 / sensor.quick,), of=(apart(sensor),))
@@ -130,6 +138,7 @@ def quick(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     return _size(_lag(recent, guard.filter_s))
 
 
+@_shared
 def slow(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     """|slow_i|: 1 and more is a fault somewhere."""
     return _size(_lag(d.Affine(weights=(1.0 / sensor.slow,), of=(apart(sensor),)), guard.filter_s))
@@ -140,6 +149,7 @@ def _size(of: d.Driver) -> d.Driver:
     return d.Power(of=d.Product(of=(of, of)), exponent=0.5)
 
 
+@_shared
 def stillness(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
     """How much alive a reading is: the lagged square of its own quick part, K2. Starts at 0."""
     reading = d.Input(name=sensor.name)
@@ -194,6 +204,7 @@ def frozen(guard: SensorGuard, name: str) -> d.Driver:
     return d.Product(of=(still, awake_long_enough_to_tell))
 
 
+@_shared
 def fault(guard: SensorGuard, name: str) -> d.Driver:
     """1 while a reading is not believed; else 0."""
     return _not(_all([_not(blamed(guard, name)), _not(frozen(guard, name))]))
@@ -208,6 +219,7 @@ def reading(guard: SensorGuard, name: str) -> d.Driver:
     return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), off))
 
 
+@_shared
 def _failed_departure(guard: SensorGuard, name: str) -> d.Driver:
     sensor = guard.sensor(name)
     return d.Product(of=(fault(guard, name), departure(sensor)))

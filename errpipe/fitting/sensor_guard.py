@@ -85,11 +85,15 @@ class _Values(dict[str, np.ndarray]):
 def _drive_all(drivers: Sequence[d.Driver], recording: Recording) -> np.ndarray:
     """`drive` of several drivers with much in common, each part once; shape (rows, drivers)."""
     values = _Values(recording)
+    walked: dict[int, str] = {}  # by identity: the drivers are alive as long as this function runs
     known: dict[d.Driver, str] = {}
 
     def name(driver: d.Driver) -> str:
-        if isinstance(driver, d.Input):
-            return driver.name
+        if id(driver) not in walked:
+            walked[id(driver)] = driver.name if isinstance(driver, d.Input) else flat(driver)
+        return walked[id(driver)]
+
+    def flat(driver: d.Driver) -> str:
         of = getattr(driver, "of", None)
         if isinstance(of, tuple):
             driver = driver.model_copy(update={"of": tuple(d.Input(name=name(child)) for child in of)})
@@ -330,10 +334,10 @@ def _blocks(values: np.ndarray, run: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.array([values[key == k].max() for k in np.unique(key)])
 
 
-def _seldom(values: np.ndarray, run: np.ndarray, t: np.ndarray, per_hour: float) -> float:
+def _seldom(values: np.ndarray, run: np.ndarray, t: np.ndarray, per_hour: float, lightest: float = LIGHTEST) -> float:
     """The level that values exceed `per_hour` times an hour; no less than the largest value seen.
 
-    Generalised extreme-value law with a tail between Gumbel's and one that ends (shape 0 to LIGHTEST).
+    Generalised extreme-value law with a tail between Gumbel's and one that ends (shape 0 to `lightest`).
     """
     largest = np.sort(_blocks(values, run, t))
     rank = np.arange(largest.size)
@@ -344,7 +348,7 @@ def _seldom(values: np.ndarray, run: np.ndarray, t: np.ndarray, per_hour: float)
     if l2 <= 0:
         return float(largest[-1])
     c = 2 / (3 + l3 / l2) - np.log(2) / np.log(3)
-    k = float(np.clip(7.8590 * c + 2.9554 * c**2, 1e-6, LIGHTEST))
+    k = float(np.clip(7.8590 * c + 2.9554 * c**2, 1e-6, lightest))
     scale = l2 * k / ((1 - 2**-k) * math.gamma(1 + k))
     place = l1 - scale * (1 - math.gamma(1 + k)) / k
     level = place + scale * (1 - (-math.log1p(-per_hour * BLOCK / 3600)) ** k) / k
@@ -358,7 +362,8 @@ def _still(alive: np.ndarray, run: np.ndarray, t: np.ndarray, per_hour: float, t
     told = since > g.WARM_UP * tau
     if not told.any() or alive[told].min() <= 0:
         return None
-    level = np.exp(-_seldom(-np.log(alive[told]), run[told], t[told], per_hour))
+    # Near 0 a square of noise is distributed as a power, so minus its logarithm has Gumbel's tail.
+    level = np.exp(-_seldom(-np.log(alive[told]), run[told], t[told], per_hour, lightest=1e-6))
     return float(level) if level > FAINTEST * np.median(alive[told]) else None
 
 

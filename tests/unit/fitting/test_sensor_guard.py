@@ -1,0 +1,191 @@
+"""A sensor guard: alarms at the stated rate, finds failures, blames the right sensor, says the same when compiled."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe import jsonfile
+from errpipe.domain import driver as d
+from errpipe.domain import sensor_guard as g
+from errpipe.domain import table as t
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting import sensor_guard
+from errpipe.tables import ComponentSource, batch, compile_table
+from errpipe.terms._base import Lowered, drive
+from errpipe.validation import sensor_faults
+from tests.unit.fitting import simulated_sensors
+
+REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared/real-data"))
+NAMES = simulated_sensors.NAMES
+
+
+@pytest.fixture(scope="module")
+def guard():
+    """Learnt from 25 runs of 8 hours."""
+    return sensor_guard.learn(simulated_sensors.machine(25, seed=1))
+
+
+def test_the_guard_is_plain_data(guard):
+    text = jsonfile.dumps(guard.model_dump(mode="json"))
+    assert g.SensorGuard.model_validate_json(text) == guard
+    assert guard.names() == NAMES and 195 < guard.hours < 201
+    assert guard.shows_elsewhere <= sensor_guard.APART
+    again = sensor_guard.learn(simulated_sensors.machine(25, seed=1))
+    assert jsonfile.dumps(again.model_dump(mode="json")) == text
+
+
+def test_thresholds_scale_with_the_unit(guard):
+    """Temperatures in tenths of a degree: the same guard, ten times the numbers."""
+    source = simulated_sensors.machine(25, seed=1)
+    tenths = Recording(source.manifest, source.frame.assign(**{n: source.array(n) * 10 for n in NAMES}))
+    other = sensor_guard.learn(tenths)
+    for a, b in zip(guard.sensors, other.sensors, strict=True):
+        assert b.quick == pytest.approx(10 * a.quick, rel=1e-6) and b.weights == pytest.approx(a.weights, rel=1e-6)
+
+
+def test_too_little_to_learn_from_is_refused():
+    with pytest.raises(DataError, match=r"needs two sensors, two groups and 10 hours .* \(found: 6, 1, 8\.0\)"):
+        sensor_guard.learn(simulated_sensors.machine(1, seed=1))
+    with pytest.raises(DataError, match="found: 1, 3"):
+        sensor_guard.learn(simulated_sensors.machine(3, seed=1), ["T_bed"])
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_at_most_one_false_alarm_in_1000_hours(guard, seed):
+    """Healthy sensors over 2000 hours that had no part in learning."""
+    fresh = simulated_sensors.machine(250, seed)
+    alarms = sensor_guard.faults(guard, fresh)
+    run = fresh.run_codes()
+    assert sum(np.unique(run[alarms[:, i]]).size for i in range(len(NAMES))) <= 2
+
+
+@pytest.fixture(scope="module")
+def failures(guard):
+    """Each of six sensors failing in five ways in 20 fresh runs, and a compensation that reads them all."""
+    fresh = simulated_sensors.machine(20, seed=3)
+    gains = np.array([1.0, 1.0, 1.0, -2.0, 1.0, -1.0])
+
+    def predict(recording):
+        return np.column_stack([recording.array(n) for n in NAMES]) @ gains
+
+    measured = predict(fresh) + np.random.default_rng(0).standard_normal(len(fresh))
+    return list(sensor_faults.trials(fresh, guard, predict, measured, step=4.0))
+
+
+def test_at_least_95_in_100_failures_are_detected(failures):
+    assert sum(f.detected for f in failures) >= 0.95 * sum(f.runs for f in failures)
+    for f in failures:
+        if f.way != "swap" or f.reading_off > 2.0:  # two that read nearly the same may as well be swapped
+            assert f.detected == f.runs, f
+
+
+def test_dead_and_stepped_sensors_are_seen_at_once_and_the_others_within_hours(failures):
+    limit = {"dead": 0, "step": 0, "stuck": 90, "drift": 180}  # rows of 60 s
+    for f in failures:
+        if f.way in limit:
+            assert f.rows_to_detect <= limit[f.way], f
+
+
+def test_the_right_sensor_is_blamed(failures):
+    assert sum(f.wrongly_blamed for f in failures) <= 0.02 * sum(f.runs for f in failures)
+
+
+def test_recovery_takes_most_of_the_harm_away(failures):
+    for f in failures:
+        if f.way == "dead":
+            assert f.recovered < 0.1 * f.unguarded, f
+        # This compensation weighs bearing and motor alike, so their swap is harmless and its recovery is not free.
+        assert f.recovered < (1.5 if f.way == "swap" else 1.1) * max(f.unguarded, f.healthy), f
+
+
+def test_nothing_is_known_before_it_happens(guard):
+    """Rows up to k do not change when later rows do."""
+    healthy = simulated_sensors.machine(2, seed=7)
+    late = sensor_faults.fail(healthy, "T_bed", "step")
+    before = ~sensor_faults._late(healthy)
+    one, other = sensor_guard.watch(guard, healthy), sensor_guard.watch(guard, late)
+    np.testing.assert_array_equal(one.reading[before], other.reading[before])
+    np.testing.assert_array_equal(one.fault[before], other.fault[before])
+
+
+def test_a_healthy_reading_passes_bit_for_bit(guard):
+    healthy = simulated_sensors.machine(2, seed=7)
+    seen = sensor_guard.watch(guard, healthy)
+    np.testing.assert_array_equal(seen.reading, np.column_stack([healthy.array(n) for n in NAMES]))
+
+
+def test_shared_evaluation_is_drive(guard):
+    failed = sensor_faults.fail(simulated_sensors.machine(1, seed=7), "T_bed", "drift", drift=4.0)
+    one = drive(g.fault(guard, "T_bed"), failed)
+    assert one.any() and np.array_equal(one > 0.5, sensor_guard.faults(guard, failed)[:, NAMES.index("T_bed")])
+
+
+@pytest.mark.parametrize("way", sensor_faults.WAYS)
+def test_compiled_into_a_table_it_says_the_same(guard, way):
+    """The guarded rise of a sensor through the Numba cycle, row by row, against the guard's own account."""
+    source = d.Input(name="T_bed")
+    rise = d.Affine(weights=(1.0, -1.0), of=(source, d.First(of=source)))
+    pair = Lowered(driver=g.guarded(rise, guard))
+    inputs = [
+        t.TableInput(name=s.name, kind="sensor", unit="degC", low=s.low, high=s.high, max_rate=s.max_rate, default=20.0)
+        for s in guard.sensors
+    ]
+    started = time.process_time()
+    table = compile_table([ComponentSource("E_Z", "um", (pair,))], inputs=inputs)
+    assert time.process_time() - started < 20 and len(table.nodes) < t.MAX_NODES / 2
+    failed = sensor_faults.fail(simulated_sensors.machine(2, seed=9), "T_bed", way, beside="T_room")
+    columns = {n: failed.array(n) for n in NAMES}
+    run = failed.run_codes()
+    played = batch.evaluate(table, columns, failed.time(), run)
+    seen = sensor_guard.watch(guard, failed)
+    bed = seen.reading[:, NAMES.index("T_bed")]
+    start = np.array([bed[run == r][0] for r in run])
+    assert seen.fault[:, NAMES.index("T_bed")].any()
+    np.testing.assert_allclose(played.deviation["E_Z"], bed - start, atol=2e-3)
+
+
+# ---------------------------------------------------------------- a real machine
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+def test_on_the_real_turning_centre():
+    """Six sensors, 23 days, each failed in turn in five ways, beside a ridge model of the rises fitted without the day.
+
+    Detected in every run but for swaps of sensors that read within 1.5 K of each other. No false alarm in the
+    180 hours. The residual stays within 1.3 of the healthy one (1.14 at worst, a swap).
+    """
+    from errpipe.formats import manifest_folder
+
+    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    guard = sensor_guard.learn(recording)
+    assert not sensor_guard.faults(guard, recording).any()
+    names, run = guard.names(), recording.run_codes()
+    measured = recording.array("dia_disp").copy()
+    for r in np.unique(run):
+        measured[run == r] -= measured[run == r][:3].mean()
+
+    def rises(source):
+        x = np.column_stack([source.array(n) for n in names])
+        for r in np.unique(run):
+            x[run == r] -= x[run == r][0]
+        return x
+
+    x, gains = rises(recording), np.empty((len(recording), len(names)))
+    for r in np.unique(run):
+        f = x[run != r]
+        gains[run == r] = np.linalg.solve(
+            f.T @ f / len(f) + 3.0 * np.eye(len(names)), f.T @ measured[run != r] / len(f)
+        )
+    found = list(sensor_faults.trials(recording, guard, lambda source: np.sum(rises(source) * gains, axis=1), measured))
+    assert len(found) == 30
+    for f in found:
+        assert f.ratio < 1.3, f
+        assert f.wrongly_blamed == 0, f
+        if f.reading_off > 1.6 or f.way == "stuck":
+            assert f.detected >= f.runs - 1, f
