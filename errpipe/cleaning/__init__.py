@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # In the order in which they are applied where none is named: order of rows first, sensors before responses.
 RULES: tuple[type[Rule], ...] = (TimeOrder, RepeatedRows, UnitSlips, StuckSensors, Outliers, Gaps, Quantisation)
-DEFAULT: tuple[Rule, ...] = tuple(rule() for rule in RULES)
+DEFAULT: tuple[Rule, ...] = tuple(rule() for rule in RULES)  # type: ignore[call-arg]  # each names itself
 
 WHOLE_RUN = "run_before_split"  # the group column that keeps the label of a run that was split
 

@@ -210,7 +210,8 @@ def _location(machine: Machine, name: str, vec: Vector, own: str) -> list[tuple[
         if size > 1e-6:
             letter = max("ABC", key=lambda d: abs(np.dot(normal, _UNIT[d])))
             normal = normal / size * np.sign(np.dot(normal, _UNIT[letter]))
-            return [(f"{letter}0{name}", tuple(float(v) for v in normal))]
+            x, y, z = (float(v) for v in normal)
+            return [(f"{letter}0{name}", (x, y, z))]
     along = max("ABC", key=lambda d: abs(np.dot(vec, _UNIT[d])))
     return [(f"{d}0{name}", _UNIT[d]) for d in "ABC" if d != along]
 

@@ -81,7 +81,8 @@ def _variable(chain: Chain, name: str, names: Mapping[str, str]) -> d.Driver:
 
 def lowered(errors: MachineErrors) -> dict[str, tuple[Lowered, ...]]:
     """Component -> its compiled pairs (one profile each, driver 1), for components that are not zero everywhere."""
-    chain, out = errors.chain, {}
+    chain = errors.chain
+    out: dict[str, tuple[Lowered, ...]] = {}
     for c, name in enumerate(chain.components):
         if chain.drives[c] < 0:
             size = float(errors.constants[c])

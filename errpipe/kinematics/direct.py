@@ -160,7 +160,10 @@ def _curve(recording: Recording, component: str, laser: Laser | None, known, cha
     name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     if name is None:
         raise DataError(f"{component}: the recording has no position of axis {axis}")
-    p, value = recording.array(name), recording.array(recording.name("error", component=component))
+    measured = recording.name("error", component=component)
+    if measured is None:
+        raise DataError(f"{component}: the recording has no error column of it")
+    p, value = recording.array(name), recording.array(measured)
     rows = np.isfinite(p) & np.isfinite(value)
     if rows.sum() < 3:
         raise DataError(f"{component}: at least 3 readings are needed (found {int(rows.sum())})")
@@ -282,7 +285,8 @@ def _squareness(component: str, curves: Mapping[str, Curve]) -> tuple[float, flo
     """Squareness and its standard error, urad, from two straightness records against one square."""
     pair = _SLOPES[component[0], component[2:]]
     value = sum(sign * curves[name].slope for name, sign in pair)
-    return value, float(np.hypot(*(curves[name].slope_error for name, _ in pair)))
+    first, second = (curves[name].slope_error for name, _ in pair)
+    return value, float(np.hypot(first, second))
 
 
 def straightness_from_angles(position: np.ndarray, angle: np.ndarray, base: float) -> np.ndarray:

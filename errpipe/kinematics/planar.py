@@ -290,7 +290,7 @@ def _columns(recording: Recording, rows: np.ndarray | None):
     for name, what in zip(names, ("position of X", "position of Y", "error E_X", "error E_Y"), strict=True):
         if name is None:
             raise DataError(f"a planar map needs a column of role {what}")
-    columns = [recording.array(n) for n in names]
+    columns = [recording.array(n) for n in names if n is not None]
     keep = np.zeros(len(recording), dtype=bool)
     keep[slice(None) if rows is None else rows] = True
     keep &= np.isfinite(columns).all(axis=0)

@@ -38,8 +38,8 @@ class _Run:
         self.q = np.column_stack([self._axis(i, a) for i, a in enumerate(chain.axes)])
         tool = chain.machine.tool
         length = self.constant("tool_length", tool.length)
-        offset = tuple(self.constant(f"tool_offset_{d}", tool.offset[i]) for i, d in enumerate("XYZ"))
-        self.tip = chain.tip(length, offset)
+        x, y, z = (self.constant(f"tool_offset_{d}", tool.offset[i]) for i, d in enumerate("XYZ"))
+        self.tip = chain.tip(length, (x, y, z))
         self.seconds = self.constant("seconds", 0.0)
 
     def constant(self, name: str, default: float | None) -> float:

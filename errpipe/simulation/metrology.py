@@ -156,7 +156,7 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
 
 
 def _constants(chain: Chain, run: Run) -> dict[str, Constant]:
-    found = {"tool_length": (run.length, "mm")}
+    found: dict[str, tuple[float, str | None]] = {"tool_length": (run.length, "mm")}
     found |= {f"tool_offset_{d}": (v, "mm") for d, v in zip("XYZ", run.offset, strict=True)}
     if run.socket is not None:
         found |= {f"socket_{d}": (v, "mm") for d, v in zip("XYZ", run.socket, strict=True)}

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
+from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
 from errpipe.targets._base import Curve, ReadBack, Target, expect
 
@@ -82,7 +82,8 @@ def _read(name: str, text: str) -> Curve:
     sides = []
     for side in SIDES:
         found = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
-        expect(found is not None, name, f"has no array for {SIDES[side]}")
+        if found is None:
+            raise VerifyError(f"{name}: has no array for {SIDES[side]}")
         rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(found[2])]
         expect(len(rows) == int(found[1]) + 1, name, f"{len(rows)} elements in an array of {int(found[1]) + 1}")
         sides.append(np.array(rows))
