@@ -248,7 +248,7 @@ def lattice(points: int = 3) -> str:
     for k, z in enumerate(nodes[2]):
         for j, y in enumerate(nodes[1][:: -1 if k % 2 else 1]):
             places += [(x, y, z) for x in nodes[0][:: -1 if (j + k) % 2 else 1]]
-    lines = [f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f}\nG4 P0.03" for x, y, z in places]
+    lines = [f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f}\nG4 P0.06" for x, y, z in places]
     return "\n".join(["G21 G90 G94 G61", "F48000", *lines, "G0 X0 Y0 Z0", "M2", ""])
 
 

@@ -120,7 +120,7 @@ def test_no_cycle_is_missed(hal, capsys):
     assert np.all(np.diff(hal.number) == 1) and np.all(np.diff(hal.heartbeat) == 1)
     # Running and active, and at most beyond a profile's end by the last bit of a position.
     assert set(hal.status[hal.moving()]) <= {3, 3 + 1024}
-    assert facts["cycles"] == pytest.approx(facts["elapsed_s"] / machine.CYCLE, rel=2e-3, abs=50)
+    assert facts["cycles"] == pytest.approx(facts["elapsed_s"] / machine.CYCLE, rel=2e-3, abs=250)
     with capsys.disabled():
         print(
             f"\nHAL component: {len(hal.number)} cycles recorded, none missing; {facts['cycles']} counted in "
@@ -176,7 +176,7 @@ def test_origin_shift_by_external_offsets(linuxcnc, capsys):
         print("\nExternal offsets, um:                                        rms X Y Z, largest X Y Z")
         print(told("residual at rest", residual[resting]))
         print(told("residual in motion", residual[record.moving()]))
-    assert resting.sum() > 200
+    assert resting.sum() > 200  # cycles
     assert np.all(np.abs(residual[resting]) <= MARGIN * promise(record)[resting] + 0.5 * COUNT)
 
 
