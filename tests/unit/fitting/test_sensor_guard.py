@@ -54,7 +54,7 @@ def test_too_little_to_learn_from_is_refused():
         sensor_guard.learn(simulated_sensors.machine(3, seed=1), ["T_bed"])
 
 
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", [132, 232])  # not among the seeds that were looked at when the law was chosen
 def test_at_most_one_false_alarm_in_1000_hours(guard, seed):
     """Healthy sensors over 2000 hours that had no part in learning."""
     fresh = simulated_sensors.machine(250, seed)
@@ -154,11 +154,26 @@ def test_compiled_into_a_table_it_says_the_same(guard, way):
 @pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+def test_no_real_run_alarms_a_guard_learnt_from_the_others():
+    from errpipe.formats import manifest_folder
+
+    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    run = recording.run_codes()
+    for r in np.unique(run):
+        guard = sensor_guard.learn(recording.take(run != r))
+        assert not sensor_guard.faults(guard, recording.take(run == r)).any(), recording.run_labels()[r]
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
 def test_on_the_real_turning_centre():
     """Six sensors, 23 days, each failed in turn in five ways, beside a ridge model of the rises fitted without the day.
 
-    Detected in every run but for swaps of sensors that read within 1.5 K of each other. No false alarm in the
-    180 hours. The residual stays within 1.3 of the healthy one (1.14 at worst, a swap).
+    The guard knows these runs, and its margins were chosen while looking at them: this holds the figures, it
+    does not prove them elsewhere. The compensation is shrunk (12.8 um rms, nothing 20.8) and leans little on any
+    one sensor: 1.14 of the healthy residual at worst. One that leans on a single sensor by 9 um/K (9.1 um rms) does
+    not stay within 1.3: 1.37 for a drift of that sensor, 1.31, 2.3 and 5.0 for three of the six swaps.
     """
     from errpipe.formats import manifest_folder
 
