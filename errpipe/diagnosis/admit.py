@@ -27,6 +27,8 @@ class Remainder:
     rms: float
     share: float
     alone: float
+    active: Active  # nuisances, hypotheses, shapes, in this order
+    taken: tuple[int, ...]
 
 
 def remainder(search: Search, library: Library, chosen: list[tuple[int, float]], shapes: list[Shape],
@@ -54,8 +56,6 @@ def remainder(search: Search, library: Library, chosen: list[tuple[int, float]],
     share = (named.rms() ** 2 - scene.rms() ** 2) / everything
     return Remainder(
         tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)), scene.rms(), float(np.clip(share, 0, 1)),
-        max((s.gain for s in alone), default=0.0),
+        max((s.gain for s in alone), default=0.0), active, tuple(taken),
     )  # fmt: skip
 
-
-_ = Active

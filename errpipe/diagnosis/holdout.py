@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.diagnosis import admit
+from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.judge import Case
 from errpipe.diagnosis.search import Search
@@ -40,15 +42,20 @@ def held_out(case: Case) -> HeldOut:
             found = part.explain(starts=2).found if first else ()
             chosen = [(x.index, x.size) for x in found]
             effects = [x.hypothesis.effect for x in found]
-        b = part.scene(chosen).coefficients()
+        rest = admit.remainder(part, library, chosen, case.loose, case.places)
+        b = Scene(part.data, rest.active, part.sigma).coefficients()
         for i, _ in chosen:
             if i not in blocks:
                 blocks[i] = library.block(i, case.recording, case.pair.rows)
-        columns = np.column_stack([case.recal[test], *[blocks[i][test] for i, _ in chosen]])
+        shaped = [case.loose[k].columns[test] for k in rest.taken]
+        columns = np.column_stack([case.recal[test], *[blocks[i][test] for i, _ in chosen], *shaped])
         left = case.y[test] - columns @ b
         before.append(case.y[test])
         after.append(left)
         tried += 1
         same += first is None or first in effects[:1]
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
+    if case.remainder.shapes:
+        drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
+        scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
     return HeldOut(scheme, rms(before), rms(after), same / max(tried, 1))

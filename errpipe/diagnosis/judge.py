@@ -45,6 +45,8 @@ class Case:
     sigma: float
     remainder: admit.Remainder
     rough: float  # noise from second differences
+    loose: list[Shape]  # shapes without a name
+    places: list[np.ndarray]  # their columns in the library's table
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
@@ -80,6 +82,29 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
         return explanation
     search.sigma = max(search.scene([(f.index, f.size) for f in in_part.found]).rms(), 1e-9)
     return in_part
+
+
+FAINT = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
+
+
+def worth_naming(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
+    """The explanation without findings too faint to be physics of their own: they mend the form of something else."""
+    kept = list(explanation.found)
+    while kept:
+        scene = search.scene([(f.index, f.size) for f in kept])
+        b, first = scene.coefficients(), search.nuisance.index.size
+        sizes = []
+        for f in kept:
+            block = search.library.block(f.index, conditioned, rows)
+            carried = block @ b[first : first + block.shape[1]]
+            first += block.shape[1]
+            acting = np.abs(carried) > 0.1 * np.abs(carried).max()
+            sizes.append(float(np.sqrt(np.mean(carried[acting] ** 2))) / search.sigma)
+        faint = [k for k, size in enumerate(sizes) if size < FAINT[min(k, 1)]]
+        if not faint:
+            break
+        del kept[faint[-1]]
+    return replace(explanation, found=tuple(kept))
 
 
 WILD = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
@@ -143,11 +168,13 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
         if other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
             search, explanation, nuisance = other, loose_gains, wide
-    sigma = search.sigma
+    explanation = worth_naming(search, explanation, conditioned, rows)
+    sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)
+    search.sigma = sigma
     chosen = [(f.index, f.size) for f in explanation.found]
     rest = admit.remainder(search, library, chosen, loose, places)
     return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal,
-                search, explanation, sigma, rest, rough)  # fmt: skip
+                search, explanation, sigma, rest, rough, loose, places)  # fmt: skip
 
 
 def sensitivities(recording: Recording, pair: Pair) -> dict[str, np.ndarray]:
