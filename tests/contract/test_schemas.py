@@ -11,7 +11,9 @@ import pytest
 
 from errpipe import jsonfile, yamlfile
 from errpipe.cli.schema import MODELS, schema_of
+from errpipe.domain.machine import Machine
 from errpipe.pipeline.schema import undescribed
+from errpipe.pipeline.spec import pipeline_model
 from errpipe.stages import STAGES
 
 ROOT = Path(__file__).parents[2]
@@ -90,3 +92,35 @@ def test_a_wrong_pipeline_is_blamed_on_the_branch_that_was_meant() -> None:
     value = {"pipeline": 1, "stages": [{"kind": "ingst"}]}
     (error,) = jsonschema.Draft7Validator(schema_of("pipeline")).iter_errors(value)
     assert "'ingst' is not one of" in error.message
+
+
+PIPELINE = """
+pipeline: 1
+stages:
+  - {kind: ingest, recording: here}
+  - kind: fit
+    components:
+      - component: E_Z
+        terms:
+          - {term: profile_driver, axis: X, driver: [{input: T, lag: true, tau: [60 s, 50 min]}]}
+"""
+MACHINE = """
+machine: 1
+name: lathe
+chain: [workpiece, bed, X, tool]
+axes: {X: {kind: linear, travel: [0, 200], reference: [1 m, 20 um, 0]}}
+tool: {length: 12 cm}
+"""
+
+
+@pytest.mark.parametrize("name, text", [("pipeline", PIPELINE), ("machine", MACHINE)])
+def test_numbers_with_their_unit_are_accepted_by_schema_and_code(name: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(text)
+    assert accepts(schema_of(name), path) == []
+    model = pipeline_model(tuple(STAGES)) if name == "pipeline" else Machine
+    read = yamlfile.load(path, model)
+    if name == "pipeline":
+        assert read.stages[1].components[0].terms[0].driver[0].tau == (60.0, 3000.0)
+    else:
+        assert read.axes["X"].reference == (1000.0, 0.02, 0.0) and read.tool.length == 120.0
