@@ -14,7 +14,6 @@ from errpipe.diagnosis.evidence import Active, Data, Scene, correlation_time
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MOST, Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
-from errpipe.diagnosis.simulated import SENSITIVITY
 from errpipe.domain.recording import Recording
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
@@ -53,7 +52,6 @@ class Case:
         return [(f.index, f.size) for f in self.explanation.found]
 
 
-TUNABLE_SD = 0.3  # relative freedom of a simulation's tunable parameters
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
 DEPENDENT = 1.8  # rows per independent row of what is left, from which rows count for less
 WIDE_PRICE = 10.0  # log Bayes factor it takes to believe so
@@ -140,8 +138,7 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     library = hypotheses.build(conditioned, pair.component, rows, raw, (pair.mismatch, simulated))
     progress(0.3, f"{pair.component}: taking the simulation apart")
     decomposition = parts.decompose(simulated, library, conditioned, rows)
-    tunable = sensitivities(raw, pair)
-    nuisance, names, recal = recalibration(simulated, decomposition, library, tunable)
+    nuisance, names, recal = recalibration(simulated, decomposition, library)
     progress(0.5, f"{pair.component}: looking for what is missing")
     data = Data(library.table, pair.mismatch)
     prior = log_prior(library, decomposition)
@@ -177,15 +174,8 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
                 search, explanation, sigma, rest, rough, loose, places)  # fmt: skip
 
 
-def sensitivities(recording: Recording, pair: Pair) -> dict[str, np.ndarray]:
-    """What each tunable parameter of the simulation does to the response, on the judged rows."""
-    start = f"{SENSITIVITY}{pair.component} to "
-    names = [str(n) for n in recording.frame.columns if str(n).startswith(start)]
-    return {n.removeprefix(start): recording.array(n)[pair.rows] for n in names}
-
-
 def recalibration(
-    simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library, tunable: dict[str, np.ndarray]
+    simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
 ) -> tuple[Active, list[str], np.ndarray]:
     """Datum, gain of the whole simulated signal, gain of each of its parts; their names and columns."""
     columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
@@ -195,10 +185,6 @@ def recalibration(
                 columns.append(values)
                 sd.append(GAIN_SD)
                 names.append(part.hypothesis.effect + what)
-    for name, effect in tunable.items():
-        columns.append(effect - effect.mean())
-        sd.append(TUNABLE_SD)
-        names.append(f"parameter {name}")
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
     index = library.add(block)

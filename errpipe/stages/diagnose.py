@@ -48,17 +48,11 @@ def judged(recording: Recording, progress: Callable[[float, str], None]) -> tupl
 
 def with_simulation(recording: Recording, simulation: Path | None) -> Recording:
     """The recording beside a simulation of its own file: .csv, .json (an error model) or .fmu."""
-    from errpipe.diagnosis import simulated
-    from errpipe.errors import DataError
+    from errpipe.simulation import external
     from errpipe.stages import _artefacts
 
     if simulation is None:
         return recording
-    match Path(simulation).suffix.lower():
-        case ".csv":
-            return simulated.from_csv(recording, simulation)
-        case ".json":
-            return simulated.from_model(recording, _artefacts.read_model(simulation))
-        case ".fmu":
-            return simulated.from_fmu(recording, simulation)[0]
-    raise DataError(f"{simulation}: a simulation is a .csv, an error model (.json) or an .fmu")
+    file = Path(simulation)
+    model = _artefacts.read_model(file) if file.suffix.lower() == ".json" else None
+    return external.with_twins(recording, external.by_name(recording, file), file, model)[0]
