@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.sensor_guard import GuardedSensor, SensorGuard
 from errpipe.domain.table import Kind, TableInput
 from errpipe.errors import GateError
 
@@ -28,9 +29,21 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
 FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
 
 
-def table_inputs(model: ErrorModel) -> list[TableInput]:
-    """One channel per column of the model, in its order. Raises GateError for a column no controller can feed."""
-    return [_channel(name, facts, model) for name, facts in model.columns.items() if facts["role"] in CHANNELS]
+def table_inputs(model: ErrorModel, guard: SensorGuard | None = None) -> list[TableInput]:
+    """One channel per column of the model, in its order; a guard tells what a healthy sensor can read."""
+    columns = dict(model.columns)
+    healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
+    for name in healthy:
+        columns.setdefault(name, {"role": "temperature", "unit": "degC"})
+    found = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
+    return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in found]
+
+
+def _believable(channel: TableInput, sensor: GuardedSensor) -> TableInput:
+    default = min(max(channel.default, sensor.low), sensor.high)
+    return channel.model_copy(
+        update={"low": sensor.low, "high": sensor.high, "max_rate": sensor.max_rate, "default": default}
+    )
 
 
 def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:

@@ -14,7 +14,10 @@ from errpipe.stages._families import FITS, RECORDINGS
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.domain.sensor_guard import SensorGuard
     from errpipe.domain.table import CompensationTable
+    from errpipe.terms._base import Lowered
 
 
 class Export(Stage):
@@ -39,6 +42,9 @@ class Export(Stage):
     acceleration: float | None = Field(
         None, gt=0, description="Largest change of that rate.", json_schema_extra={"unit": "um/s2"}
     )
+    guard: bool = Field(
+        False, description="Watch the temperatures against each other in the table, and stand in for one that fails."
+    )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
     gate: Literal["better-than-nothing", "none"] = Field(
         "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."
@@ -58,10 +64,11 @@ class Export(Stage):
         left_out: list[str] = []
         if self.gate != "none" and validation is not None:
             model, left_out = better_than_nothing(model, validation / "validation.json")
-        context.progress(0.2, "compiling")
-        table = compile_model(model, self)
-        context.progress(0.5, "comparing table and model")
         recording = _artefacts.recording_in(context.needed("recording"))
+        guard = _guard(context, recording) if self.guard else None
+        context.progress(0.2, "compiling")
+        table = compile_model(model, self, guard)
+        context.progress(0.5, "comparing table and model")
         proof = compare(table, model, recording)
         files = _write(context, table, model, self.targets)
         document = {"proof": proof, "files": files, "left_out": left_out}
@@ -86,7 +93,17 @@ def better_than_nothing(model: ErrorModel, path: Path) -> tuple[ErrorModel, list
     return model.model_copy(update={"components": kept}), sorted(worse)
 
 
-def compile_model(model: ErrorModel, options: Export) -> CompensationTable:
+def _guard(context: Context, recording: Recording) -> SensorGuard:
+    """What the sensors say of each other, learnt on the recording; kept beside the table."""
+    from errpipe.fitting import sensor_guard
+
+    context.progress(0.1, "learning what the sensors say of each other")
+    guard = sensor_guard.learn(recording)
+    context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
+    return guard
+
+
+def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None = None) -> CompensationTable:
     """The table of a model. Raises GateError for what a controller cannot be given."""
     from errpipe import __version__, jsonfile, tables
     from errpipe.errors import GateError
@@ -99,6 +116,8 @@ def compile_model(model: ErrorModel, options: Export) -> CompensationTable:
         behind = ", ".join(sorted({t for terms in left_behind(model).values() for t in terms})) or "no term"
         raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
     _inputs.unknown_inputs(_inputs.read_by([p.driver for pairs in lowered.values() for p in pairs]), model)
+    if guard is not None:
+        lowered = {name: [_guarded(p, guard) for p in pairs] for name, pairs in lowered.items()}
     sources = [
         tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]))
         for c in model.components
@@ -111,7 +130,7 @@ def compile_model(model: ErrorModel, options: Export) -> CompensationTable:
     }
     return tables.compile_table(
         sources,
-        inputs=_inputs.table_inputs(model),
+        inputs=_inputs.table_inputs(model, guard),
         travel=_inputs.travel(model),
         limits=limits,
         error_bound=options.error_bound,
@@ -122,6 +141,14 @@ def compile_model(model: ErrorModel, options: Export) -> CompensationTable:
         version=__version__,
         fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
     )
+
+
+def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
+    from dataclasses import replace
+
+    from errpipe.domain.sensor_guard import guarded
+
+    return replace(pair, driver=guarded(pair.driver, guard))
 
 
 def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict[str, Any]]:

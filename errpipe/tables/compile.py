@@ -74,6 +74,7 @@ class _Nodes:
     thermal_cycle_s: float
     nodes: list[t.Node] = field(default_factory=list)
     numbers: dict[t.Node, int] = field(default_factory=dict)
+    seen: dict[tuple[int, bool], tuple[d.Driver, int]] = field(default_factory=dict)
 
     def add(self, node: t.Node) -> int:
         """Number of a node, new or known."""
@@ -93,7 +94,16 @@ class _Nodes:
         return position_input(tuple(self.inputs.values()), axis)
 
     def compile(self, driver: d.Driver, slow: bool = False) -> int:
-        """Number of the node that computes a driver; slow: everything below it is only needed in thermal cycles."""
+        """Number of the node that computes a driver; slow: everything below it is only needed in thermal cycles.
+
+        A driver that is met again, as parts shared by many drivers are, is not walked again.
+        """
+        key = (id(driver), slow)
+        if key not in self.seen:
+            self.seen[key] = (driver, self._walk(driver, slow))
+        return self.seen[key][1]
+
+    def _walk(self, driver: d.Driver, slow: bool) -> int:
         match driver:
             case d.Constant():
                 return self.add(t.ConstantNode(value=driver.value, slow=True))
