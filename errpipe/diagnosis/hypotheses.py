@@ -291,6 +291,8 @@ def _free_grid(term: Term, name: str, recording: Recording, waves: Waves) -> tup
 
 def prior_of(term: Term) -> float:
     """Log prior odds of a binding beside its like: the stranger, the lower."""
+    if term.term == "thermal_interaction":
+        return -2.0  # a product is a stranger thing than a sum
     if term.term == "torque_ripple" or (term.term == "pitch_cyclic" and not term.fixed):
         return -3.0  # the strongest of some hundred waves was picked
     if term.term == "sensor_fault":

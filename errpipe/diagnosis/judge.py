@@ -82,6 +82,13 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
     return in_part
 
 
+def _reached(search: Search, explanation: Explanation, rough: float, share: float = 0.88) -> bool:
+    """Does the explanation reach this share of the variance that is neither noise nor recalibration?"""
+    noise, base = 1.2 * rough, search.scene([]).rms()
+    left = search.scene([(f.index, f.size) for f in explanation.found]).rms()
+    return bool(explanation.found) and left**2 - noise**2 < (1 - share) * (base**2 - noise**2)
+
+
 FAINT = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
 
 
@@ -158,12 +165,13 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         worth = max(run.size / time, 30.0)
         single, one = _settled(library, data, nuisance, search.prior, rough, worth, most=1)
         left = single.scene([(f.index, f.size) for f in one.found]).residual()
-        worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
-        search, explanation = _settled(library, data, nuisance, search.prior, rough, worth)
+        if not (_reached(search, explanation, rough) and not _reached(single, one, rough, 0.75)):
+            worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
+            search, explanation = _settled(library, data, nuisance, search.prior, rough, worth)
         wide = Active(nuisance.index, nuisance.sd * np.r_[1.0, np.full(nuisance.sd.size - 1, WIDE)])
         other, loose_gains = _settled(library, data, wide, search.prior, rough, worth)
         chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
-        if other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
+        if search.rows and other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
             search, explanation, nuisance = other, loose_gains, wide
     explanation = worth_naming(search, explanation, conditioned, rows)
     sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)

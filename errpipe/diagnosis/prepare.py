@@ -11,6 +11,7 @@ from errpipe.errors import DataError
 from errpipe.terms._base import sessions
 
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
+MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged: more would cost time and tell nothing new
 MOST_MISSING = 0.5  # a sensor with more gaps than this drives nothing
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 
@@ -67,7 +68,23 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
     if np.nanstd(recording.array(error)[rows]) == 0:
         raise DataError(f"{component}: the recorded value never changes")
     wild = spikes(mismatch[rows], recording.run_codes()[rows])
+    keep = _enough(recording, rows)
+    rows, wild = rows[keep], wild[keep]
     return Pair(component, unit, error, twin, rows[~wild], mismatch[rows[~wild]], rows[wild])
+
+
+def _enough(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """Which rows of a long recording are judged: a share spread at random, or of a fast trace whole stretches."""
+    step = np.diff(recording.time()[rows])
+    fast = recording.name("time") is not None and np.median(step) < 0.1
+    most = MOST_FAST if fast else MOST_SLOW
+    if rows.size <= most:
+        return np.arange(rows.size)
+    if fast:
+        stretch = np.arange(rows.size) * STRETCHES // rows.size
+        first = np.searchsorted(stretch, np.arange(STRETCHES))
+        return np.concatenate([np.arange(a, a + most // STRETCHES) for a in first])
+    return np.sort(np.random.default_rng(0).choice(rows.size, most, replace=False))
 
 
 def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
