@@ -293,6 +293,8 @@ def prior_of(term: Term) -> float:
     """Log prior odds of a binding beside its like: the stranger, the lower."""
     if term.term == "thermal_interaction":
         return -2.0  # a product is a stranger thing than a sum
+    if term.term == "air_refraction":
+        return -4.0  # two sensors and a datum bend to most slopes
     if term.term == "torque_ripple" or (term.term == "pitch_cyclic" and not term.fixed):
         return -3.0  # the strongest of some hundred waves was picked
     if term.term == "sensor_fault":
@@ -399,7 +401,7 @@ def slacks(
     elif name == "coolant_effect":
         yield from decays(recording, nl[0], 0.2, 0.2)
     elif name == "air_refraction":
-        yield position(recording, term.axis), 1.0  # counted from the weather of an unknown day
+        yield position(recording, term.axis), 0.3  # counted from the weather of an unknown day
     elif name == "local_wear" and not radial:
         centre, width = nl
         for shift in (-0.6, 0.6):
