@@ -23,7 +23,7 @@ from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 VERBS = (
     "check", "plan", "run", "demo",
     "predict", "eval", "whatis", "diagnose",
-    "export", "verify", "targets", "compare-targets", "correct",
+    "export", "verify", "targets", "compare-targets", "correct", "measure",
     "schema",
 )  # fmt: skip
 

@@ -32,6 +32,7 @@ class Identify(Stage):
         from errpipe.domain.machine import Machine
         from errpipe.kinematics import identify, observations, protocols, summary
         from errpipe.kinematics.chain import compile_chain
+        from errpipe.stages.measure import ballbar_pages
 
         chain = compile_chain(yamlfile.load(self.machine, Machine))
         tests = [_artefacts.recording_in(folder) for folder in context.every("recordings").values()]
@@ -42,7 +43,8 @@ class Identify(Stage):
         document = summary.document(found, seen)
         context.write_json(IDENTIFICATION, {**document, "inputs": context.fingerprint})
         shutil.copyfile(self.machine, context.folder / MACHINE)
-        context.write_text("identification.html", page(chain, found, document, context.title))
+        circles = [figure for test in tests if test.names("error", component="E_R") for figure in ballbar_pages(test)]
+        context.write_text("identification.html", page(chain, found, document, context.title, circles))
         volumetric = document["volumetric"]
         return {
             "components": len(chain.components),
@@ -52,7 +54,7 @@ class Identify(Stage):
         }
 
 
-def page(chain: Any, found: Any, document: Mapping[str, Any], title: str) -> str:
+def page(chain: Any, found: Any, document: Mapping[str, Any], title: str, circles: list[tuple[str, str, str]]) -> str:
     """The machine drawn, its error as vectors and slices before and after, every component, what was not seen."""
     import numpy as np
 
@@ -72,5 +74,6 @@ def page(chain: Any, found: Any, document: Mapping[str, Any], title: str) -> str
     if sum(a.kind == "linear" for a in chain.machine.axes.values()) >= 3:
         figures.append(("Slices", machine_figures.slices(chain, errors, None, tip), "Size of the error, um."))
     figures.append(("Components", machine_figures.components(errors), "After ISO 230-1: um left, urad right."))
+    figures += circles
     data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
     return page.render("identification.html.j2", data)

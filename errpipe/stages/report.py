@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -135,8 +136,10 @@ def _term(fitted: Any) -> dict[str, Any]:
     from errpipe.fitting.components import term_of
 
     term = term_of(fitted)
+    equation = re.search(r"Equation\s+(.*)", type(term).__doc__ or "")
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    return {"says": term.says(fitted.values()), "parameters": parameters}
+    told = equation[1].strip() if equation else ""
+    return {"says": term.says(fitted.values()), "equation": told, "parameters": parameters}
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:

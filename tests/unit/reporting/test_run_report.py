@@ -26,7 +26,7 @@ def report() -> RunReport:
         rms_before=14.1,
         rms_after=1.01,
         noise_floor=0.98,
-        terms=[{"says": "lead <error>", "parameters": [slope]}],
+        terms=[{"says": "lead <error>", "equation": "k x", "parameters": [slope]}],
         table=[{"group": "1", "coverage90": 0.91, **row}, {"group": "2", "coverage90": None, **row}],
         scheme="leave one run out",
     )
