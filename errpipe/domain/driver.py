@@ -1,7 +1,9 @@
 """A driver: how an error's size follows the state of the machine, as a tree of few operations.
 
 Everything here is causal and cheap: a controller evaluates the same tree once per cycle. Semantics of
-each operation at step k (dt = time since the step before; at the first step of a run states start):
+each operation at step k (dt = time since the step before). States start at the first step of a session: a
+controller's power-on; in a recording, a run, and with it the runs that follow it in time, because heat does
+not stop between runs (a prediction takes every run by itself):
 
     constant   value
     input      the named input (a column of a recording, a channel of a controller)
