@@ -43,7 +43,10 @@ def ballbar_pages(recording: Any) -> list[tuple[str, str, str]]:
     for test in iso230_4.evaluate(recording):
         plane = test.figures.plane
         own = [c for c in circles if "".join(c.plane) == "".join(plane)]
-        lines = [f"G{sense} {value:.1f} um" for sense, value in test.figures.circular.items()]
+        found = test.figures
+        lines = [f"G {run}: {value:.1f} um" for run, value in found.circular.items()]
+        lines += [f"F {run}: {low:+.1f} to {high:+.1f} um" for run, (high, low) in found.radial.items()]
+        lines += [f"G both ways: {found.both:.1f} um"] if found.both is not None else []
         lines += [
             f"{e.effect.replace('_', ' ')} {e.where}: {e.value:.1f} ({e.ci95[0]:.1f} to {e.ci95[1]:.1f}) {e.unit}"
             for e in test.effects

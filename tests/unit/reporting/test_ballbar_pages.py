@@ -18,5 +18,5 @@ def test_squareness_is_read_off_the_circle():
     pages = ballbar_pages(recording)
     assert len(pages) == 3
     _, figure, _ = next(p for p in pages if p[0].endswith("XY"))
-    assert "squareness" in figure and figure.startswith("<svg") and "G" in figure
+    assert "squareness" in figure and figure.startswith("<svg") and "G XY ccw" in figure and "F XY cw" in figure
     assert pages == ballbar_pages(recording)
