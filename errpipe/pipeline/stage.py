@@ -152,7 +152,7 @@ class Stage(Options):
 
     def run(self, context: Context) -> Mapping[str, Any]:
         """Do the work. Returns a few summary numbers or texts (JSON values). Raises ErrpipeError."""
-        raise NotImplementedError
+        raise TypeError(f"{type(self).__name__} does not say how it runs")
 
 
 def _canonical(value: Any) -> Any:

@@ -90,7 +90,8 @@ class Season(Family):
         out = {"seasons": seasons.table(recording, component, fitter, self.holdout)}
         if any(recording.manifest.columns[n].of == "day" for n in recording.names("group")):
             progress(0.7, "trained on the past alone")
-            out["forward"] = seasons.table(recording, component, fitter, "forward:day", in_season=False)
+            out["forward"] = seasons.table(recording, component, fitter, "forward:month", in_season=False)
+            out["forward_daily"] = seasons.table(recording, component, fitter, "forward:day", in_season=False)
         return out
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:

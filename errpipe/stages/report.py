@@ -55,7 +55,11 @@ class Report(Stage):
             validity=_validity(model),
             exported=_exported(context.maybe("export")),
             iso230=_iso230(validation),
-            tables=[*_causes(context.needed("fit") / "season.json"), *_seasons(validation)],
+            tables=[
+                *_causes(context.needed("fit") / "season.json"),
+                *_plate(context.needed("fit") / "plate.json"),
+                *_seasons(validation),
+            ],
             notes=_left_out(context.maybe("export")),
             next_step=_next_step(context.maybe("export")),
         )
@@ -214,11 +218,28 @@ def _causes(path: Path) -> list[Any]:
     return [Table("Causes", ["cause", "gain"], rows, caption)]
 
 
+def _plate(path: Path) -> list[Any]:
+    """Scale and squareness of a planar map, each with its interval."""
+    from errpipe import jsonfile
+    from errpipe.reporting.run_report import Table
+
+    if not path.is_file():
+        return []
+    figures = jsonfile.read(path)["figures"].items()
+    rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in figures]
+    caption = "The straight line through the whole map; intervals are 95 %."
+    return [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
+
+
 def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     """The seasonal tables, where the fit was a thermal model for all seasons."""
     from errpipe.reporting.run_report import Table
 
-    headings = {"seasons": "Seasons left out whole", "forward": "Trained on the past alone"}
+    headings = {
+        "seasons": "Seasons left out whole",
+        "forward": "Trained on past months alone",
+        "forward_daily": "Trained anew each day on the past alone",
+    }
     names = ("uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage")
     out = []
     for key, heading in headings.items():

@@ -163,6 +163,7 @@ class TestReal:
         assert groups["winter"]["out_of_season"] <= 10.0
         assert groups["spring"]["out_of_season"] < 8.7
         assert document["seasons"]["never_worse"]
+        assert document["forward"]["never_worse"]  # by months; by days, the first spring days are worse than nothing
         recording = REAL / "turning-centre-thermal"
         for source in ("table.ect", "error_model.json"):
             assert main(["predict", str(out / "export" / source), str(recording), "--out", str(tmp_path / source)]) == 0
