@@ -49,4 +49,5 @@ def diagnose(
         response, carried = report.response(case)
         responses.append(response)
         rows.append(Rows(case.y, judge.residual(case), case.run, carried))
+        del case  # or two tables of products are held at once
     return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes)), rows

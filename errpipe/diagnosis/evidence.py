@@ -12,6 +12,9 @@ All products of columns are formed once (`Table`); a search then never touches t
 from __future__ import annotations
 
 import copy
+import hashlib
+import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,19 +39,32 @@ def whiten(columns: np.ndarray, run: np.ndarray, share: float = SHARE) -> np.nda
     return out[:, 0] if flat else out
 
 
-class Table:
-    """Whitened columns with all their products; columns can be added, and are addressed by index."""
+def stretches(fold: np.ndarray) -> list[tuple[int, int, int]]:
+    """Neighbouring rows of one fold: (first row, row after the last, fold)."""
+    edges = np.r_[0, np.flatnonzero(np.diff(fold)) + 1, fold.size]
+    return [(int(a), int(b), int(fold[a])) for a, b in itertools.pairwise(edges) if b > a]
 
-    def __init__(self, run: np.ndarray, blocks: list[np.ndarray], fold: np.ndarray, spare: int = 600):
+
+class Table:
+    """Whitened columns with all their products; columns can be added, and are addressed by index.
+
+    Blocks are taken one at a time and need not exist at once; a column that several of them share is held once.
+    places[i] are the indices of block i's columns. Storage is asked for generously: memory that is never written
+    costs nothing.
+    """
+
+    def __init__(self, run: np.ndarray, blocks: Iterable[np.ndarray], fold: np.ndarray, room: int = 4096):
         self.run, self.n, self.fold = run, run.size, fold
         self.rows = [np.flatnonzero(fold == f) for f in range(int(fold.max()) + 1)]
-        width = sum(b.shape[1] for b in blocks)
-        self._store = np.zeros((run.size, width + spare), order="F")
+        self.stretches = stretches(fold)
+        self._store = np.zeros((run.size, room), order="F")
+        self._seen: dict[bytes, int] = {}
         self.width = 0
-        for block in blocks:
-            self._store[:, self.width : self.width + block.shape[1]] = whiten(block, run)
-            self.width += block.shape[1]
-        self.parts = [self.W[r].T @ self.W[r] for r in self.rows]
+        self.places = [self._put(block) for block in blocks]
+        self.parts = [np.zeros((self.width, self.width)) for _ in self.rows]
+        for first, last, f in self.stretches:
+            part = self.W[first:last]
+            self.parts[f] += part.T @ part
         self.G = np.sum(self.parts, axis=0)
 
     @property
@@ -56,20 +72,41 @@ class Table:
         """Whitened columns, shape (rows, columns so far)."""
         return self._store[:, : self.width]
 
-    def add(self, columns: np.ndarray) -> np.ndarray:
-        """Append columns (rows, k); returns their indices."""
-        fresh = whiten(columns, self.run)
-        first, last = self.width, self.width + fresh.shape[1]
+    def _put(self, block: np.ndarray) -> np.ndarray:
+        """Store a block's columns, shared ones once; returns their indices. Products are not formed yet."""
+        where, fresh = [], []
+        for j in range(block.shape[1]):
+            digest = hashlib.blake2b(np.ascontiguousarray(block[:, j], dtype=float), digest_size=16).digest()
+            at = self._seen.setdefault(digest, self.width + len(fresh))
+            if at == self.width + len(fresh):
+                fresh.append(j)
+            where.append(at)
+        self._append(whiten(block[:, fresh], self.run))
+        return np.array(where, dtype=int)
+
+    def _append(self, fresh: np.ndarray) -> None:
+        last = self.width + fresh.shape[1]
         if last > self._store.shape[1]:
-            grown = np.zeros((self.n, last + 300), order="F")
-            grown[:, :first] = self.W
+            grown = np.zeros((self.n, 2 * last), order="F")
+            grown[:, : self.width] = self.W
             self._store = grown
-        for f, rows in enumerate(self.rows):
-            cross, own = self.W[rows].T @ fresh[rows], fresh[rows].T @ fresh[rows]
-            self.parts[f] = np.block([[self.parts[f], cross], [cross.T, own]])
-        self._store[:, first:last] = fresh
-        self.G, self.width = np.sum(self.parts, axis=0), last
-        return np.arange(first, last)
+        self._store[:, self.width : last] = fresh
+        self.width = last
+
+    def add(self, columns: np.ndarray) -> np.ndarray:
+        """Append columns (rows, k) and form their products; returns their indices."""
+        before = self.width
+        self._append(whiten(columns, self.run))
+        grown = [np.zeros((self.width, self.width)) for _ in self.rows]
+        for part, old in zip(grown, self.parts, strict=True):
+            part[:before, :before] = old
+        for first, last, f in self.stretches:
+            cross = self.W[first:last].T @ self.W[first:last, before:]
+            grown[f][:, before:] += cross
+            grown[f][before:, :before] += cross[:before].T
+        self.parts = grown
+        self.G = np.sum(self.parts, axis=0)
+        return np.arange(before, self.width)
 
 
 class Data:
@@ -115,8 +152,9 @@ class Data:
         """Products with all columns that the table holds by now."""
         done = self._known.shape[1]
         if done < self.table.width:
-            W = self.table.W[:, done:]
-            fresh = np.stack([W[r].T @ self.y[r] for r in self.table.rows])
+            fresh = np.zeros((len(self.table.rows), self.table.width - done))
+            for first, last, f in self.table.stretches:
+                fresh[f] += self.table.W[first:last, done:].T @ self.y[first:last]
             self._known = np.column_stack([self._known, fresh])
         total = self._known.sum(axis=0)
         return total if self.without is None else total - self._known[self.without]

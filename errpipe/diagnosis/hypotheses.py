@@ -9,7 +9,7 @@ relative to the core's size; all columns are scaled to unit rms over the judged 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,36 +45,37 @@ class Hypothesis:
 
 
 class Library:
-    """All hypotheses for a response on its rows: columns side by side, unit rms, with their freedoms.
+    """All hypotheses for a response on its rows: columns of unit rms, with their freedoms.
 
-    slices[i] addresses the columns of hypothesis i in the table; cores[i] of them are the textbook form;
-    freedom: relative standard deviation of each; scale: response units per unit of the basis column.
+    places[i] are the columns of hypothesis i in the table, the first cores[i] of them the textbook form;
+    freedoms[i]: relative standard deviation of each; scales[i]: response units per unit of the basis column.
     table: whitened products; its column `datum` is the constant.
     """
 
-    def __init__(self, hypotheses: list[Hypothesis], blocks: list[np.ndarray], freedoms: list[np.ndarray],
-                 scales: list[np.ndarray], cores: list[int], run: np.ndarray, fold: np.ndarray):  # fmt: skip
-        self.hypotheses, self.cores = hypotheses, cores
-        edges = np.cumsum([0, *[b.shape[1] for b in blocks]])
-        self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-        self.freedom = np.concatenate([*freedoms, [1.0]])
-        self.scale = np.concatenate([*scales, [1.0]])
-        self.datum = int(edges[-1])
-        self.table = Table(run, [*blocks, np.ones((run.size, 1))], fold)
+    def __init__(self, made: Iterable[tuple[Hypothesis, Block, int]], run: np.ndarray, fold: np.ndarray):
+        """made: each hypothesis with its scaled block and the number of its core columns, as they come."""
+        self.hypotheses: list[Hypothesis] = []
+        self.cores: list[int] = []
+        self.freedoms: list[np.ndarray] = []
+        self.scales: list[np.ndarray] = []
         self._families: dict[tuple, list[int]] = {}
-        for i, h in enumerate(hypotheses):
-            self._families.setdefault(h.key, []).append(i)
+        blocks = (self._listed(h, block, cores) for h, block, cores in made)
+        self.table = Table(run, itertools.chain(blocks, [np.ones((run.size, 1))]), fold)
+        *self.places, (self.datum,) = self.table.places
+
+    def _listed(self, h: Hypothesis, block: Block, cores: int) -> np.ndarray:
+        """Take down a hypothesis; its columns."""
+        columns, freedom, scale = block
+        self._families.setdefault(h.key, []).append(len(self.hypotheses))
+        self.hypotheses.append(h)
+        self.cores.append(cores)
+        self.freedoms.append(freedom)
+        self.scales.append(scale)
+        return columns
 
     def extend(self, h: Hypothesis, block: np.ndarray, freedom: np.ndarray, scale: np.ndarray, cores: int) -> int:
         """Append a hypothesis; returns its index."""
-        first = self.table.width
-        self.add(block)
-        self.freedom = np.r_[self.freedom, np.ones(first - self.freedom.size), freedom]
-        self.scale = np.r_[self.scale, np.ones(first - self.scale.size), scale]
-        self.hypotheses.append(h)
-        self.slices.append(slice(first, first + block.shape[1]))
-        self.cores.append(cores)
-        self._families.setdefault(h.key, []).append(len(self.hypotheses) - 1)
+        self.places.append(self.add(self._listed(h, (block, freedom, scale), cores)))
         return len(self.hypotheses) - 1
 
     def add(self, columns: np.ndarray) -> np.ndarray:
@@ -90,11 +91,16 @@ class Library:
 
     def indices(self, i: int) -> np.ndarray:
         """Column numbers of a hypothesis."""
-        return np.arange(self.slices[i].start, self.slices[i].stop)
+        return self.places[i]
+
+    @property
+    def slices(self) -> list[np.ndarray]:
+        """Column numbers of every hypothesis."""
+        return self.places
 
     def freedom_of(self, i: int) -> np.ndarray:
         """Freedoms of a hypothesis' columns."""
-        return self.freedom[self.slices[i]]
+        return self.freedoms[i]
 
     def family(self, i: int) -> list[int]:
         """The hypotheses that differ from it in non-linear parameters only."""
@@ -109,21 +115,21 @@ def build(
 
     signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
     """
-    kept, blocks, freedoms, scales, cores = [], [], [], [], []
-    waves = Waves(rows, signals)
-    for hypothesis in enumerate_all(recording, component, raw or recording, waves):
-        core, slack, rel = columns_of(hypothesis, recording)
-        made = scaled(core[rows], slack[rows], rel)
-        if made is None:
-            continue
-        block, freedom, scale = made
-        kept.append(hypothesis)
-        blocks.append(block)
-        freedoms.append(freedom)
-        scales.append(scale)
-        cores.append(core.shape[1])
     run = recording.run_codes()[rows]
-    return Library(kept, blocks, freedoms, scales, cores, run, folds(run)[0])
+    waves = Waves(rows, signals)
+    every = enumerate_all(recording, component, raw or recording, waves)
+    return Library(_with_columns(every, recording, rows), run, folds(run)[0])
+
+
+def _with_columns(
+    every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray
+) -> Iterator[tuple[Hypothesis, Block, int]]:
+    """Hypotheses that say something on these rows, one at a time."""
+    for hypothesis in every:
+        core, slack, rel = columns_of(hypothesis, recording)
+        block = scaled(core[rows], slack[rows], rel)
+        if block is not None:
+            yield hypothesis, block, core.shape[1]
 
 
 FOLDS = 5
@@ -141,7 +147,10 @@ def folds(run: np.ndarray) -> tuple[np.ndarray, str]:
     return block % FOLDS, f"{count} blocks of neighbouring rows in {FOLDS} groups"
 
 
-def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)
+
+
+def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None:
     """Columns of unit size, their freedoms and scales; None where a core column says nothing."""
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
@@ -306,10 +315,10 @@ def prior_of(term: Term) -> float:
 
 def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Core columns, slack columns and the slacks' freedoms, on all rows of the recording."""
-    core = np.column_stack([t.basis(recording, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)])
+    bases = [t.basis(recording, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)]
+    core = np.column_stack(bases)
     slack, rel = [], []
-    for term, nl in zip(h.terms, h.nonlinear, strict=True):
-        base = term.basis(recording, *nl)
+    for term, nl, base in zip(h.terms, h.nonlinear, bases, strict=True):
         for column, freedom in slacks(term, nl, base, recording):
             slack.append(column)
             rel.append(freedom)

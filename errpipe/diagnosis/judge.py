@@ -127,6 +127,7 @@ def judge(
         pair, rows=pair.rows[~wild], mismatch=pair.mismatch[~wild],
         outliers=np.sort(np.r_[pair.outliers, pair.rows[wild]]),
     )  # fmt: skip
+    del case  # or two tables of products are held at once
     return _judge(raw, conditioned, kept, progress)
 
 

@@ -90,8 +90,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
             on_axis = groups.kind in h.drivers or h.terms[0].family in ("geometric", "reversal", "servo", "friction")
             if groups.kind not in ("runs", clock) and not on_axis:
                 continue
-            at = library.slices[index]
-            W = library.table.W[:, at.start : at.start + library.cores[index]]
+            W = library.table.W[:, library.indices(index)[: library.cores[index]]]
             found = _best_part(scene, basis, y, W, groups, order, edges)
             if found and found[0] > alone[index] - search.prior[index] + BETTER and found[0] > 12.0:
                 parts.append((found[0], index, groups, found[1]))

@@ -129,12 +129,10 @@ def _parameters(made: model.Modelled, values: dict[str, float]) -> dict[str, flo
 
 def _alike(case: Case, made: model.Modelled, rival: int) -> bool:
     """Does the rival's textbook form explain nearly all of the finding's contribution?"""
-    at = case.library.slices[rival]
     core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
     columns = np.column_stack([np.ones(core.shape[0]), core])
     target = made.contribution
     b, *_ = np.linalg.lstsq(columns, target, rcond=None)
-    _ = at
     return float(np.var(target - columns @ b)) < (1 - ALIKE) * float(np.var(target))
 
 
@@ -144,7 +142,7 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
     core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
     columns = np.column_stack([np.ones(core.shape[0]), core])
     b, *_ = np.linalg.lstsq(columns, made.contribution, rcond=None)
-    scale = case.library.scale[case.library.slices[rival]][: core.shape[1]]
+    scale = case.library.scales[rival][: core.shape[1]]
     return h, b[1:] / scale
 
 

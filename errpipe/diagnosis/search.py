@@ -94,14 +94,14 @@ class Search:
     def score(self, chosen: list[tuple[int, float]], candidates: list[int]) -> list[Scored]:
         """What each candidate would add."""
         scene = self.scene(chosen)
-        slices = [self.library.slices[k] for k in candidates]
+        slices = [self.library.places[k] for k in candidates]
         freedom = [self.library.freedom_of(k) for k in candidates]
         scored = scene.score(slices, freedom, self.rows)
         for place, k in enumerate(candidates):
             if self.library.hypotheses[k].effect == "clock_offset":
                 # a shift has no size of its own: the difference of the shifted signals counts once
-                at = self.library.slices[k].start
-                unit = float(self.library.scale[at])
+                at = int(self.library.places[k][0])
+                unit = float(self.library.scales[k][0])
                 scored[place] = Scored(scene.exactly(at, unit, 0.15 * unit, self.rows), unit / self.sigma)
         return scored
 
