@@ -70,8 +70,11 @@ class Export(Stage):
         table = compile_model(model, self, guard)
         context.progress(0.5, "comparing table and model")
         proof = compare(table, model, recording)
+        from errpipe.stages.targets import checksums
+
         files = _write(context, table, model, self.targets)
         document = {"proof": proof, "files": files, "left_out": left_out}
+        document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         return {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}

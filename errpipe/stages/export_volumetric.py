@@ -35,7 +35,7 @@ class ExportVolumetric(Stage):
         from errpipe.domain.machine import Machine
         from errpipe.kinematics import summary
         from errpipe.kinematics.chain import compile_chain
-        from errpipe.stages.targets import write_targets
+        from errpipe.stages.targets import checksums, write_targets
         from errpipe.tables import ect
 
         folder = context.needed("identify")
@@ -49,6 +49,7 @@ class ExportVolumetric(Stage):
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         files += write_targets(table, self.targets, context.folder)
         facts = {"proof": proof, "files": files, "left_out": []}
+        facts["sha256"] = checksums(context.folder, files, [_artefacts.TWIN])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,12 +42,12 @@ def compare_targets(table: Path) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     for target in TARGETS:
         try:
-            losses = _losses(found, target, target.write(found))
+            lost = losses(found, target, target.write(found))
         except GateError as err:
             rows.append({"target": target.name, "refused": str(err)})
             continue
-        rows += [{"target": target.name, **loss} for loss in losses]
-    rows += [{"target": " + ".join(names), **loss} for names, losses in _best_together(found) for loss in losses]
+        rows += [{"target": target.name, **loss} for loss in lost]
+    rows += [{"target": " + ".join(names), **loss} for names, lost in _best_together(found) for loss in lost]
     return {"comparison": rows, "says": [_line(row) for row in rows]}
 
 
@@ -79,12 +80,12 @@ def _best_together(table: CompensationTable) -> list[tuple[tuple[str, ...], list
             _, read = write_together(table, parts)
         except GateError:
             continue
-        losses = _loss_rows(table, read)
-        size, names = sum(x["rms_um"] ** 2 for x in losses), tuple(p.name for p in parts)
+        lost = _loss_rows(table, read)
+        size, names = sum(x["rms_um"] ** 2 for x in lost), tuple(p.name for p in parts)
         family = min((names[0], *parts[0].goes_with))
         if family not in best or size < best[family][0]:
-            best[family] = (size, names, losses)
-    return [(names, losses) for _, names, losses in best.values()]
+            best[family] = (size, names, lost)
+    return [(names, lost) for _, names, lost in best.values()]
 
 
 def export(table: Path, names: Sequence[str], out: Path) -> dict[str, Any]:
@@ -97,8 +98,16 @@ def export(table: Path, names: Sequence[str], out: Path) -> dict[str, Any]:
     ect.write(found, Path(out) / _artefacts.TABLE)
     ect.write_json(found, Path(out) / _artefacts.TWIN)
     document = {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files, "left_out": []}
+    document["sha256"] = checksums(Path(out), files, [_artefacts.TABLE, _artefacts.TWIN])
     jsonfile.write(Path(out) / "export.json", document)
     return {"files": files, "says": [f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files]}
+
+
+def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[str] = ()) -> dict[str, str]:
+    """SHA-256 of every exported file by its path in the folder, with the checklists of the targets."""
+    names = {row["file"] for row in files} | set(others)
+    names |= {f"{name.split('/')[0]}/{CHECKLIST}" for name in names if "/" in name}
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in sorted(names)}
 
 
 def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) -> list[dict[str, Any]]:
@@ -110,16 +119,16 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
     for target in targets:
         others = _beside(target, targets)
         files = target.write_beside(table, others)
-        losses = _losses(table, target, files)
+        lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(folder / target.name / name, text)
-        steps = checklist(target, target.read_back(files), losses) + _companions(table, target, others)
+        steps = checklist(target, target.read_back(files), lost) + _companions(table, target, others)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
-        told = _told(losses)
         out += [
-            {"file": f"{target.name}/{name}", "what": target.controller, "error": told, "read_back": "compared"}
+            {"file": f"{target.name}/{name}", "what": target.controller, "error": told(lost), "read_back": "compared",
+             "losses": lost}
             for name in files
-        ]
+        ]  # fmt: skip
     return out
 
 
@@ -130,7 +139,7 @@ def _companions(table: CompensationTable, target: Any, others: Sequence[str]) ->
     _, read = write_together(table, [target, *chosen(others)])
     return (
         f"\nLoad these files only together with those of {', '.join(others)}: what they say is left out here.\n"
-        f"Together they leave {_told(_loss_rows(table, read))}.\n"
+        f"Together they leave {told(_loss_rows(table, read))}.\n"
     )
 
 
@@ -150,10 +159,6 @@ def chosen(names: Sequence[str]) -> list[Any]:
     return [known[name] for name in names]
 
 
-def _losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list[dict[str, Any]]:
-    return _loss_rows(table, target.read_back(files))
-
-
 def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
     from errpipe.targets import _sample
 
@@ -168,37 +173,59 @@ def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
     ]
 
 
-def told_loss(table: CompensationTable, target: Any, files: dict[str, str]) -> str:
-    """What a target's files lose of a table, in the words of `export.json`."""
-    return _told(_losses(table, target, files))
+def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list[dict[str, Any]]:
+    """What a target's files lose of a table, per axis in um, as `export.json` keeps it."""
+    return _loss_rows(table, target.read_back(files))
 
 
-def _told(losses: list[dict[str, Any]]) -> str:
-    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} at most" for x in losses) + " um"
+def told(lost: list[dict[str, Any]]) -> str:
+    """Losses in words."""
+    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} at most" for x in lost) + " um"
 
 
-def checklist(target: Any, read: Any, losses: list[dict[str, Any]]) -> str:
+def checklist(target: Any, read: Any, lost: list[dict[str, Any]]) -> str:
     """What a person at the machine does: sign, activation, a move list with expected values, what is lost."""
-    import numpy as np
-
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
-    lines += ["", "## Three-point check", "", "Go there from below, then from above; expect this correction:", ""]
+    lines += ["", "## Three-point check", "", "Go there from below, then from above, other axes at mid travel;"]
+    lines += ["expect this correction:", ""]
     lines += ["| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
-    for curve in read.curves:
-        for x in np.linspace(curve.positions[0], curve.positions[-1], 3):
-            up, down = (1e3 * float(curve.at(np.array([x]), np.array([s]))[0]) for s in (1.0, -1.0))
-            lines.append(f"| {curve.axis} | {curve.over} | {x:.3f} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |")
-    for line in read.lines:
-        per_kelvin = 1e3 * line.level
-        lines.append(f"| {line.axis} | {line.sensor} +1 K | {line.zero:.3f} | {per_kelvin:+.3f} | {per_kelvin:+.3f} |")
+    lines += _moves(read)
     lines += ["", "## What this format leaves behind", ""]
     lines += [
         f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, {x['largest_um']:.3g} um at most"
-        for x in losses
+        for x in lost
     ]
     return "\n".join([*lines, ""])
+
+
+def _moves(read: Any) -> list[str]:
+    """Rows of the move list: three points of each curve, the corners of each product, one kelvin of each sensor."""
+    import numpy as np
+
+    ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
+    for part in (*read.products, *read.planes):
+        grids = getattr(part, "positions", None) or (part.first, part.second)
+        ends |= {over: (float(x[0]), float(x[-1])) for over, x in zip(part.over, grids, strict=True)}
+    middle = {over: np.full(1, (low + high) / 2) for over, (low, high) in ends.items()}
+    cold = {line.sensor: np.full(1, line.reference) for line in read.lines}
+
+    def row(axis: str, over: str, where: str, at: dict[str, float]) -> str:
+        there = middle | {name: np.full(1, x) for name, x in at.items()}
+        up, down = (1e3 * float(read.correction(axis, there, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
+        return f"| {axis} | {over} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
+
+    lines = []
+    for axis, over in dict.fromkeys((c.axis, c.over) for c in read.curves):
+        lines += [row(axis, over, f"{x:.3f}", {over: float(x)}) for x in np.linspace(*ends[over], 3)]
+    for axis, (a, b) in dict.fromkeys((p.axis, p.over) for p in (*read.products, *read.planes)):
+        corners = [(x, y) for x in ends[a] for y in ends[b]]
+        lines += [row(axis, f"{a} and {b}", f"{x:.3f}, {y:.3f}", {a: x, b: y}) for x, y in corners]
+    for line in read.lines:
+        per_kelvin = 1e3 * line.level
+        lines.append(f"| {line.axis} | {line.sensor} +1 K | {line.zero:.3f} | {per_kelvin:+.3f} | {per_kelvin:+.3f} |")
+    return lines
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 STATES = 2000
+SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json` keeps
 
 
 def verify(folder: Path) -> dict[str, Any]:
@@ -33,6 +35,7 @@ def verify(folder: Path) -> dict[str, Any]:
     if (folder / _artefacts.MODEL).is_file():
         checks.append(_model(folder, table))
     checks += _targets(folder, table, document)
+    checks.append(_checksums(folder, document))
     return {"checks": len(checks), "says": checks}
 
 
@@ -91,7 +94,7 @@ def every_state(model: ErrorModel, seed: int = 1) -> Recording:
 
 
 def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -> list[str]:
-    from errpipe.stages.targets import chosen, told_loss
+    from errpipe.stages.targets import chosen, losses, told
 
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in document["files"]:
@@ -103,11 +106,43 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
         files = {}
         for row in rows:
             path = folder / row["file"]
-            if not path.is_file():
-                raise VerifyError(f"{path}: is missing")
+            _unchanged(path, document.get("sha256", {}).get(row["file"]))
             files[path.name] = path.read_text(encoding="utf-8")
-        told = told_loss(table, target, files)
-        if told != rows[0]["error"]:
-            raise VerifyError(f"{folder / name}: now loses {told}; it lost {rows[0]['error']} when it was exported")
-        checks.append(f"{name}: read back as the controller does; loses {told}")
+        lost = losses(table, target, files)
+        if not _same(lost, rows[0]):
+            before = rows[0]["error"]
+            raise VerifyError(f"{folder / name}: now loses {told(lost)}; it lost {before} when it was exported")
+        checks.append(f"{name}: read back as the controller does; loses {told(lost)}")
     return checks
+
+
+def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
+    """Whether a loss is that of the export; one of before losses were kept as numbers is compared in words."""
+    from errpipe.stages.targets import told
+
+    if "losses" not in row:
+        return told(lost) == row["error"]
+    then = {x["axis"]: x for x in row["losses"]}
+    return set(then) == {x["axis"] for x in lost} and all(
+        abs(x[key] - then[x["axis"]][key]) <= SAME_UM for x in lost for key in ("largest_um", "rms_um", "table_rms_um")
+    )
+
+
+def _unchanged(path: Path, expected: str | None) -> None:
+    """Raise VerifyError where a file is missing, or is not the one that was exported."""
+    if not path.is_file():
+        raise VerifyError(f"{path}: is missing")
+    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    if expected is not None and found != expected:
+        raise VerifyError(
+            f"{path}: was changed after it was exported (SHA-256 {found[:12]}..., export.json says {expected[:12]}...)"
+        )
+
+
+def _checksums(folder: Path, document: dict[str, Any]) -> str:
+    known = document.get("sha256", {})
+    for name, expected in known.items():
+        _unchanged(folder / name, expected)
+    if not known:
+        return "no checksums of single files: exported by an errpipe that did not keep them; export again"
+    return f"SHA-256 of {len(known)} files, as exported"

@@ -58,6 +58,24 @@ class Plane:
         return low * (1 - g) + high * g
 
 
+@dataclass(frozen=True)
+class Product:
+    """Correction added to `axis`: first(position of over[0]) * second(position of over[1]), mm.
+
+    Each factor is straight between its positions and held beyond them; their values are roots of mm.
+    """
+
+    axis: str
+    over: tuple[str, str]
+    positions: tuple[np.ndarray, np.ndarray]
+    values: tuple[np.ndarray, np.ndarray]
+
+    def at(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Correction at points of the two axes, mm."""
+        first, second = (np.interp(x, p, v) for x, p, v in zip((a, b), self.positions, self.values, strict=True))
+        return first * second
+
+
 def _cell(grid: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inside = np.clip(x, grid[0], grid[-1])
     index = np.clip(np.searchsorted(grid, inside, side="right") - 1, 0, grid.size - 2)
@@ -83,13 +101,15 @@ class ReadBack:
     curves: tuple[Curve, ...] = ()
     planes: tuple[Plane, ...] = ()
     lines: tuple[Line, ...] = ()
+    products: tuple[Product, ...] = ()
 
     def __add__(self, other: ReadBack) -> ReadBack:
-        return ReadBack(self.curves + other.curves, self.planes + other.planes, self.lines + other.lines)
+        lines, products = self.lines + other.lines, self.products + other.products
+        return ReadBack(self.curves + other.curves, self.planes + other.planes, lines, products)
 
     def axes(self) -> tuple[str, ...]:
         """Axes that would be moved."""
-        parts: tuple[Curve | Plane | Line, ...] = (*self.curves, *self.planes, *self.lines)
+        parts: tuple[Curve | Plane | Line | Product, ...] = (*self.curves, *self.planes, *self.lines, *self.products)
         return tuple(dict.fromkeys(p.axis for p in parts))
 
     def correction(
@@ -100,7 +120,7 @@ class ReadBack:
         for c in self.curves:
             if c.axis == axis:
                 total = total + c.at(positions[c.over], side)
-        for p in self.planes:
+        for p in (*self.planes, *self.products):
             if p.axis == axis:
                 total = total + p.at(positions[p.over[0]], positions[p.over[1]])
         for line in self.lines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,11 +16,17 @@ RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is kno
 LATTICE = 400  # random states on which a loss is measured
 PER_KELVIN = 2.0  # K on either side for a slope
 MOST_CURVE = 4000
+# What controllers take, mm and deg, per correction unit of a table.
+MACHINE_UNITS = {"mm": 1.0, "um": 1e-3, "deg": 1.0, "urad": math.degrees(1e-6), "rad": math.degrees(1.0)}
 
 
-def outputs_by_axis(table: CompensationTable) -> dict[str, Output]:
-    """Axis letter -> its output; outputs that move no axis are left out."""
-    return {o.axis: o for o in table.outputs if o.axis}
+def outputs_by_axis(table: CompensationTable) -> dict[str, tuple[Output, ...]]:
+    """Axis letter -> its outputs, whose corrections add up; outputs that move no axis are left out."""
+    found: dict[str, tuple[Output, ...]] = {}
+    for output in table.outputs:
+        if output.axis:
+            found[output.axis] = (*found.get(output.axis, ()), output)
+    return found
 
 
 def positions_of(table: CompensationTable) -> dict[str, str]:
@@ -73,20 +80,21 @@ def corrections(
     states: input name -> (n,); inputs not named stand as in `middle`. References (values latched at the start)
     are taken in the middle state.
     """
-    output = outputs_by_axis(table)[axis]
+    outputs = outputs_by_axis(table)[axis]
     start, n = middle(table), side.size
     moving = set(positions_of(table).values())
     columns = {name: np.repeat(value, 4 * n) for name, value in start.items()}
     for name, values in states.items():
         rows = columns[name].reshape(n, 4)
-        settled = np.asarray(values, dtype=float)
-        rows[:, 1:] = settled[:, None]
+        there = np.asarray(values, dtype=float)
+        rows[:, 1:] = there[:, None]
         if name in moving:
-            rows[:, 1] = rows[:, 2] = settled - RUN_UP * side
+            rows[:, 1] = rows[:, 2] = there - RUN_UP * side
     run = np.repeat(np.arange(n), 4)
     time = np.tile(np.array([0.0, SETTLED, 2 * SETTLED, 3 * SETTLED]), n)
     replay = batch.evaluate(table, columns, time, run)
-    return -replay.deviation[output.name].reshape(n, 4)[:, 3] * output.factor
+    settled = {o.name: -replay.deviation[o.name].reshape(n, 4)[:, 3] for o in outputs}
+    return np.sum([settled[o.name] * (o.factor * MACHINE_UNITS[o.correction_unit]) for o in outputs], axis=0)
 
 
 def curve(table: CompensationTable, axis: str, over: str, points: np.ndarray, *, relative: bool = False) -> Curve:

@@ -9,21 +9,19 @@ Limits    1500 entries unless configured otherwise (P-COMP-00059); the reversal 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import Curve, expect
+from errpipe.targets._screw_map import ScrewMap
 
 MOST = 1500
-ERROR_UM = 0.1
 TENTH_UM = 1e-4  # mm
 
 
-class BeckhoffSsfk(Target):
+class BeckhoffSsfk(ScrewMap):
     """Screw map of each axis, both directions, in tenths of a micrometre."""
 
     name = "beckhoff_ssfk"
@@ -39,24 +37,23 @@ class BeckhoffSsfk(Target):
     )
     goes_with = ("beckhoff_crosscomp", "beckhoff_temperature")
 
-    @classmethod
-    def write(cls, table: CompensationTable) -> dict[str, str]:
-        files = {}
-        for number, axis in enumerate(_sample.axes_of(table), 1):
-            if axis not in _sample.positions_of(table) or axis not in _sample.outputs_by_axis(table):
-                continue
-            points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
-            # Node distance and start are whole tenths of a micrometre, so the grid is laid on them.
-            start, step = round(points.start / TENTH_UM), max(1, int(np.ceil(points.step / TENTH_UM - 1e-6)))
-            curve = _sample.curve(table, axis, axis, (start + step * np.arange(points.count)) * TENTH_UM)
-            files[f"achskw{number}.lis"] = _text(number, axis, start, step, curve)
-        if not files:
-            raise GateError("beckhoff_ssfk: no axis of the table is corrected over its own position")
-        return files
+    most, error_um = MOST, 0.1
 
     @classmethod
-    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
+        """Node distance and start are whole tenths of a micrometre, so the grid is laid on them."""
+        points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
+        start, step = round(points.start / TENTH_UM), max(1, int(np.ceil(points.step / TENTH_UM - 1e-6)))
+        return (start + step * np.arange(points.count)) * TENTH_UM
+
+    @classmethod
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        start, second = (round(x / TENTH_UM) for x in curve.positions[:2].tolist())
+        return f"achskw{number}.lis", _text(number, curve.axis, start, second - start, curve)
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        return _read(name, text)
 
 
 def tenths(correction: np.ndarray) -> list[int]:

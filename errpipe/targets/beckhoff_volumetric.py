@@ -41,7 +41,7 @@ class BeckhoffVolumetric(Target):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         blocks = []
         for axis, name in _sample.positions_of(table).items():
-            own = [c for c in table.components if iso.parse(c.name).axis == axis]
+            own = [c for c in table.components if _axis_of(c.name) == axis]
             if own:
                 blocks.append(_block(table, axis, name, own))
         if not blocks:
@@ -60,6 +60,14 @@ class BeckhoffVolumetric(Target):
                     value = -rows[:, column]
                     curves.append(Curve(names[0], names[0], rows[:, 0], value, value))
         return ReadBack(curves=tuple(curves))
+
+
+def _axis_of(component: str) -> str | None:
+    """Axis whose motion a component is; none for a name that ISO 230-1 does not know."""
+    try:
+        return iso.parse(component).axis
+    except ValueError:
+        return None
 
 
 def _block(table: CompensationTable, axis: str, name: str, own: list) -> str:

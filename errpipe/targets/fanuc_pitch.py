@@ -14,16 +14,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, Points, ReadBack, Target, expect, too_many
+from errpipe.targets._base import Curve, Points, ReadBack, expect, too_many
+from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
 LARGEST, MOST = 7, 1024
 FILE = "PITCH.TXT"
 
 
-class FanucPitch(Target):
+class FanucPitch(ScrewMap):
     """Pitch data of each axis in both directions, with the parameters that go with them."""
 
     name = "fanuc_pitch"
@@ -39,9 +39,7 @@ class FanucPitch(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        axes = [a for a in _sample.positions_of(table) if a in _sample.outputs_by_axis(table)]
-        if not axes:
-            raise GateError("fanuc_pitch: no axis of the table is corrected over its own position")
+        axes = [axis for _, axis in cls.own_axes(table)]
         most = MOST // (2 * len(axes))
         lines, first = ["%"], 0
         for number, axis in enumerate(axes, 1):

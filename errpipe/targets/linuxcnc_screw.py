@@ -9,20 +9,15 @@ Traps     no header, no comment, no comma, no empty line: the reader stops at th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
-from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import Curve, expect
+from errpipe.targets._screw_map import ScrewMap
 
 MOST = 256
-ERROR_UM = 0.05  # of interpolation; finer than any screw repeats
 
 
-class LinuxcncScrew(Target):
+class LinuxcncScrew(ScrewMap):
     """Screw map of each linear axis, both directions, for LinuxCNC 2.8 and newer."""
 
     name = "linuxcnc_screw"
@@ -37,23 +32,17 @@ class LinuxcncScrew(Target):
         "read back joint.n.backlash-filt after each move: it is the value of the file",
     )
 
-    @classmethod
-    def write(cls, table: CompensationTable) -> dict[str, str]:
-        files = {}
-        for axis in _sample.outputs_by_axis(table):
-            if axis not in _sample.positions_of(table):
-                continue
-            points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
-            curve = _sample.curve(table, axis, axis, points.positions())
-            rows = zip(curve.positions, curve.up, curve.down, strict=True)
-            files[f"{axis.lower()}.comp"] = "".join(f"{x:.6f} {up:.9f} {down:.9f}\n" for x, up, down in rows)
-        if not files:
-            raise GateError("linuxcnc_screw: no axis of the table is corrected over its own position")
-        return files
+    most = MOST
+    error_um = 0.05  # finer than any screw repeats
 
     @classmethod
-    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        rows = zip(curve.positions, curve.up, curve.down, strict=True)
+        return f"{curve.axis.lower()}.comp", "".join(f"{x:.6f} {up:.9f} {down:.9f}\n" for x, up, down in rows)
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        return _read(name, text)
 
 
 def _read(name: str, text: str) -> Curve:

@@ -7,20 +7,13 @@ Limits    equidistant; one map before build 4780, separate maps per direction af
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
-from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
-
-MOST = 1000
-ERROR_UM = 0.2
+from errpipe.targets._base import Curve, expect
+from errpipe.targets._screw_map import ScrewMap
 
 
-class Mach4ScrewMap(Target):
+class Mach4ScrewMap(ScrewMap):
     """Screw map of each motor, one section a direction."""
 
     name = "mach4_screw_map"
@@ -31,21 +24,15 @@ class Mach4ScrewMap(Target):
     source = "Mach4 screw mapping page of the controller's maker"
     activation = ("enter start, length and points under screw mapping; enable; compare three points from both sides",)
 
-    @classmethod
-    def write(cls, table: CompensationTable) -> dict[str, str]:
-        files = {}
-        for axis in _sample.outputs_by_axis(table):
-            if axis in _sample.positions_of(table):
-                points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
-                curve = _sample.curve(table, axis, axis, points.positions())
-                files[f"screwmap_{axis}.txt"] = _text(axis, curve)
-        if not files:
-            raise GateError("mach4_screw_map: no axis of the table is corrected over its own position")
-        return files
+    most, error_um = 1000, 0.2
 
     @classmethod
-    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        return f"screwmap_{curve.axis}.txt", _text(curve.axis, curve)
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        return _read(name, text)
 
 
 def _text(axis: str, curve: Curve) -> str:

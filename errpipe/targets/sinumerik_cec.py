@@ -3,40 +3,57 @@
 Value     the ERROR of the output axis in mm, taken to have the sense of the leadscrew table (positive moves minus);
           the manual's excerpts do not say so: prove it on the machine with the three-point list before cutting.
 Direction table DIRECTION 1 acts in plus, -1 in minus, 0 in both: a screw error in two directions is two tables.
-Limits    828D: 8 tables of 200 points; held outside MIN..MAX.
+Products  a correction that is a curve over one axis times a curve over another (an axis that tilts along its way times
+          the height of the tool) is the product of two tables: MULT_BY_TABLE of the first is the second's number, its
+          index + 1. The manual says that the product is added to the axis' total; whether the two tables add their own
+          values as well, it does not say (its worked example wants the product alone). So each product is written
+          as two pairs of tables, P and Q, -P and -Q: the products are equal, the own values cancel, and the file
+          means the same under either reading. A file that does not is refused when it is read back.
+Limits    828D: 8 tables of 200 points, four for each product; held outside MIN..MAX; millimetres (a product of values
+          in inch would be another one).
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import Curve, Points, Product, ReadBack, Target, expect
 
 MOST, TABLES = 200, 8
 ERROR_UM = 0.1
 SAME_UM = 0.02  # directions closer than this share one table
+PER_PRODUCT = 4  # tables
+PRODUCT_POINTS = 101  # of each table of a product
+PRODUCT_UM = 0.1  # rms; a product that takes away less is left out
+MOST_TERMS = 2  # products of one axis over one pair of axes
 FILE = "NC_CEC.INI"
 
 
 class SinumerikCec(Target):
-    """Up to eight curves: each axis over itself in two directions, and over the other axes."""
+    """Up to eight tables: each axis over itself in two directions, over other axes, products of two such curves."""
 
     name = "sinumerik_cec"
     controller = "SINUMERIK 840D sl, 828D"
     confidence = "experimental"
     sign = "a positive value moves the output axis in minus (as the leadscrew table; prove it on the machine)"
-    limits = "8 tables of 200 points, equidistant; sums of curves over one axis each; no temperature"
-    source = "Function Manual Extended Functions K3 (p. 248, 264); 802D sl manual p. 222"
+    limits = "8 tables of 200 points, equidistant; sums of curves and (4 tables each) products; no temperature"
+    source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1, K3 (p. 245, 248 to 252, 264); 802D sl p. 222"
     activation = (
         "MD18342 points per table; the option for sag compensation, else alarm 8040",
         "MD32710 CEC_ENABLE = 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] = 1; reference again",
         "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points",
+        "tables with MULT_BY_TABLE (products): enable all four of a product or none; basic system metric (MD10240 = 1)",
+        "to learn how this control reads a product: SD41300 = 0 for the second pair of the four, go where one table of "
+        "the first pair is 0 and the other is not: no compensation means that only products count; this file holds "
+        "either way once all four are enabled again",
     )
     goes_with = ("sinumerik_lec", "sinumerik_temperature")
 
@@ -67,39 +84,125 @@ class SinumerikCec(Target):
             raise GateError("sinumerik_cec: no axis of the table is corrected over a position")
         if len(blocks) > TABLES:
             raise GateError(f"sinumerik_cec: {len(blocks)} tables are needed, {TABLES} fit")
+        told = ""
+        for factors in _products(table)[: (TABLES - len(blocks)) // PER_PRODUCT]:
+            told += (
+                f"; tables {len(blocks)} to {len(blocks) + 3}: a product for AX{axes.index(factors.axis) + 1}, in two "
+                "pairs whose own values cancel: experimental, the manual\n"
+                ";   does not say whether tables that multiply add their own values too; enable all four or none\n"
+            )
+            blocks += _four(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
-        return {FILE: "%_N_NC_CEC_INI\n" + named + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
+        return {FILE: "%_N_NC_CEC_INI\n" + named + told + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         text = files[FILE]
         expect(text.rstrip().endswith("M17"), FILE, "does not end with M17")
         letters = dict(re.findall(r"; (AX\d+) = (\w)", text))
-        curves = []
-        for number in sorted({int(n) for n in re.findall(r"\$AN_CEC\[(\d+),", text)}):
-            curves.append(_read(text, number, letters))
-        return ReadBack(curves=tuple(curves))
+        numbers = sorted({int(n) for n in re.findall(r"\$AN_CEC\[(\d+),", text)})
+        errors = {n: _read(text, n, letters) for n in numbers}
+        links = {int(n): int(m) - 1 for n, m in re.findall(r"\$AN_CEC_MULT_BY_TABLE\[(\d+)\]=(\d+)", text) if int(m)}
+        expect(set(links.values()) <= set(numbers), FILE, "multiplies by a table that is not there")
+        for part in (set(links), set(links.values())):
+            _cancel([errors[n] for n in sorted(part)])
+        alone = [errors[n] for n in numbers if n not in links and n not in links.values()]
+        curves = tuple(Curve(c.axis, c.over, c.positions, -c.up, -c.down) for c in alone)
+        return ReadBack(curves=curves, products=tuple(_product(errors[a], errors[b]) for a, b in links.items()))
 
 
-def _block(number: int, over: str, axis: str, side: int, points, error: np.ndarray) -> str:
+@dataclass(frozen=True)
+class _Factors:
+    """A correction in mm: the product of two curves, one over each axis of `over`; rms over the grid."""
+
+    axis: str
+    over: tuple[str, str]
+    points: tuple[Points, Points]
+    values: tuple[np.ndarray, np.ndarray]
+    rms: float
+
+
+def _products(table: CompensationTable) -> list[_Factors]:
+    """What no sum of curves over one axis each can say, as products; the largest first."""
+    found = []
+    for axis in _sample.outputs_by_axis(table):
+        for over in combinations(_sample.positions_of(table), 2):
+            found += _separated(table, axis, over)
+    return sorted(found, key=lambda f: -f.rms)
+
+
+def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> list[_Factors]:
+    """The interaction of two axes, others in the middle, as the first products of its singular value decomposition."""
+    n = PRODUCT_POINTS  # odd: its middle is where the curves over single axes are taken
+    plane = _sample.plane(table, axis, over, (n, n))
+    rest = plane.values - plane.values[n // 2] - plane.values[:, n // 2][:, None] + plane.values[n // 2, n // 2]
+    left, sizes, right = np.linalg.svd(rest)
+    out = []
+    for k in range(MOST_TERMS):
+        rms = float(sizes[k]) / n
+        if rms * 1e3 < PRODUCT_UM:
+            break
+        sign = np.sign(right[k][np.argmax(np.abs(right[k]))])  # else it would depend on the library
+        a, b = sign * left[:, k] * sizes[k], sign * right[k]
+        # Both factors as small as can be: what a single table would do by itself is then small too.
+        even = np.sqrt(np.abs(a).max() / np.abs(b).max())
+        grids = [Points(float(g[0]), float(g[-1] - g[0]) / (n - 1), n) for g in (plane.first, plane.second)]
+        out.append(_Factors(axis, over, (grids[0], grids[1]), (a / even, b * even), rms))
+    return out
+
+
+def _four(number: int, axes: list[str], factors: _Factors) -> list[str]:
+    """P times Q and -P times -Q, half of the error each."""
+    half = np.sqrt(0.5)
+    first, second = (half * v for v in factors.values)
+    names = [f"AX{axes.index(letter) + 1}" for letter in (*factors.over, factors.axis)]
+    out = []
+    for pair, sign in ((number, 1.0), (number + 2, -1.0)):
+        # The file holds errors, minus the correction: the minus stands in the first factor.
+        out.append(_block(pair, names[0], names[2], 0, factors.points[0], -sign * first, multiply=pair + 2))
+        out.append(_block(pair + 1, names[1], names[2], 0, factors.points[1], sign * second))
+    return out
+
+
+def _cancel(tables: list[Curve]) -> None:
+    """Raise VerifyError where tables that multiply would change an axis by themselves: readings would differ."""
+    total: dict[tuple[str, str, bytes], np.ndarray] = {}
+    for c in tables:
+        key = (c.axis, c.over, c.positions.tobytes())
+        total[key] = total.get(key, 0.0) + np.array([c.up, c.down])
+    for key, values in total.items():
+        told = f"tables of {key[0]} over {key[1]} that multiply do not cancel: the control may add them"
+        expect(float(np.abs(values).max()) < 1e-9, FILE, told)
+
+
+def _product(first: Curve, second: Curve) -> Product:
+    expect(first.axis == second.axis, FILE, f"a table of {first.axis} is multiplied by one of {second.axis}")
+    same = all(np.array_equal(c.up, c.down) for c in (first, second))
+    expect(same, FILE, f"a product of {first.axis} acts in one direction only")
+    over, positions = (first.over, second.over), (first.positions, second.positions)
+    return Product(first.axis, over, positions, (-first.up, second.up))
+
+
+def _block(number: int, over: str, axis: str, side: int, points: Points, error: np.ndarray, multiply: int = 0) -> str:
     lines = [f"$AN_CEC[{number},{n}]={v + 0.0:.6f}" for n, v in enumerate(error)]
     end = points.start + points.step * (points.count - 1)
     lines += [f"$AN_CEC_INPUT_AXIS[{number}]=({over})", f"$AN_CEC_OUTPUT_AXIS[{number}]=({axis})"]
     facts = {"STEP": points.step, "MIN": points.start, "MAX": end}
     lines += [f"$AN_CEC_{key}[{number}]={value + 0.0:.9f}" for key, value in facts.items()]
-    modes = {"DIRECTION": side, "MULT_BY_TABLE": 0, "IS_MODULO": 0}
+    modes = {"DIRECTION": side, "MULT_BY_TABLE": multiply, "IS_MODULO": 0}
     lines += [f"$AN_CEC_{key}[{number}]={value}" for key, value in modes.items()]
     return "\n".join(lines) + "\n"
 
 
 def _read(text: str, number: int, letters: dict[str, str]) -> Curve:
+    """One table as the file has it: errors, in mm."""
     found = {int(n): float(v) for n, v in re.findall(rf"\$AN_CEC\[{number},(\d+)\]=(\S+)", text)}
     facts = {k: float(v) for k, v in re.findall(rf"\$AN_CEC_(STEP|MIN|MAX|DIRECTION)\[{number}\]=(\S+)", text)}
     ends = dict(re.findall(rf"\$AN_CEC_(INPUT|OUTPUT)_AXIS\[{number}\]=\((\w+)\)", text))
     expect(len(facts) == 4 and len(ends) == 2, FILE, f"table {number} lacks STEP, MIN, MAX, DIRECTION or its axes")
     count = round((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
     expect(sorted(found) == list(range(count)), FILE, f"table {number} has {len(found)} points, not {count}")
-    value = -np.array([found[n] for n in range(count)])
+    value = np.array([found[n] for n in range(count)])
     nothing = np.zeros(count)
     up, down = (value if facts["DIRECTION"] >= 0 else nothing), (value if facts["DIRECTION"] <= 0 else nothing)
     x = facts["MIN"] + facts["STEP"] * np.arange(count)

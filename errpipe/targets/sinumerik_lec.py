@@ -8,20 +8,14 @@ Limits    one curve for both directions; the reversal error belongs to MD32450 B
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 
 import numpy as np
 
-from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
-from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
-
-MOST = 200  # 808D fixed; 840D sl by MD38000
-ERROR_UM = 0.1
+from errpipe.targets._base import Curve, expect
+from errpipe.targets._screw_map import ScrewMap
 
 
-class SinumerikLec(Target):
+class SinumerikLec(ScrewMap):
     """Leadscrew error compensation of each axis: the mean of both directions."""
 
     name = "sinumerik_lec"
@@ -38,30 +32,23 @@ class SinumerikLec(Target):
     )
     goes_with = ("sinumerik_cec", "sinumerik_temperature")
 
-    @classmethod
-    def write(cls, table: CompensationTable) -> dict[str, str]:
-        files = {}
-        for number, axis in enumerate(_sample.axes_of(table), 1):
-            if axis not in _sample.positions_of(table) or axis not in _sample.outputs_by_axis(table):
-                continue
-            points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
-            curve = _sample.curve(table, axis, axis, points.positions())
-            values = -(curve.up + curve.down) / 2
-            files[f"AX{number}_{axis}_EEC.INI"] = _text(f"AX{number}", axis, points, values)
-        if not files:
-            raise GateError("sinumerik_lec: no axis of the table is corrected over its own position")
-        return files
+    most, error_um = 200, 0.1  # 808D fixed; 840D sl by MD38000
 
     @classmethod
-    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        values = -(curve.up + curve.down) / 2
+        return f"AX{number}_{curve.axis}_EEC.INI", _text(f"AX{number}", curve.positions, values)
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        return _read(name, text)
 
 
-def _text(machine_axis: str, axis: str, points, values: np.ndarray) -> str:
+def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray) -> str:
     lines = [f"%_N_{machine_axis}_EEC_INI", "CHANDATA(1)"]
     lines += [f"$AA_ENC_COMP[0,{n},{machine_axis}]={v + 0.0:.6f}" for n, v in enumerate(values)]
-    end = points.start + points.step * (points.count - 1)
-    facts = {"STEP": points.step, "MIN": points.start, "MAX": end}
+    step = (positions[-1] - positions[0]) / (positions.size - 1)
+    facts = {"STEP": step, "MIN": positions[0], "MAX": positions[-1]}
     lines += [f"$AA_ENC_COMP_{key}[0,{machine_axis}]={value + 0.0:.9f}" for key, value in facts.items()]
     return "\n".join([*lines, f"$AA_ENC_COMP_IS_MODULO[0,{machine_axis}]=0", "M17", ""])
 

@@ -12,15 +12,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import Curve, ReadBack, expect
+from errpipe.targets._screw_map import ScrewMap
 
 POINTS = 201
 FILE = "pitch_compensation.dat"
 
 
-class SmoothiePitch(Target):
+class SmoothiePitch(ScrewMap):
     """Pitch multipliers of each axis; what the controller integrates is the correction."""
 
     name = "smoothie_pitch"
@@ -32,14 +32,12 @@ class SmoothiePitch(Target):
     activation = ("copy the file to the SD card; reset; compare three points with a gauge",)
 
     @classmethod
-    def write(cls, table: CompensationTable) -> dict[str, str]:
-        lines = []
-        for axis in _sample.outputs_by_axis(table):
-            if axis in _sample.positions_of(table):
-                lines += _rows(table, axis)
-        if not lines:
-            raise GateError("smoothie_pitch: no axis of the table is corrected over its own position")
-        return {FILE: "".join(lines)}
+    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
+        return np.linspace(*_sample.span(table, axis), POINTS)
+
+    @classmethod
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        return FILE, "".join(_rows(curve))
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
@@ -51,16 +49,15 @@ class SmoothiePitch(Target):
         return ReadBack(curves=tuple(_integrated(axis, np.array(r)) for axis, r in rows.items()))
 
 
-def _rows(table: CompensationTable, axis: str) -> list[str]:
+def _rows(curve: Curve) -> list[str]:
     """Multipliers at the nodes such that the trapezoid sums meet the curve at every node, as smooth as can be."""
-    x = np.linspace(*_sample.span(table, axis), POINTS)
-    curve = _sample.curve(table, axis, axis, x)
+    x = curve.positions
     mean = (curve.up + curve.down) / 2
     slope = np.gradient(mean, x)
     # The trapezoid rule of these slopes misses the curve by a little; one correction step takes that away.
     missed = np.diff(mean) - (slope[1:] + slope[:-1]) / 2 * np.diff(x)
     slope += np.interp(x, (x[1:] + x[:-1]) / 2, missed / np.diff(x))
-    return [f"{axis} {p:.6f} {1.0 + s:.9f}\n" for p, s in zip(x.tolist(), slope.tolist(), strict=True)]
+    return [f"{curve.axis} {p:.6f} {1.0 + s:.9f}\n" for p, s in zip(x.tolist(), slope.tolist(), strict=True)]
 
 
 def _integrated(axis: str, rows: np.ndarray) -> Curve:

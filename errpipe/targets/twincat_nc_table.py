@@ -8,22 +8,18 @@ Literals  IEC real literals with a point; the file is a global variable list, co
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 
 import numpy as np
 
-from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError, VerifyError
-from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.errors import VerifyError
+from errpipe.targets._base import Curve, expect
+from errpipe.targets._screw_map import ScrewMap
 
-MOST = 2000
-ERROR_UM = 0.05
 SIDES = {"Up": "WorkDirectionPositive", "Down": "WorkDirectionNegative"}
 _ELEMENT = re.compile(r"\(Position := ([-+\d.E]+), Compensation := ([-+\d.E]+)\)")
 
 
-class TwincatNcTable(Target):
+class TwincatNcTable(ScrewMap):
     """Position compensation of each axis as initialised arrays, one per direction."""
 
     name = "twincat_nc_table"
@@ -37,21 +33,15 @@ class TwincatNcTable(Target):
         "compare AxisRef position with and without Enable at three points, from both sides",
     )
 
-    @classmethod
-    def write(cls, table: CompensationTable) -> dict[str, str]:
-        files = {}
-        for axis in _sample.outputs_by_axis(table):
-            if axis not in _sample.positions_of(table):
-                continue
-            points, _ = _sample.uniform(table, axis, axis, MOST, ERROR_UM)
-            files[f"GVL_Compensation_{axis}.st"] = _text(axis, _sample.curve(table, axis, axis, points.positions()))
-        if not files:
-            raise GateError("twincat_nc_table: no axis of the table is corrected over its own position")
-        return files
+    most, error_um = 2000, 0.05
 
     @classmethod
-    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        return f"GVL_Compensation_{curve.axis}.st", _text(curve.axis, curve)
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        return _read(name, text)
 
 
 def literal(value: float) -> str:

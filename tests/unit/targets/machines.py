@@ -74,3 +74,35 @@ def warm():
         ],
         inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
     )  # fmt: skip
+
+
+def tilting():
+    """X tilts along its way: EBX grows with x, the tool at height z is pushed by EBX(x) * z; a lead error besides.
+
+    At X = 500, Z = -300: EBX = 40 urad there, -12 um; the sign of the lever is +1e-3 mm/m here.
+    """
+    lever = tables.MonomialSource(1e-3, "EBX", (d.Input(name="z"),))
+    tilt = Lowered(d.ONE, "X", lambda x: 40.0 * np.sin(np.pi * x / 1000.0))
+    return tables.compile_table(
+        [
+            tables.ComponentSource("EXX", "um", (straight("X", 10.0),)),
+            tables.ComponentSource("EBX", "urad", (tilt,)),
+        ],
+        outputs=[tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"), lever), "X")],
+        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip
+
+
+def two_outputs():
+    """X is moved by two outputs, 10 um and 4 um too long at X = +500: together 14 um."""
+    return tables.compile_table(
+        [
+            tables.ComponentSource("EXX", "um", (straight("X", 10.0),)),
+            tables.ComponentSource("EXT", "um", (straight("X", 4.0),)),
+        ],
+        outputs=[
+            tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"),), "X"),
+            tables.OutputSource("X warm", (tables.MonomialSource(1.0, "EXT"),), "X"),
+        ],
+        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip

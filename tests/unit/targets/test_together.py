@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from errpipe import tables
+from errpipe import jsonfile, tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import CompensationTable
+from errpipe.errors import VerifyError
 from errpipe.stages import targets as stage
 from errpipe.stages.verify import verify
 from errpipe.tables import ect
@@ -112,3 +113,43 @@ def test_files_exported_together_are_verified_together(tmp_path):
     ect.write(bent_and_warm(), tmp_path / "table.ect")
     stage.export(tmp_path / "table.ect", list(SINUMERIK), tmp_path / "out")
     assert sum("read back" in line for line in verify(tmp_path / "out")["says"]) == 3
+
+
+def test_verify_notices_any_changed_byte_and_a_loss_of_another_fifth_digit(tmp_path):
+    """Checksums of all files, checklists too; beneath them the evaluation, to more digits than words have."""
+    ect.write(bent_and_warm(), tmp_path / "table.ect")
+    out = tmp_path / "out"
+    stage.export(tmp_path / "table.ect", list(SINUMERIK), out)
+    document = jsonfile.read(out / "export.json")
+    files = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
+    assert set(document["sha256"]) == files - {"export.json"}
+    for name in sorted(document["sha256"]):
+        data = (out / name).read_bytes()
+        (out / name).write_bytes(data + b" ")
+        with pytest.raises(VerifyError):
+            verify(out)
+        (out / name).write_bytes(data)
+    verify(out)
+    cec = out / "sinumerik_cec" / "NC_CEC.INI"
+    lines = cec.read_text().splitlines(keepends=True)
+    at = next(n for n, line in enumerate(lines) if line.startswith("$AN_CEC[0,1]"))
+    name, value = lines[at].split("=")
+    lines[at] = f"{name}={float(value) + 2e-6:.6f}\n"  # two nanometres at one point of one table
+    cec.write_text("".join(lines))
+    with pytest.raises(VerifyError, match="was changed after it was exported"):
+        verify(out)
+    jsonfile.write(out / "export.json", {**document, "sha256": {}})
+    with pytest.raises(VerifyError, match="now loses"):
+        verify(out)
+
+
+def test_the_move_list_says_what_the_axis_does_in_all(tmp_path):
+    """Sums of all tables of an axis, other axes at mid travel, and the corners of a product."""
+    table = machines.tilting()
+    stage.write_targets(table, ["sinumerik_cec"], tmp_path)
+    told = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
+    for x, z in ((0.0, -350.0), (500.0, -350.0), (500.0, 50.0)):
+        want = 1e3 * float(_sample.corrections(table, "X", {"x": np.array([x]), "z": np.array([z])}, np.ones(1))[0])
+        row = next(line for line in told.splitlines() if line.startswith(f"| X | X and Z | {x:.3f}, {z:.3f} |"))
+        assert float(row.split("|")[4]) == pytest.approx(want, abs=0.02)
+    assert "products" in told and "SD41300 = 0" in told

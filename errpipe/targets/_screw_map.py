@@ -1,0 +1,56 @@
+"""What all formats share that hold one curve per axis over the axis' own position: a screw map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, ReadBack, Target
+
+
+class ScrewMap(Target):
+    """Base of the formats that hold screw maps: `file_of` writes one axis, `curve_of` reads one file."""
+
+    most: ClassVar[int]  # points of one curve
+    error_um: ClassVar[float]  # of interpolation, where so few points do
+
+    @classmethod
+    def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
+        """(number, letter) of each axis that is corrected over its own position. Raises GateError without any."""
+        known, corrected = _sample.positions_of(table), _sample.outputs_by_axis(table)
+        axes = [(n, a) for n, a in enumerate(_sample.axes_of(table), 1) if a in known and a in corrected]
+        if not axes:
+            raise GateError(f"{cls.name}: no axis of the table is corrected over its own position")
+        return axes
+
+    @classmethod
+    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
+        """Equidistant positions of an axis' map: as few as the error allows."""
+        return _sample.uniform(table, axis, axis, cls.most, cls.error_um)[0].positions()
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        files: dict[str, str] = {}
+        for number, axis in cls.own_axes(table):
+            name, text = cls.file_of(number, _sample.curve(table, axis, axis, cls.grid(table, axis)))
+            files[name] = files.get(name, "") + text
+        return files
+
+    @classmethod
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        """(name, text) of the map of axis `number`; texts of one name are put behind each other."""
+        raise TypeError(f"{cls.__name__} does not write")
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        return ReadBack(curves=tuple(cls.curve_of(name, text) for name, text in sorted(files.items())))
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        """The map in one file. Raises VerifyError where the controller would not take it."""
+        raise TypeError(f"{cls.__name__} does not read back")
