@@ -36,7 +36,17 @@ class Rows:
 def diagnose(
     recording: Recording, progress: Callable[[float, str], None] = lambda share, text: None
 ) -> tuple[Diagnosis, list[Rows]]:
-    """Every response with a simulated twin, judged. Raises DataError where none can be."""
+    """Every response with a simulated twin, judged. Raises DataError where none can be.
+
+    One thread: thousands of small matrices gain nothing from more, and results then do not depend on the cores.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, "blas"):
+        return _diagnose(recording, progress)
+
+
+def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
     from errpipe.diagnosis import judge, prepare, report
 
     pairs, notes = prepare.pairs(recording)

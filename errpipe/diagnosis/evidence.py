@@ -23,6 +23,7 @@ from errpipe.kernels import noise
 
 MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blind trials: 5 to 12)
 SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
+AT_ONCE = 64  # columns filtered together
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
@@ -81,30 +82,31 @@ class Table:
             if at == self.width + len(fresh):
                 fresh.append(j)
             where.append(at)
-        self._append(whiten(block[:, fresh], self.run))
+        self._append(block[:, fresh])
         return np.array(where, dtype=int)
 
-    def _append(self, fresh: np.ndarray) -> None:
-        last = self.width + fresh.shape[1]
+    def _append(self, columns: np.ndarray) -> None:
+        first, last = self.width, self.width + columns.shape[1]
         if last > self._store.shape[1]:
             grown = np.zeros((self.n, 2 * last), order="F")
-            grown[:, : self.width] = self.W
+            grown[:, :first] = self.W
             self._store = grown
-        self._store[:, self.width : last] = fresh
+        for k in range(first, last, AT_ONCE):
+            self._store[:, k : min(k + AT_ONCE, last)] = whiten(columns[:, k - first : k - first + AT_ONCE], self.run)
         self.width = last
 
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns (rows, k) and form their products; returns their indices."""
         before = self.width
-        self._append(whiten(columns, self.run))
-        grown = [np.zeros((self.width, self.width)) for _ in self.rows]
-        for part, old in zip(grown, self.parts, strict=True):
-            part[:before, :before] = old
-        for first, last, f in self.stretches:
-            cross = self.W[first:last].T @ self.W[first:last, before:]
-            grown[f][:, before:] += cross
-            grown[f][before:, :before] += cross[:before].T
-        self.parts = grown
+        self._append(columns)
+        for f, part in enumerate(self.parts):
+            grown = np.zeros((self.width, self.width))
+            grown[:before, :before] = part
+            for first, last in ((a, b) for a, b, fold in self.stretches if fold == f):
+                cross = self.W[first:last].T @ self.W[first:last, before:]
+                grown[:, before:] += cross
+                grown[before:, :before] += cross[:before].T
+            self.parts[f] = grown
         self.G = np.sum(self.parts, axis=0)
         return np.arange(before, self.width)
 
