@@ -1,0 +1,17 @@
+"""20 000 rows and ten or more columns: diagnosed in the time and the memory that the README promises."""
+
+from __future__ import annotations
+
+import pytest
+
+from . import long
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", long.SHAPES)
+def test_a_long_recording_takes_neither_half_a_minute_nor_a_gigabyte(shape: str) -> None:
+    took = long.measured(shape)
+    assert took["columns"] >= 10
+    assert took["named"][0] == long.SHAPES[shape][1]
+    assert took["peak_mb"] < 800  # of 1000
+    assert took["cpu_seconds"] < 20  # of 30 s; what other programs take of the clock is not its own
