@@ -42,7 +42,7 @@ def whatis(file: Path) -> dict[str, Any]:
 
 
 def _table(file: Path) -> dict[str, Any]:
-    from errpipe.tables import bounds
+    from errpipe.tables import bounds, held
 
     table = _artefacts.read_table(file)
     always, thermal = bounds.cost(table)
@@ -59,6 +59,7 @@ def _table(file: Path) -> dict[str, Any]:
         "outputs": [f"{o.name} -> {o.axis or '-'}, limit {o.magnitude} {o.unit}" for o in table.outputs],
         "profiles": len(table.profiles),
         "operations": {"position cycle": always.operations, "with thermal cycle": thermal.operations},
+        "held_costs_um": {h.output: round(h.largest, 4) for h in held.outputs(table, otherwise=held.USUAL)},
         "bytes": file.stat().st_size,
         "work_bytes": {"double": bounds.work_bytes(table), "single, 32-bit": bounds.work_bytes(table, real=4)},
     }

@@ -3,7 +3,7 @@
 compile_table     components as profile x driver pairs -> CompensationTable (`compile`)
 ect               the binary file and its JSON twin: `ect.write`, `ect.read`
 reference         plain-Python evaluator, the definition; `batch`: Numba over recordings and over points
-bounds            what a table can reach and what a cycle costs, before it runs
+bounds            what a table can reach and what a cycle costs, before it runs; `held`: what holding slow nodes costs
 """
 
 from __future__ import annotations

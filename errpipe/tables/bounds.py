@@ -1,4 +1,8 @@
-"""What a table can reach before it ever runs: bounds of nodes and outputs, error budget, cost of a cycle."""
+"""What a table can reach before it ever runs: bounds of nodes and outputs, error budget, cost of a cycle.
+
+Slow nodes hold their value between thermal cycles: a held value was one of the node's own, so every bound here covers
+it. By how much a correction is late for that is another question: `held`.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 Value     corrections in each output's unit (mm), to be added to the commanded positions: minus the deviation.
 Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index) into a structure, FB_EctCycle runs it
-          once per position cycle. A new table is new bytes: nothing is compiled again.
+          once per position cycle. A new table is new bytes: nothing is compiled again. FB_EctLoad refuses what the
+          other readers refuse, every rule of the format page.
 Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL; PLCopen XML (TC6 2.01). The table itself stands in them
           as an array of bytes, so that a program runs before the first download.
 Accepts   only what every compiler tried takes: no // comments, no __ in names, literal bounds, reals with a point,
@@ -29,7 +30,7 @@ from errpipe.targets._base import ReadBack, Target, expect
 from errpipe.targets._whole import WholeTable
 
 TYPES = ("ECT_FILE", "ECT_INPUTS", "ECT_FRESH", "ECT_OUTPUTS", "ECT_TABLE")
-FUNCTIONS = ("EctInt", "EctReal", "EctExp", "EctPower", "EctMove", "EctClosing")
+FUNCTIONS = ("EctInt", "EctReal", "EctNull", "EctMisfit", "EctExp", "EctPower", "EctMove", "EctClosing")
 BLOCKS = ("FB_EctLoad", "FB_EctCycle")
 DATA = "GVL_EctData"
 # Room for other tables than the one exported: what the arrays hold at least.
@@ -97,6 +98,7 @@ def unit(name: str, room: Mapping[str, int]) -> str:
     """One type, function or function block as Structured Text, its arrays sized."""
     text = resources.files("errpipe.targets").joinpath("st", f"{name}.st").read_text(encoding="utf-8")
     text = re.sub(r"^( *)@REALS p\+(\d+) (.*?)\{(.*?)\}(\[\w\])@$", _reals, text, flags=re.M)
+    text = re.sub(r"@([48]) (?:(\w)\+)?(\d+)@", _bytes_at, text)
     return re.sub(r"@([A-Z]+)@", lambda m: str(room[m[1]]), text)
 
 
@@ -108,6 +110,13 @@ def _reals(match: re.Match[str]) -> str:
         places = ", ".join(f"aFile[p + {at + 8 * n + k}]" for k in range(8))
         lines.append(f"{indent}{prefix}{name}{index} := EctReal({places});")
     return "\n".join(lines)
+
+
+def _bytes_at(match: re.Match[str]) -> str:
+    """Four or eight bytes of the file from a place on, as arguments."""
+    count, base, at = int(match[1]), match[2], int(match[3])
+    numbers = [f"{base} + {at + k}" if base and at + k else base or str(at + k) for k in range(count)]
+    return ", ".join(f"aFile[{n}]" for n in numbers)
 
 
 def _data_block(data: bytes, table: CompensationTable, room: Mapping[str, int]) -> str:

@@ -107,7 +107,7 @@ def test_a_damaged_file_is_never_loaded(block):
 
 @needs_gcc
 @pytest.mark.toolchain
-def test_it_refuses_every_number_that_would_lead_out_of_its_arrays(tmp_path):
+def test_it_refuses_what_the_other_readers_refuse_and_runs_the_rest_within_its_arrays(tmp_path):
     """Damage behind a mended checksum: what loads is run under a sanitizer that watches every index."""
     import random
 
@@ -120,14 +120,14 @@ def test_it_refuses_every_number_that_would_lead_out_of_its_arrays(tmp_path):
     r = random.Random(11)
     sound = [ect.dumps(everything(s)) for s in range(60, 68)]
     files = []
-    for k in range(400):
+    for k in range(1500):
         data = damaged(r, r.choice(sound))
         files.append(tmp_path / f"{k}.ect")
         files[-1].write_bytes(data)
     done = subprocess.run([tmp_path / "st", *files], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     loaded = [int(v) for v in done.stdout.split()]
-    assert all(ok or not python_takes(f.read_bytes()) for ok, f in zip(loaded, files, strict=True))
+    assert [bool(ok) for ok in loaded] == [python_takes(f.read_bytes()) for f in files]
 
 
 MAIN = """
