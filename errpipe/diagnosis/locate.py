@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
 
 from errpipe.diagnosis.hypotheses import Hypothesis
-from errpipe.domain.diagnosis import Regime, Where
+from errpipe.domain.diagnosis import ChangePoint, Regime, Where
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import direction
 from errpipe.terms._place import axes, position_name
 
 LEAST_ROWS = 10
+BLOCKS = 120  # stretches of time whose means are searched for changes
+SHORTEST = 3  # blocks between two changes
+MOST_CHANGES = 4
+CHANGE = 25.0  # squared contrast, in variances of independent block means, from which a change counts
 
 
 def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Where:
@@ -32,14 +37,69 @@ def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> 
     return Where()
 
 
-def regimes(recording: Recording, rows: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[Regime, ...]:
-    """rms of the mismatch before and after in each part of the recording."""
+def regimes(
+    recording: Recording, rows: np.ndarray, before: np.ndarray, after: np.ndarray, mismatch: np.ndarray, noise: float
+) -> tuple[Regime, ...]:
+    """rms of the mismatch before and after in each part of the recording, and the part's share of what is to explain.
+
+    mismatch: with datum and gains of the simulation set right; its energy beyond `noise` (rms) is what is shared out.
+    """
     out = []
+    energy = mismatch**2 - noise**2
+    total = float(energy.sum())
     for what, inside in _parts(recording, rows):
         if inside.sum() >= LEAST_ROWS:
             b, a = (float(np.sqrt(np.mean(v[inside] ** 2))) for v in (before, after))
-            out.append(Regime(what=what, rows=int(inside.sum()), rms_before_um=b, rms_after_um=a))
+            share = None
+            if total > 0.1 * rows.size * noise**2:  # else nothing stands out of the noise that could be shared out
+                share = float(np.clip(energy[inside].sum() / total, 0.0, 1.0))
+            out.append(Regime(what=what, rows=int(inside.sum()), rms_before_um=b, rms_after_um=a, share=share))
     return tuple(out)
+
+
+def changes(recording: Recording, rows: np.ndarray, mismatch: np.ndarray) -> tuple[ChangePoint, ...]:
+    """Where the mismatch changes its level or its size for good: binary segmentation of its block means in time.
+
+    A mismatch that wanders has no such points: what neighbouring blocks share is taken off the evidence.
+    """
+    clock = recording.name("time")
+    t = recording.time()[rows] if clock else rows.astype(float)
+    count = int(np.clip(rows.size // 12, 8, BLOCKS))
+    block = np.arange(rows.size) * count // rows.size
+    first = np.searchsorted(block, np.arange(count))
+    fill = np.bincount(block)
+    level = np.bincount(block, mismatch) / fill
+    spread = np.sqrt(np.bincount(block, (mismatch - level[block]) ** 2) / fill)
+    found = []
+    for what, values in (("level", level), ("size", np.log(spread + 1e-3 * spread.mean() + 1e-300))):
+        for k, low, high in _segments(values):
+            if what == "size":
+                low, high = float(np.exp(low)), float(np.exp(high))
+            at = float(t[first[k]])
+            found.append(ChangePoint(column=clock or "row", at=at, what=what, before_um=low, after_um=high))
+    return tuple(sorted(found, key=lambda c: c.at))
+
+
+def _segments(values: np.ndarray) -> list[tuple[int, float, float]]:
+    """Cuts of a series into level stretches: (first index after the cut, mean before, mean after)."""
+    cuts = [0, values.size]
+    while len(cuts) < MOST_CHANGES + 2:
+        best = (0.0, 0)
+        for a, b in itertools.pairwise(cuts):
+            for k in range(a + SHORTEST, b - SHORTEST + 1):
+                gain = (values[a:k].mean() - values[k:b].mean()) ** 2 * (k - a) * (b - k) / (b - a)
+                best = max(best, (float(gain), k))
+        if not best[1]:
+            break
+        fresh = sorted([*cuts, best[1]])
+        left = np.concatenate([values[a:b] - values[a:b].mean() for a, b in itertools.pairwise(fresh)])
+        rho = float(np.clip(left[1:] @ left[:-1] / max(left @ left, 1e-300), 0.0, 0.95))
+        independent = (1 - rho) / (1 + rho)
+        if best[0] * independent < CHANGE * float(left @ left) / max(values.size - len(fresh), 1):
+            break
+        cuts = fresh
+    means = [float(values[a:b].mean()) for a, b in itertools.pairwise(cuts)]
+    return [(k, low, high) for k, low, high in zip(cuts[1:-1], means[:-1], means[1:], strict=True)]
 
 
 def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.diagnosis import confidence, holdout, locate, model, separate
+from errpipe.diagnosis import confidence, holdout, locate, model, separate, significance, whiteness
 from errpipe.diagnosis.judge import Case, needs_recalibration, residual
 from errpipe.domain.diagnosis import (
     Finding,
@@ -12,8 +12,10 @@ from errpipe.domain.diagnosis import (
     HoldOutFigures,
     ResponseDiagnosis,
     Rival,
+    Significance,
     Where,
 )
+from errpipe.terms._base import Term
 
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
@@ -30,14 +32,34 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
     carried = {m.hypothesis.effect: m.contribution for m in made}
     strange = confidence.unknown(signs[0]) if signs else _strange_alone(case, held)
     findings, verdict = _verdict(case, findings, strange)
+    floor = float(min(case.sigma, case.rough) if signs else case.sigma)
+    recalibrated = residual(case, [])
+    found = significance.chance(case)
+    findings = [f.model_copy(update=_beyond_chance(case, f)) for f in findings]
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component, unit=case.pair.unit, verdict=verdict, rms_before_um=_rms(before),
-        rms_after_um=_rms(after), noise_floor_um=float(min(case.sigma, case.rough) if signs else case.sigma),
-        holdout=figures, findings=tuple(findings),
-        regimes=locate.regimes(case.recording, case.pair.rows, before, after),
+        rms_after_um=_rms(after), noise_floor_um=floor, holdout=figures, findings=tuple(findings),
+        regimes=locate.regimes(case.recording, case.pair.rows, before, after, recalibrated, floor),
+        changes=locate.changes(case.recording, case.pair.rows, recalibrated),
+        whiteness=whiteness.whiteness(case),
+        significance=Significance(
+            p=found.p, gain=found.gain, limit95=found.limit, scheme=found.scheme, effective_rows=found.rows,
+            rows=int(case.run.size),
+        ),
     )  # fmt: skip
     return out.model_copy(update={"says": in_words(out)}), carried
+
+
+def _beyond_chance(case: Case, f: Finding) -> dict[str, object]:
+    """How often surrogates that hold nothing take the search as far, for a finding that has a name."""
+    place = [k for k, g in enumerate(case.explanation.found) if g.hypothesis.effect == f.effect]
+    if not place:
+        return {}
+    found = significance.chance(case, place[0])
+    what = "none" if found.p * (significance.SURROGATES + 1) < 1.5 else f"{found.p:.0%}"
+    told = f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {found.p:.2g})."
+    return {"p_search": found.p, "says": f.says + told}
 
 
 def _rms(v: np.ndarray) -> float:
@@ -115,8 +137,13 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
         compensable=term.compensable and bool(term.lower(_parameters(made, values))) and not h.mask,
-        term=term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term},
+        term=_plain(term),
+        more_terms=tuple(_plain(t) for t in made.hypothesis.terms[1:]),
     )
+
+
+def _plain(term: Term) -> dict[str, object]:
+    return term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term}
 
 
 def _cores(made: model.Modelled) -> int:

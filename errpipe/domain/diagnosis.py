@@ -58,6 +58,16 @@ class Finding(Frozen):
     rivals: tuple[Rival, ...] = ()
     compensable: bool = True
     term: dict[str, object] | None = Field(None, description="The term, as an error model declares it.")
+    more_terms: tuple[dict[str, object], ...] = Field(
+        (), description="Further terms of the same finding: an effect on two axes is one term for each."
+    )
+    p_search: float | None = Field(
+        None, description="Share of surrogates without this effect in which the whole search gains as much."
+    )
+
+    def all_terms(self) -> tuple[dict[str, object], ...]:
+        """Every term of the finding, as an error model declares them."""
+        return (() if self.term is None else (self.term,)) + self.more_terms
 
 
 class HoldOutFigures(Frozen):
@@ -75,6 +85,49 @@ class Regime(Frozen):
     rows: int
     rms_before_um: float
     rms_after_um: float
+    share: float | None = Field(
+        None, description="Share of the mismatch's energy beyond the noise that lies in this part (recalibrated)."
+    )
+
+
+class ChangePoint(Frozen):
+    """Where the mismatch, datum and gains set right, changes its level or size for good. `at`: value of `column`."""
+
+    column: str
+    at: float
+    what: Literal["level", "size"]
+    before_um: float
+    after_um: float
+
+
+class WhitenessTest(Frozen):
+    """Does what is left still go with an input? statistic: F with `dof` columns, or Ljung-Box's Q."""
+
+    against: str
+    how: str
+    statistic: float
+    dof: int
+    p: float
+
+
+class Whiteness(Frozen):
+    """All tests of what the best explanation leaves; p: for all together; slow_share: of the noise, estimated."""
+
+    p: float
+    slow_share: float
+    tests: tuple[WhitenessTest, ...]
+    says: str
+
+
+class Significance(Frozen):
+    """The search's best gain beside that on surrogates which hold nothing. gain, limit95: log Bayes factors."""
+
+    p: float
+    gain: float
+    limit95: float
+    scheme: str
+    effective_rows: float
+    rows: int
 
 
 class ResponseDiagnosis(Frozen):
@@ -89,6 +142,9 @@ class ResponseDiagnosis(Frozen):
     holdout: HoldOutFigures
     findings: tuple[Finding, ...] = ()
     regimes: tuple[Regime, ...] = ()
+    changes: tuple[ChangePoint, ...] = ()
+    whiteness: Whiteness | None = None
+    significance: Significance | None = None
     says: str = ""
 
 

@@ -109,7 +109,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
     worse = held.rms_after_um >= held.rms_before_um
     if f.effect == "recalibration":
         return refuse if sure and not worse else replace(refuse, reason=RECALIBRATION)
-    terms = terms_of(f, response.component, recording)
+    terms = terms_of(f)
     if f.effect in ARTEFACTS or any(not t.compensable for t in terms):
         reason = ARTEFACTS.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
         return replace(refuse, terms=terms, reason=reason, beside=sure and bool(terms) and f.effect != "clock_offset")
@@ -137,21 +137,14 @@ def _complete(term: Term, values: dict[str, float]) -> dict[str, float]:
     return middle | {name: value for name, value in values.items() if name in middle} | dict(term.fixed)
 
 
-def terms_of(f: Finding, component: str, recording: Recording) -> tuple[Term, ...]:
-    """The terms behind a finding: the one that it states, or one per axis where its parameters speak of several."""
+def terms_of(f: Finding) -> tuple[Term, ...]:
+    """The terms behind a finding: one, or one for each axis of an effect on several."""
     from errpipe.fitting.spec import AnyTerm
 
-    if f.term is None:
-        return ()
     try:
-        term = TypeAdapter(AnyTerm).validate_python(f.term)
+        return tuple(TypeAdapter(AnyTerm).validate_python(t) for t in f.all_terms())
     except ValidationError:  # a hypothesis of the search that is no term of a model
         return ()
-    first = term.linear()[0].name if term.linear() else ""
-    if sum(p.name == first for p in f.parameters) < 2:
-        return (term,)
-    bound = [t for t in type(term).bind(recording, component) if set(t.drivers(recording)) <= set(f.drivers)]
-    return tuple(bound) or (term,)
 
 
 PLAIN = 1e-4  # share of a simulated signal's variance that its plain parts may leave (a simulation has no noise)

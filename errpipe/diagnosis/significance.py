@@ -1,0 +1,135 @@
+"""Could chance alone have brought the search this far? The whole search is repeated on surrogates that hold nothing.
+
+A surrogate is what the other findings and the recalibration leave, its rows moved and turned so that no input can
+explain them any more, while neighbours stay together: half of the surrogates by random signs (of whole runs where
+there are enough, else of blocks), half by blocks drawn anew from anywhere (moving-block bootstrap). Each is searched
+with every hypothesis at every point of its grid of non-linear parameters, and the best gain is kept: the p value
+pays for all that was tried. Only products with the surrogates are new; those among the columns are the search's own.
+
+The p value stands beside the confidence and does not enter it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.diagnosis.evidence import SIZES, Scene, correlation_time
+from errpipe.diagnosis.judge import Case
+
+SURROGATES = 99
+ENOUGH_RUNS = 10  # fewer could be turned in too few ways
+LEAST_BLOCK = 8  # rows: the memory of the noise
+FEWEST_BLOCKS = 12
+CLOCK = 0.15  # a clock's offset has no size of its own: see Search.score
+
+
+@dataclass(frozen=True)
+class Chance:
+    """p of the search's best gain (1 + surrogates as good) / (1 + surrogates); the gains; how surrogates were made.
+
+    limit: the gain that 95 % of the surrogates stay below; rows: effective number of rows.
+    """
+
+    p: float
+    gain: float
+    limit: float
+    scheme: str
+    rows: float
+
+
+def effective_rows(case: Case) -> float:
+    """Rows less those that only repeat their neighbours, by the autocorrelation of what is left."""
+    left = case.search.scene(case.chosen()).residual()
+    return float(case.run.size / correlation_time(left, case.run))
+
+
+def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES) -> Chance:
+    """Significance of finding k beside the others; without k, of the best gain that the search saw at all."""
+    found = case.explanation.found
+    others = [(f.index, f.size) for j, f in enumerate(found) if j != k] if k is not None else []
+    scene = case.search.scene(others)
+    rows = effective_rows(case)
+    block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
+    turned, scheme = surrogate_signals(scene.residual(), case.run, block, surrogates)
+    best = best_gains(case, scene, turned)
+    if k is not None:
+        gain = found[k].gain
+    else:
+        gain = float(best_gains(case, scene, scene.data.y[:, None])[0])
+    p = (1 + int(np.sum(best >= gain))) / (1 + surrogates)
+    return Chance(p, gain, float(np.quantile(best, 0.95)), scheme, rows)
+
+
+def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int) -> tuple[np.ndarray, str]:
+    """Signals (rows, count) that keep the neighbourhoods of `left` and nothing else, and how they were made."""
+    rng = np.random.default_rng(0)
+    n = left.size
+    codes, inside = np.unique(run, return_inverse=True)
+    by_run = codes.size >= ENOUGH_RUNS
+    out = np.empty((n, count))
+    for k in range(count):
+        if k % 2:
+            starts = rng.integers(0, n - block + 1, -(-n // block))
+            out[:, k] = left[(starts[:, None] + np.arange(block)).ravel()[:n]] * np.repeat(
+                rng.choice([-1.0, 1.0], starts.size), block
+            )[:n]
+        else:
+            group = inside if by_run else (np.arange(n) + rng.integers(0, block)) // block
+            out[:, k] = left * rng.choice([-1.0, 1.0], int(group.max()) + 1)[group]
+    turned = "signs of runs turned" if by_run else f"signs of blocks of {block} rows turned"
+    return out, f"{count} surrogates: {turned}, or blocks of {block} rows drawn anew"
+
+
+def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
+    """The best gain of the whole library on each whitened signal (rows, count), beside the scene's active columns."""
+    library, table, active = case.library, scene.table, scene.active.index
+    products = table.W.T @ signals
+    half = np.linalg.solve(scene.chol, products[active])
+    total = np.einsum("nc,nc->c", signals, signals)
+    spare = np.maximum(total - np.einsum("ac,ac->c", half, half), 1e-12 * total + 1e-300)
+    best = np.full(signals.shape[1], -np.inf)
+    sizes: dict[int, list[int]] = {}
+    for i, h in enumerate(library.hypotheses):
+        if case.search.prior[i] > -1e5:
+            sizes.setdefault(0 if h.effect == "clock_offset" else library.places[i].size, []).append(i)
+    for width, members in sizes.items():
+        columns = np.stack([library.places[i][: width or 1] for i in members])
+        cross = np.linalg.solve(scene.chol, scene.G[np.ix_(active, columns.ravel())])
+        cross = cross.reshape(active.size, *columns.shape).transpose(1, 2, 0)  # (members, width, active)
+        S = scene.G[columns[:, :, None], columns[:, None, :]] - cross @ cross.transpose(0, 2, 1)
+        s = products[columns] - cross @ half
+        prior = case.search.prior[members][:, None]
+        if width == 0:
+            unit = np.array([library.scales[i][0] for i in members])
+            gain = _as_known(S[:, 0, 0], s[:, 0], unit, spare, scene, case.search.rows)
+        else:
+            freedom = np.stack([library.freedoms[i] for i in members])
+            S = S * freedom[:, :, None] * freedom[:, None, :]
+            gain = _over_sizes(S, s * freedom[:, :, None], spare, case.search.rows or scene.n)
+        best = np.maximum(best, (gain + prior).max(axis=0))
+    return best
+
+
+def _over_sizes(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) -> np.ndarray:
+    """As Scene._log_bf for many signals: S (m, k, k), s (m, k, c), spare (c,); gains (m, c)."""
+    lam, U = np.linalg.eigh(S)
+    lam = np.maximum(lam, 0.0)
+    z = (U.transpose(0, 2, 1) @ s) ** 2
+    weight = SIZES[:, None] ** 2 / (1.0 + SIZES[:, None] ** 2 * lam[:, None, :])  # (m, sizes, k)
+    took = weight @ z  # (m, sizes, c)
+    left = np.maximum(1.0 - took / spare, 1e-9)
+    price = np.log1p(SIZES[:, None] ** 2 * lam[:, None, :]).sum(axis=2)
+    log_bf = -0.5 * price[:, :, None] - 0.5 * rows * np.log(left)
+    peak = log_bf.max(axis=1)
+    return peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
+
+
+def _as_known(S, s, unit, spare, scene: Scene, rows: float | None) -> np.ndarray:
+    """As Scene.exactly for many signals: S (m,), s (m, c), unit (m,); gains (m, c)."""
+    S, unit = S[:, None], unit[:, None]
+    sd = CLOCK * unit
+    Q = spare - 2 * unit * s + unit**2 * S - (s - unit * S) ** 2 / (S + scene.sigma**2 / sd**2)
+    price = 0.5 * np.log1p(S * sd**2 / scene.sigma**2)
+    return -price - 0.5 * (rows or scene.n) * np.log(np.maximum(Q, 1e-9 * spare) / spare)

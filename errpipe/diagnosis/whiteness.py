@@ -1,0 +1,176 @@
+"""Is what the best explanation leaves noise? Tested against every input, run by run, by direction, and in its order.
+
+Each test adds columns to the explanation and asks whether they find more than noise would give them (a score test:
+the columns freed of everything fitted already, F distribution). The noise is white with a share that forgets
+slowly, as public recordings have it; the share is estimated from what is left, so that ordinary noise raises no
+alarm. Many tests are made: the smallest p is multiplied by their number (Bonferroni) before it counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import stats
+
+from errpipe.diagnosis.evidence import whiten
+from errpipe.diagnosis.judge import Case, residual
+from errpipe.domain.diagnosis import Whiteness, WhitenessTest
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import direction
+from errpipe.terms._place import axes
+
+BINS = 6  # levels of an input between which the residual's mean may differ
+LAGS = 20  # rows apart up to which the order is tested (Ljung-Box)
+SHARES = np.linspace(0.0, 0.15, 16)  # slow shares of the noise tried (public blind trials: 0 to 0.12)
+ALARM = 0.01  # of a perfect explanation, this share is called structured (measured: see the tests)
+LEAST_IN_RUN = 12
+ORDER = "order of the rows"
+ROLES = ("position", "temperature", "pressure", "humidity", "force", "spindle_speed", "feed", "velocity",
+         "acceleration", "coolant", "load", "overhang", "depth_of_cut", "cut_length")  # fmt: skip
+
+
+def whiteness(case: Case) -> Whiteness:
+    """All tests of what is left of a response, and the sentence that sums them up."""
+    left = residual(case)
+    share = slow_share(left, case.run)
+    fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    used = whiten(np.column_stack([case.recal, *fitted]), case.run, share)
+    frame = Frame(whiten(case.y, case.run, share), used, case.run, share)
+    tests = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
+    tests = [t for t in tests if t is not None]
+    tests.append(frame.in_order())
+    p = min(1.0, len(tests) * min(t.p for t in tests))
+    return Whiteness(p=p, slow_share=float(share), tests=tuple(tests), says=_says(tests, p))
+
+
+def slow_share(left: np.ndarray, run: np.ndarray) -> float:
+    """The slow share of the noise that makes the residual likeliest."""
+    return float(SHARES[np.argmin([np.mean(whiten(left, run, float(s)) ** 2) * _gain(float(s)) for s in SHARES])])
+
+
+def _gain(share: float) -> float:
+    """Variance of the innovations of unit noise: what whitening with this share divided by."""
+    impulse = whiten(np.array([0.0, 1.0]), np.zeros(2, dtype=int), share)
+    return float(impulse[1] ** -2)
+
+
+class Frame:
+    """A whitened response beside everything fitted to it: what further columns would find, and in what order it is."""
+
+    def __init__(self, y: np.ndarray, used: np.ndarray, run: np.ndarray, share: float):
+        self.run, self.share = run, share
+        size = np.linalg.norm(used, axis=0)
+        u, s, _ = np.linalg.svd(used[:, size > 0] / size[size > 0], full_matrices=False)
+        self.basis = u[:, s > 1e-6 * s[0]]
+        left = self._freed(y)
+        # a few rows far out would speak for all the others
+        spread = 1.4826 * np.median(np.abs(left)) + 1e-300
+        self.left = self._freed(np.clip(left, -4 * spread, 4 * spread))
+        self.free = y.size - self.basis.shape[1]
+
+    def _freed(self, columns: np.ndarray) -> np.ndarray:
+        return columns - self.basis @ (self.basis.T @ columns)
+
+    def test(self, against: str, how: str, columns: np.ndarray) -> WhitenessTest | None:
+        """Do these columns (rows, k) find more than noise? None where the explanation holds them all."""
+        made = whiten(columns, self.run, self.share)
+        before = np.linalg.norm(made, axis=0)
+        made = self._freed(made)
+        after = np.linalg.norm(made, axis=0)
+        keep = after > 1e-3 * np.maximum(before, 1e-300)
+        if not keep.any():
+            return None
+        u, s, _ = np.linalg.svd(made[:, keep] / after[keep], full_matrices=False)
+        u = u[:, s > 1e-3 * s[0]]
+        count = u.shape[1]
+        if self.free <= count + 5:
+            return None
+        found = float(np.sum((u.T @ self.left) ** 2))
+        rest = float(self.left @ self.left) - found
+        f = (found / count) / (rest / (self.free - count))
+        p = float(stats.f.sf(f, count, self.free - count))
+        return WhitenessTest(against=against, how=how, statistic=f, dof=count, p=p)
+
+    def in_order(self) -> WhitenessTest:
+        """Ljung-Box: do neighbouring rows go together, within runs?"""
+        left, n = self.left - self.left.mean(), self.left.size
+        most = int(min(LAGS, max(n // 5, 1)))
+        power = float(left @ left) or 1.0
+        q = 0.0
+        for lag in range(1, most + 1):
+            same = self.run[lag:] == self.run[:-lag]
+            rho = float(left[lag:][same] @ left[:-lag][same]) / power
+            pairs = max(int(same.sum()), 1)
+            q += rho**2 * n * (n + 2) / (n - lag) * (n - lag) / pairs
+        return WhitenessTest(
+            against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1,
+            p=float(stats.chi2.sf(q, max(most - 1, 1))),
+        )  # fmt: skip
+
+
+def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
+    """What the residual is tested against: (input, how, columns (rows, k))."""
+    run = recording.run_codes()[rows]
+    sides = _sides(recording, rows)
+    inputs = {n: recording.array(n)[rows] for role in ROLES for n in recording.names(role)
+              if n in recording.frame.columns}  # fmt: skip
+    inputs[ORDER] = np.arange(rows.size, dtype=float)
+    runs = [r for r in np.unique(run) if (run == r).sum() >= LEAST_IN_RUN]
+    runs = runs if 2 <= len(runs) <= 40 else []
+    if runs:
+        yield "run", "level", np.column_stack([run == r for r in runs]).astype(float)
+    for axis, side in sides.items():
+        yield f"direction of {axis}", "level", side[:, None]
+        if runs:
+            yield f"direction of {axis}", "by run", np.column_stack([(run == r) * side for r in runs])
+    for name, u in inputs.items():
+        if not np.isfinite(u).all() or u.max() <= u.min():
+            continue
+        bins = levels(u)
+        yield name, "level", bins
+        if runs:
+            slope = (u - u.mean()) / u.std()
+            yield name, "by run", np.column_stack([(run == r) * (slope - slope[run == r].mean()) for r in runs])
+        for axis, side in sides.items():
+            how = "by direction" if len(sides) == 1 else f"by direction of {axis}"
+            yield name, how, bins * side[:, None]
+
+
+def _sides(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """The direction of each axis that goes both ways."""
+    out = {}
+    for axis in axes(recording):
+        try:
+            side = direction(recording, axis)[rows]
+        except KeyError:
+            continue
+        if (side > 0).any() and (side < 0).any():
+            out[axis] = side
+    return out
+
+
+def levels(u: np.ndarray) -> np.ndarray:
+    """Which of up to BINS levels, equally full, each row is in, shape (rows, levels)."""
+    own = np.unique(u)
+    if own.size <= BINS:
+        return (u[:, None] == own).astype(float)
+    edges = np.unique(np.quantile(u, np.linspace(0, 1, BINS + 1)[1:-1]))
+    return (np.searchsorted(edges, u, side="right")[:, None] == np.arange(edges.size + 1)).astype(float)
+
+
+def structured(found: Whiteness) -> list[WhitenessTest]:
+    """Tests that alone would raise the alarm, the strongest first; inputs before the mere order of the rows."""
+    alarming = [t for t in found.tests if t.p * len(found.tests) < ALARM]
+    return sorted(alarming, key=lambda t: (t.against == ORDER, t.p))
+
+
+def _says(tests: list[WhitenessTest], p: float) -> str:
+    found = Whiteness(p=p, slow_share=0.0, tests=tuple(tests), says="")
+    alarming = structured(found)
+    told = lambda t: t.against if t.how == "level" else f"{t.against}, {t.how}"  # noqa: E731
+    if not alarming:
+        worst = told(min(tests, key=lambda t: t.p))
+        return f"What is left is noise: of {len(tests)} tests the strongest ({worst}) has p = {p:.2g} for all together."
+    where = told(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
+    return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p = {p:.1g}."
