@@ -75,6 +75,10 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
         return state, None
     if state.motion not in MOTIONS:
         raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
+    if state.motion in ("G0", "G1"):
+        for letter in "IJKRP":
+            if block.value(letter) is not None:
+                raise refuse(block.line, block.source, f"the word {letter} beside a straight move is not understood")
     end = _end(block, state)
     centre = _arc(block, state, end) if state.motion in ("G2", "G3") else None
     motion = Motion(state.motion, state.position, end, state.plane, centre, int(block.value("P") or 1))

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from errpipe.ncprogram.correct import Deviation
     from errpipe.ncprogram.modal import Setup
 
+MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
+MOVED = ("X", "Y", "Z")
+
 
 def correct(
     program: Path,
@@ -39,48 +42,72 @@ def correct(
         raise DataError(f"{program}: cannot be read: {(err.strerror or str(err)).lower()}") from None
     except UnicodeDecodeError as err:
         raise DataError(f"{program}: not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
-    deviation = deviation_of(_artefacts.read_table(table), at)
+    found = _artefacts.read_table(table)
+    deviation = deviation_of(found, at)
     try:
         corrected, done = rewrite(
             text, deviation, setup_of(offsets, tools, start), chord_error=chord_error, longest=longest
         )
     except DataError as err:
         raise DataError(f"{program}, {err}") from None
-    result = {
+    result: dict[str, Any] = {
         "moves": done.moves,
         "blocks_in": done.blocks_in,
         "blocks_out": done.blocks_out,
         "largest_correction_um": 1e3 * done.largest_correction,
         "largest_chord_error_um": 1e3 * done.largest_chord_error,
     }
+    if knows_direction(found):
+        result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
     if out is None:
         return {**result, "program": corrected, "says": corrected.rstrip("\n")}
     jsonfile.write_text(Path(out), corrected)
     return {**result, "written": str(out)}
 
 
+def knows_direction(table: CompensationTable) -> bool:
+    """Whether corrections depend on the direction of travel."""
+    return any(n.op in ("direction", "approach") for n in table.nodes) or any(
+        i.kind == "direction" for i in table.inputs
+    )
+
+
+def _travelling(table: CompensationTable, side: int) -> CompensationTable:
+    """The table as it stands in the first cycle of a run where every axis travels to one side."""
+    nodes = [n.model_copy(update={"start": side}) if n.op == "direction" else n for n in table.nodes]
+    inputs = [i.model_copy(update={"default": float(side)}) if i.kind == "direction" else i for i in table.inputs]
+    return table.model_copy(update={"nodes": tuple(nodes), "inputs": tuple(inputs)})
+
+
 def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation:
-    """The table as deviation of the tool point, mm, in settled states; lengths of tools go to its tool input."""
+    """The table as deviation of the tool point, mm, in settled states; lengths of tools go to its tool input.
+
+    Where the table knows directions of travel, the mean of both.
+    """
     import numpy as np
 
     from errpipe.tables import batch
 
+    ways = [_travelling(table, side) for side in (1, -1)] if knows_direction(table) else [table]
+
     axes = {i.axis: i.name for i in table.inputs if i.kind == "position"}
+    angular = [o.name for o in table.outputs if o.axis in MOVED and o.correction_unit not in MM]
+    if angular:
+        raise GateError(f"correct: {', '.join(angular)} moves a linear axis by an angle")
     rotary = [a for a in axes if a not in "XYZ"]
     if rotary:
         raise GateError(f"correct: the table reads {', '.join(rotary)}; programs are corrected in X, Y and Z only")
     tool = next((i.name for i in table.inputs if i.kind == "tool"), None)
-    outputs = {o.axis: n for n, o in enumerate(table.outputs) if o.axis in tuple("XYZ")}
+    outputs = [(n, o.axis, MM[o.correction_unit] * o.factor) for n, o in enumerate(table.outputs) if o.axis in MOVED]
     moving = tuple(axes)
 
     def deviation(points: np.ndarray, length: float) -> np.ndarray:
         readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
-        found = batch.position(
-            table, points[:, ["XYZ".index(a) for a in moving]], tuple(axes[a] for a in moving), readings
-        )
+        there, names = points[:, ["XYZ".index(a) for a in moving]], tuple(axes[a] for a in moving)
+        found = sum(batch.position(way, there, names, readings) for way in ways) / len(ways)
         out = np.zeros_like(points)
-        for axis, number in outputs.items():
-            out[:, "XYZ".index(axis)] = found[:, number] * table.outputs[number].factor
+        for number, axis, factor in outputs:
+            out[:, "XYZ".index(axis)] += found[:, number] * factor
         return out
 
     return deviation

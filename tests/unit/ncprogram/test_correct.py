@@ -146,6 +146,9 @@ def test_arc_segments_stay_within_the_chord_error(chord):
         ("/G1 X1", "block delete switch"),
         ("G1 X1 Q=3", "is not a word"),
         ("M98 P100", "M98 is not understood"),
+        ("G64 P0.01 G1 X1", "the word P beside a straight move"),
+        ("G1 X1 R2", "the word R beside a straight move"),
+        ("G1 X1 I5", "the word I beside a straight move"),
     ],
 )
 def test_what_is_not_understood_is_refused_with_its_line(line, why):
@@ -165,3 +168,16 @@ def test_outside_the_table_is_refused():
 
     with pytest.raises(DataError, match="line 3: the table has no value here"):
         correct("G90 G21 G54\nG0 X0 Y0 Z0\nG1 X250\n", holed, SETUP)
+
+
+def test_two_outputs_of_an_axis_and_both_directions_are_counted():
+    """Outputs that share an axis add up; lost motion counts with the mean of its two sides, and that is said."""
+    from errpipe.stages.correct import deviation_of, knows_direction
+    from tests.unit.targets import machines
+
+    at_500 = np.array([[500.0, 0.0, 0.0]])
+    assert deviation_of(machines.two_outputs(), {})(at_500, 0.0)[0] == pytest.approx([0.014, 0.0, 0.0], abs=1e-5)
+    wavy = machines.wavy_both_directions()
+    mean = 10.0 + 12.0 * math.sin(500 / 60.0)
+    assert knows_direction(wavy) and not knows_direction(machines.two_outputs())
+    assert deviation_of(wavy, {})(at_500, 0.0)[0, 0] == pytest.approx(1e-3 * mean, abs=1e-5)

@@ -106,3 +106,15 @@ def two_outputs():
         ],
         inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
     )  # fmt: skip
+
+
+def too_far(axis, driver=d.ONE):
+    """`axis` goes 10 um too far in plus at X = +500 (in a driver's state), nothing at X = 0; Z bows over Y besides."""
+    pairs = [straight("X", 10.0, driver=driver)]
+    if axis == "Z":
+        pairs.append(Lowered(d.ONE, "Y", lambda y: 2.0 * np.sin(np.pi * y / 400.0)))
+    return tables.compile_table(
+        [tables.ComponentSource(f"E{axis}X", "um", tuple(pairs))],
+        outputs=[tables.OutputSource(axis, (tables.MonomialSource(1.0, f"E{axis}X"),), axis)],
+        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
+    )  # fmt: skip

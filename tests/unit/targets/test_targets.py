@@ -40,22 +40,6 @@ def correction(found, axis, side=1.0, sensors=None, **at):
     return 1e3 * float(found.correction(axis, one, np.array([side]), warm)[0])
 
 
-def test_signs_of_all_targets(capsys):
-    """One table of all signs: a machine 10 um too long at X = +500 must be told to go 10 um less far there."""
-    rows = []
-    for target in TARGETS:
-        if target.name not in SCREW:
-            continue
-        found = read(target, machines.too_long_at_plus_x())
-        moved = correction(found, "X", X=500.0) - correction(found, "X", X=0.0)
-        rows.append((target.name, moved))
-        assert moved == pytest.approx(-10.0, abs=ROUNDING_UM.get(target.name, 0.05)), target.name
-    with capsys.disabled():
-        print("\ncorrection at X = +500 of a machine 10 um too long there")
-        for name, moved in rows:
-            print(f"  {name:<22}{moved:+8.3f} um")
-
-
 @by_name(BOTH_WAYS)
 def test_both_directions_stay_apart(target):
     """Lost motion 6 um: approached from below the axis stops 3 um short, so it is pushed 3 um further there."""
