@@ -79,8 +79,14 @@ def _variable(chain: Chain, name: str, names: Mapping[str, str]) -> d.Driver:
     return d.Lookup(of=d.Input(name=names.get(axis, axis)), start=low, step=step, values=tuple(map(float, values)))
 
 
-def lowered(errors: MachineErrors) -> dict[str, tuple[Lowered, ...]]:
-    """Component -> its compiled pairs (one profile each, driver 1), for components that are not zero everywhere."""
+def lowered(
+    errors: MachineErrors, reversals: Mapping[str, tuple[float, float, float]] | None = None
+) -> dict[str, tuple[Lowered, ...]]:
+    """Component -> its compiled pairs (one profile each, driver 1), for components that are not zero everywhere.
+
+    reversals: component -> up minus down at the middle (um, urad), its change per metre, the middle: a second pair
+    of that component whose driver is the direction of its axis.
+    """
     chain = errors.chain
     out: dict[str, tuple[Lowered, ...]] = {}
     for c, name in enumerate(chain.components):
@@ -94,6 +100,11 @@ def lowered(errors: MachineErrors) -> dict[str, tuple[Lowered, ...]]:
             axis = chain.axes[chain.drives[c]]
             profile = lambda x, grid=grid, values=values: np.interp(x, grid, values)  # noqa: E731
             out[name] = (Lowered(d.ONE, axis, profile),)
+    for name, (value, slope, middle) in (reversals or {}).items():
+        axis = chain.axes[chain.drives[chain.index(name)]]
+        half = lambda x, v=value, s=slope, m=middle: 0.5 * (v + s * (np.asarray(x) - m) * 1e-3)  # noqa: E731
+        if value != 0.0 or slope != 0.0:
+            out[name] = (*out.get(name, ()), Lowered(d.Direction(axis=axis), axis, half))
     return out
 
 

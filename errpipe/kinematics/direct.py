@@ -72,9 +72,7 @@ def corrected(
         true = true / (1.0 + air)
     true = true / np.cos(laser.misalignment * 1e-6)
     out = true - travelled * 1e3
-    if turn is not None:
-        out = out + np.cross(turn, np.asarray(laser.offset)) @ np.asarray(direction, dtype=float) * 1e-3
-    return out
+    return out if turn is None else out + _abbe(turn, laser, np.asarray(direction))
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ def identify(
     a chain is given, else the first target). Raises DataError where a component's axis has no position.
     """
     lasers = lasers or {}
-    motions = [c for c in recording.components() if _is_motion(c)]
+    motions = [c for c in recording.components() if is_motion(c)]
     if not motions:
         raise DataError("the recording has no error column of an error motion such as EXX, EYX or EBX")
     curves: dict[str, Curve] = {}
@@ -149,17 +147,28 @@ def identify(
     return Direct({c: curves[c] for c in motions}, squares)
 
 
-def _is_motion(component: str) -> bool:
+def is_motion(component: str) -> bool:
+    """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
     return parse(component).kind not in ("tool point", "tool orientation", "circular", "diameter", "force",
                                          "squareness", "axis offset")  # fmt: skip
 
 
-def _curve(recording: Recording, component: str, laser: Laser | None, known, chain, zero) -> Curve:
-    c = parse(component)
-    axis = str(c.axis)
+def axis_of(component: str) -> str:
+    """Letter of the axis that an error motion belongs to."""
+    return str(parse(component).axis)
+
+
+def position_of(recording: Recording, component: str) -> str:
+    """Column with the position of a component's axis, commanded where there is one. Raises DataError without one."""
+    axis = axis_of(component)
     name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     if name is None:
         raise DataError(f"{component}: the recording has no position of axis {axis}")
+    return name
+
+
+def _curve(recording: Recording, component: str, laser: Laser | None, known, chain, zero) -> Curve:
+    axis, name = axis_of(component), position_of(recording, component)
     measured = recording.name("error", component=component)
     if measured is None:
         raise DataError(f"{component}: the recording has no error column of it")
@@ -169,27 +178,68 @@ def _curve(recording: Recording, component: str, laser: Laser | None, known, cha
         raise DataError(f"{component}: at least 3 readings are needed (found {int(rows.sum())})")
     if laser is not None:
         value = value.copy()
-        value[rows] = corrected(
-            p[rows], value[rows], laser, air=_air(recording, rows), turn=_turn(axis, p[rows], known),
-            direction=chain.machine.direction(axis) if chain is not None else np.eye(3)["XYZ".index(c.direction)],
-        )  # fmt: skip
-    side = _side(recording, axis, p, rows)
-    targets, number = _targets(p[rows])
+        value[rows] = without_beam_errors(component, recording, p[rows], value[rows], laser, rows)
+        turn = _turn(axis, p[rows], known)
+        if turn is not None and any(laser.offset):
+            value[rows] += _abbe(turn, laser, direction_of(chain, component))
+    side = side_of(recording, axis, p, rows)
+    targets, number = targets_of(p[rows])
     up, down = (_means(number, value[rows], side == s, len(targets)) for s in (1, -1))
     error = _scatter(number, value[rows], side, len(targets))
     return _conventions(Curve(component, targets, up, down, error), zero.get(axis, _zero(chain, axis, targets)))
 
 
-def _air(recording: Recording, rows: np.ndarray) -> np.ndarray | float:
-    """Index change from air sensors: those whose location says air, or the only one there is."""
+def without_beam_errors(
+    component: str, recording: Recording, position: np.ndarray, value: np.ndarray, laser: Laser, rows: np.ndarray
+) -> np.ndarray:
+    """Readings of a component (um) less what dead path, air and cosine did to them; Abbe's offset is left in.
+
+    rows: mask of the recording's rows that position and value are of. Raises DataError where the set-up does not
+    fit the component, or the air was not recorded that the correction needs.
+    """
+    kind = parse(component).kind
+    if kind not in ("positioning", "straightness"):
+        raise DataError(f"lasers.{component}: an angle has no dead path, no cosine error and no Abbe offset")
+    if kind == "straightness" and (laser.dead_path or laser.misalignment or not laser.wavelength_corrected):
+        raise DataError(f"lasers.{component}: a straightness has an offset alone; dead path and cosine are of EXX")
+    if kind == "straightness":
+        return value
+    needs = "dead path" if laser.dead_path else "" if laser.wavelength_corrected else "wavelength"
+    if needs and not any(_air_columns(recording)):
+        raise DataError(
+            f"lasers.{component}: to correct the {needs}, record the air: temperature, pressure or humidity "
+            "(a column whose location says air)"
+        )
+    return corrected(position, value, laser, air=_air(recording, rows) if needs else 0.0)
+
+
+def direction_of(chain: Chain | None, component: str) -> np.ndarray:
+    """Direction that a positioning or straightness component counts along, shape (3,)."""
+    c = parse(component)
+    if c.kind == "positioning" and chain is not None:
+        return np.asarray(chain.machine.direction(str(c.axis)))
+    return np.eye(3)["XYZ".index(c.direction)]
+
+
+def _abbe(turn: np.ndarray, laser: Laser, direction: np.ndarray) -> np.ndarray:
+    return np.cross(turn, np.asarray(laser.offset)) @ np.asarray(direction, dtype=float) * 1e-3
+
+
+def _air_columns(recording: Recording) -> list[str | None]:
+    """Names of the air's temperature, pressure and humidity: where the location says air, or none is said."""
     found = []
     for role in ("temperature", "pressure", "humidity"):
         names = recording.names(role)
         in_air = [n for n in names if "air" in (recording.manifest.columns[n].location or "").lower()]
         if role != "temperature" and not in_air:
             in_air = [n for n in names if recording.manifest.columns[n].location is None]
-        found.append(recording.array(in_air[0])[rows] if in_air else None)
-    return index_change(*found)
+        found.append(in_air[0] if in_air else None)
+    return found
+
+
+def _air(recording: Recording, rows: np.ndarray) -> np.ndarray | float:
+    """Index change of the air along some rows, against the first of them."""
+    return index_change(*(None if n is None else recording.array(n)[rows] for n in _air_columns(recording)))
 
 
 def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | None:
@@ -199,19 +249,30 @@ def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | 
     return np.column_stack([np.zeros(len(p)) if c is None else np.interp(p, c.position, c.mean) for c in curves])
 
 
-def _side(recording: Recording, axis: str, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Side each target was approached from, of the rows that count: the direction column, else the last step."""
+def side_of(recording: Recording, axis: str, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Side each target was approached from, of the rows that count: the direction column, else the step before.
+
+    The first reading of a run takes the side of the second: how the axis came there is not known.
+    """
     name = recording.name("direction", axis=axis)
     if name is not None:
         return np.sign(recording.array(name)[rows])
-    step = np.diff(p[rows], prepend=p[rows][0])
-    step[0] = step[1]
-    for i in range(1, len(step)):
-        step[i] = step[i - 1] if step[i] == 0 else step[i]
-    return np.where(step < 0, -1.0, 1.0)
+    position, run = p[rows], recording.run_codes()[rows]
+    out = np.ones(len(position))
+    for code in np.unique(run):
+        here = np.flatnonzero(run == code)
+        if len(here) < 2:
+            continue
+        step = np.diff(position[here], prepend=position[here][0])
+        step[0] = step[1]
+        for i in range(1, len(step)):
+            step[i] = step[i - 1] if step[i] == 0 else step[i]
+        out[here] = np.where(step < 0, -1.0, 1.0)
+    return out
 
 
-def _targets(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def targets_of(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Target positions in rising order, and which of them each reading is of."""
     order = np.argsort(p, kind="stable")
     new = np.r_[True, np.diff(p[order]) > SAME_PLACE]
     number = np.empty(len(p), dtype=int)

@@ -105,9 +105,7 @@ class Parametrisation:
 
     def design(self, obs: Observations) -> np.ndarray:
         """d(reading)/d(parameter), shape (n, parameters), set-up columns not included."""
-        jac = synthesis.jacobian(self.chain, obs.q, obs.tip)
-        weight = np.einsum("nk,nkc->nc", obs.weights, jac)
-        return weight[:, self.prior.component] * self.functions(obs.q)
+        return obs.on_components(self.chain)[:, self.prior.component] * self.functions(obs.q)
 
 
 def family_of(component: str) -> str:
@@ -230,13 +228,14 @@ def identify(
 
 def _bending_of_lengths(chain: Chain, model: Parametrisation, obs: Observations, design, mean) -> np.ndarray:
     """True reading minus linear reading at the estimate: second order in a bar's sideways set-up error."""
-    if np.isnan(obs.socket[:, 0]).all():
+    lengths = ~np.isnan(obs.socket[:, 0])
+    if not lengths.any():
         return np.zeros(len(obs))
     p = len(model.prior.names)
     comps = np.zeros((len(obs), len(chain.components)))
     np.add.at(comps.T, model.prior.component, (model.functions(obs.q) * mean[:p]).T)
     deviation = synthesis.first_order(chain, obs.q, comps, obs.tip)
-    return reading(chain, obs, deviation, mean[p:]) - design @ mean
+    return np.where(lengths, reading(chain, obs, deviation, mean[p:]) - design @ mean, 0.0)
 
 
 def _known(sizes: Mapping[str, float] | None, power: float | None, noise: float | None) -> np.ndarray:

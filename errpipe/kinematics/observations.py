@@ -30,7 +30,9 @@ class Observations:
 
     q (n, axes) mm, deg; tip (n, 3) mm; weights (n, 6) on the deviation; value (n,); nuisance (n, m) in um per
     unit of each set-up parameter; socket (n, 3) mm in the workpiece frame, NaN where the row is no distance;
-    noise: relative size of each row's noise (n,); label: the run each row is of; seconds: measuring time.
+    noise: relative size of each row's noise (n,); label: the run each row is of; seconds: measuring time. own
+    (n, components): weights on the components themselves, for records of single components; NaN where a row reads
+    the tool. None: every row does.
     """
 
     q: np.ndarray
@@ -44,6 +46,7 @@ class Observations:
     noise: np.ndarray
     label: np.ndarray
     seconds: float = 0.0
+    own: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.value)
@@ -51,7 +54,15 @@ class Observations:
     def take(self, rows: np.ndarray) -> Observations:
         """Some of the rows; set-up columns stay."""
         names = ("q", "tip", "weights", "value", "nuisance", "socket", "noise", "label")
-        return replace(self, **{n: getattr(self, n)[rows] for n in names})
+        own = None if self.own is None else self.own[rows]
+        return replace(self, **{n: getattr(self, n)[rows] for n in names}, own=own)
+
+    def on_components(self, chain: Chain) -> np.ndarray:
+        """d(reading)/d(component), shape (n, components)."""
+        if self.own is not None and not np.isnan(self.own).any():
+            return self.own
+        through_tool = np.einsum("nk,nkc->nc", self.weights, synthesis.jacobian(chain, self.q, self.tip))
+        return through_tool if self.own is None else np.where(np.isnan(self.own), through_tool, self.own)
 
     def with_value(self, value: np.ndarray) -> Observations:
         """The same rows with other readings."""
@@ -198,8 +209,16 @@ def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observat
     }
     return Observations(
         **joined, nuisance=nuisance, nuisance_names=tuple(names), nuisance_spread=np.array(spread),
-        seconds=sum(p.seconds for p in parts),
+        seconds=sum(p.seconds for p in parts), own=_own(parts),
     )  # fmt: skip
+
+
+def _own(parts: Sequence[Observations]) -> np.ndarray | None:
+    """Weights on components of all parts; NaN rows for parts that read the tool."""
+    count = next((p.own.shape[1] for p in parts if p.own is not None), 0)
+    if not count:
+        return None
+    return np.concatenate([np.full((len(p), count), np.nan) if p.own is None else p.own for p in parts])
 
 
 def reading(chain: Chain, obs: Observations, deviation: np.ndarray, setup: np.ndarray) -> np.ndarray:

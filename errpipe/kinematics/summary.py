@@ -44,7 +44,7 @@ def document(found: Identified, obs: Observations, *, extra: bool = True) -> dic
         "identification": 1,
         "machine": chain.machine.name,
         "readings": found.rows,
-        "noise_um": found.noise,
+        "noise_um": found.noise * float(np.sqrt(np.mean(obs.noise**2))),
         "residual_rms_um": float(np.sqrt(np.mean(found.residual**2))),
         "smoothness": found.power,
         "spread_before": found.sizes,

@@ -110,7 +110,7 @@ def _accept_quantities(prop: dict[str, Any]) -> None:
         prop["anyOf"] = [*prop["anyOf"], dict(_NUMBER_WITH_UNIT)]
     for part in [prop, *prop.get("anyOf", ())]:
         items = part.get("items")
-        for entry in items if isinstance(items, list) else [items]:
+        for entry in [*(items if isinstance(items, list) else [items]), part.get("additionalProperties")]:
             if isinstance(entry, dict) and entry.get("type") in _NUMBERS:
                 number = dict(entry)
                 entry.clear()

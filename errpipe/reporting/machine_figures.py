@@ -6,7 +6,7 @@ front right and above; lengths along X, Y and Z have one scale.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -178,7 +178,10 @@ def _end(axes: Axes, chain: Chain, side: str, place: np.ndarray, size: float, bl
 def vectors(
     chain: Chain, q: np.ndarray, before: np.ndarray, after: np.ndarray | None = None, tip: np.ndarray | None = None
 ) -> str:
-    """Volumetric error as arrows in space. q (n, axes); before, after (n, 3), um; both drawn to one scale."""
+    """Volumetric error as arrows in space. q (n, axes); before, after (n, 3), um; both drawn to one scale.
+
+    after may also be sizes (n,), um, of which no direction is known: drawn as balls of that radius.
+    """
     turn = upright(chain).T
     place = synthesis.ideal_pose(chain, q, tip)[:, 0] @ turn
     rows = svg.thin(len(place), 250)
@@ -188,13 +191,25 @@ def vectors(
     with svg.figure(3.7 * len(panels) + 0.2, 3.6, columns=len(panels)) as (canvas, found):
         for axes, (name, values, colour) in zip(np.atleast_1d(found), panels, strict=True):
             _frame(axes, place, chain)
-            start, stop = flat(place[rows]), flat(place[rows] + reach * values[rows] @ turn)
-            axes.quiver(
-                *start.T, *(stop - start).T, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004, zorder=4
-            )
-            rms, most = np.sqrt(np.mean(np.sum(values**2, axis=1))), np.linalg.norm(values, axis=1).max()
-            axes.set_title(f"{name}: {rms:.1f} um rms, {most:.1f} um largest", fontsize=9)
+            size = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+            start = flat(place[rows])
+            if values.ndim == 1:
+                _balls(axes, start, reach * size[rows], colour)
+            else:
+                stop = flat(place[rows] + reach * values[rows] @ turn)
+                axes.quiver(
+                    *start.T, *(stop - start).T, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004,
+                    zorder=4,
+                )  # fmt: skip
+            axes.set_title(f"{name}: {_um(np.sqrt(np.mean(size**2)))} um rms, {_um(size.max())} um largest", fontsize=9)
         return svg.to_svg(canvas, f"Volumetric error of {chain.machine.name}; longest arrow {largest:.1f} um")
+
+
+def _balls(axes: Axes, centre: np.ndarray, radius: np.ndarray, colour: str) -> None:
+    from matplotlib.patches import Circle
+
+    for (x, y), r in zip(centre, radius, strict=True):
+        axes.add_patch(Circle((x, y), r, facecolor=colour, edgecolor="none", alpha=0.55, zorder=4))
 
 
 def _frame(axes: Axes, place: np.ndarray, chain: Chain) -> None:
@@ -215,47 +230,67 @@ def _frame(axes: Axes, place: np.ndarray, chain: Chain) -> None:
         axes.text(across, up, letter, color=COLOURS[letter], ha="center", va="center", fontsize=9, weight="bold")
 
 
-def slices(
-    chain: Chain, before: MachineErrors, after: MachineErrors | None = None, tip: np.ndarray | None = None
-) -> str:
-    """Size of the volumetric error on the three middle planes of a three-axis machine, before and after, um."""
+def slices(chain: Chain, panels: Mapping[str, Callable[[np.ndarray], np.ndarray]]) -> str:
+    """Size of the volumetric error on the three middle planes, one column per panel, all in one scale of colours.
+
+    panels: heading -> function of axis positions (n, axes) that gives sizes (n,) in um, such as before and after.
+    """
     linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"][:3]
     middle = chain.travel.mean(axis=1)
-    panels = [("before", before)] + ([] if after is None else [("after", after)])
     pairs = [(i, j) for n, i in enumerate(linear) for j in linear[n + 1 :]]
     maps = {}
-    for name, errors in panels:
-        for i, j in pairs:
-            u, v = (np.linspace(*chain.travel[k], SLICE) for k in (i, j))
-            gu, gv = np.meshgrid(u, v)
-            q = np.tile(middle, (gu.size, 1))
-            q[:, i], q[:, j] = gu.ravel(), gv.ravel()
-            size = np.linalg.norm(synthesis.first_order(chain, q, errors.at(q), tip)[:, :3], axis=1)
-            maps[name, i, j] = (u, v, size.reshape(gu.shape))
+    for i, j in pairs:
+        u, v = (np.linspace(*chain.travel[k], SLICE) for k in (i, j))
+        gu, gv = np.meshgrid(u, v)
+        q = np.tile(middle, (gu.size, 1))
+        q[:, i], q[:, j] = gu.ravel(), gv.ravel()
+        for name, size in panels.items():
+            maps[i, j, name] = (u, v, size(q).reshape(gu.shape))
     top = max(float(m[2].max()) for m in maps.values())
-    with svg.figure(2.5 * len(pairs) + 0.8, 2.3 * len(panels), len(panels), len(pairs)) as (canvas, found):
-        grid = np.reshape(found, (len(panels), len(pairs)))
-        for (name, i, j), (u, v, size) in maps.items():
-            row = [p[0] for p in panels].index(name)
-            axes = grid[row, pairs.index((i, j))]
-            levels = np.linspace(0, top, 13)
-            drawn = axes.contourf(u, v, size, levels=levels if top > 0 else None, cmap="cividis")
-            axes.set_xlabel(f"{chain.axes[i]} mm", fontsize=8)
+    shape = (len(pairs), len(panels))
+    levels = _levels(top)
+    with svg.figure(3.3 * len(panels) + 0.8, 2.25 * len(pairs), *shape) as (canvas, found):
+        grid = np.reshape(found, shape)
+        for (i, j, name), (u, v, size) in maps.items():
+            axes = grid[pairs.index((i, j)), list(panels).index(name)]
+            drawn = axes.contourf(u, v, size, levels=levels, cmap="cividis")
+            rms = np.sqrt(np.mean(size**2))
+            third = ", ".join(f"{chain.axes[k]} {middle[k]:g}" for k in linear if k not in (i, j))
+            axes.set_xlabel(f"{chain.axes[i]} mm, at {third}" if third else f"{chain.axes[i]} mm", fontsize=8)
             axes.set_ylabel(f"{chain.axes[j]} mm", fontsize=8)
             axes.tick_params(labelsize=7)
-            axes.set_title(f"{name}, largest {size.max():.1f} um", fontsize=8)
-        canvas.colorbar(drawn, ax=grid.ravel().tolist(), label="um", shrink=0.8)
+            axes.grid(visible=False)
+            axes.set_title(f"{name}: {_um(rms)} um rms, {_um(size.max())} largest", fontsize=8)
+        canvas.colorbar(drawn, ax=grid.ravel().tolist(), label="um", shrink=0.6)
         return svg.to_svg(canvas, f"Volumetric error of {chain.machine.name} on its middle planes")
 
 
+def _levels(top: float) -> np.ndarray:
+    """About ten round steps from 0 to where the largest value lies inside."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(10).tick_values(0.0, max(top, 1e-6))
+
+
+def size_of(chain: Chain, errors: MachineErrors, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
+    """Size of the first-order deviation of some errors, um, as a function of axis positions."""
+    return lambda q: np.linalg.norm(synthesis.first_order(chain, q, errors.at(q), tip)[:, :3], axis=1)
+
+
+def _um(value: float) -> str:
+    return f"{value:.1f}" if value >= 1 else f"{value:.2f}"
+
+
 def components(
-    errors: MachineErrors, bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None
-) -> str:
+    errors: MachineErrors, bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
+    measured: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
+) -> str:  # fmt: skip
     """Error motions in the layout of ISO 230-1: one row per axis, translations left, rotations right.
 
-    bands: component -> (position, lowest, highest), such as 95 % intervals.
+    bands: component -> (position, lowest, highest), such as 95 % intervals. measured: component -> (target, mean
+    coming from below, mean coming from above): marks that point the way the axis moved.
     """
-    chain, bands = errors.chain, bands or {}
+    chain, bands, measured = errors.chain, bands or {}, measured or {}
     count = len(chain.axes)
     with svg.figure(7.4, 1.9 * count, count, 2) as (canvas, found):
         grid = np.reshape(found, (count, 2))
@@ -270,6 +305,10 @@ def components(
                         at, low, high = bands[name]
                         axes.fill_between(at, low, high, color=colour, alpha=0.18, linewidth=0)
                     axes.plot(p, value, color=colour, linewidth=1.3, label=name)
+                    if name in measured:
+                        at, up, down = measured[name]
+                        axes.plot(at, up, ">", color=colour, markersize=2.6, linestyle="none")
+                        axes.plot(at, down, "<", color=colour, markersize=2.6, linestyle="none")
                 axes.axhline(0.0, color=svg.INK, linewidth=0.6)
                 axes.set_ylabel(unit, fontsize=8)
                 axes.tick_params(labelsize=7)

@@ -10,6 +10,7 @@ from errpipe.stages.fit import Fit
 from errpipe.stages.fit_plate import FitPlate
 from errpipe.stages.fit_season import FitSeason
 from errpipe.stages.identify import Identify
+from errpipe.stages.identify_direct import IdentifyDirect
 from errpipe.stages.ingest import Ingest
 from errpipe.stages.report import Report
 from errpipe.stages.simulate import Simulate
@@ -18,6 +19,6 @@ from errpipe.stages.simulate_with import SimulateWith
 from errpipe.stages.validate import Validate
 
 STAGES = (
-    Clean, Diagnose, Export, ExportVolumetric, Fit, FitPlate, FitSeason, Identify, Ingest, Report, Simulate,
-    SimulateTest, SimulateWith, Validate,
+    Clean, Diagnose, Export, ExportVolumetric, Fit, FitPlate, FitSeason, Identify, IdentifyDirect, Ingest,
+    Report, Simulate, SimulateTest, SimulateWith, Validate,
 )  # fmt: skip

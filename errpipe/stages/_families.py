@@ -1,7 +1,7 @@
 """The kinds of model a pipeline can fit, each judged by its own refit on the rows of a fold.
 
-What `fit`, `fit_season`, `fit_plate` and `diagnose` leave in `fit.json` is enough to repeat them without a held-out
-group.
+What `fit`, `fit_season`, `fit_plate`, `diagnose` and `identify_direct` leave in `fit.json` is enough to repeat them
+without a held-out group.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
 
-FITS = ("fit", "fit_season", "fit_plate", "diagnose")
+FITS = ("fit", "fit_season", "fit_plate", "diagnose", "identify_direct")
 RECORDINGS = ("clean", "ingest", "twin")
 
 
@@ -160,6 +160,42 @@ class Plate(Family):
         }
 
 
+class Direct(Family):
+    """Components read one by one by laser and level (`identify_direct`); zero, straightedge and beam are set-up."""
+
+    def __init__(self, document: Mapping[str, Any]):
+        from errpipe.domain.machine import Machine
+        from errpipe.fitting.holdout import HoldOut
+        from errpipe.kinematics.chain import compile_chain
+        from errpipe.kinematics.direct import Laser
+
+        self.chain = compile_chain(Machine.model_validate(document["machine"]))
+        self.lasers = {n: Laser(**beam) for n, beam in document["lasers"].items()}
+        self.modes, self.components = document["modes"], tuple(document["components"])
+        self.holdout, self.method = HoldOut(scheme="leave-one-run-out"), "direct records"
+
+    def folds(self, recording: Recording, scheme: HoldOut | None) -> tuple[str, list[Fold]]:
+        """Without a scheme: whole runs where each way was run twice, else every fifth target."""
+        from errpipe.fitting.holdout import Fold
+        from errpipe.kinematics import held_out
+
+        if scheme is not None:
+            return super().folds(recording, scheme)
+        name, found = held_out.folds(recording)
+        return name, [Fold(*fold) for fold in found]
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, Any]:
+        import numpy as np
+
+        from errpipe.fitting.judging import HeldOut
+        from errpipe.kinematics import held_out
+
+        left = held_out.judge(self.chain, recording, fold.train, fold.test, modes=self.modes, lasers=self.lasers)
+        return {
+            x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in left
+        }
+
+
 def _held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndarray, used: float = 0.0) -> Any:
     import numpy as np
 
@@ -174,6 +210,7 @@ FAMILIES: dict[str, Callable[[Mapping[str, Any]], Family]] = {
     "mismatch": Mismatch,
     "season": Season,
     "plate": Plate,
+    "direct": Direct,
 }
 
 

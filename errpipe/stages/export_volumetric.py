@@ -25,7 +25,7 @@ class ExportVolumetric(Stage):
         0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
     )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
-    reads: ClassVar[Mapping[str, Need]] = {"identify": Need("identify")}
+    reads: ClassVar[Mapping[str, Need]] = {"identify": Need("identify", "identify_direct")}
 
     def outputs(self) -> tuple[str, ...]:
         return (_artefacts.TABLE, _artefacts.TWIN, "export.json")
@@ -42,10 +42,12 @@ class ExportVolumetric(Stage):
         chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
         document = jsonfile.read(folder / IDENTIFICATION)
         errors = summary.errors(chain, document)
-        table = compile_machine(chain, errors, jsonfile.fingerprint(document), context.title, self.error_bound)
+        turning = reversals(document)
+        table = compile_machine(chain, errors, jsonfile.fingerprint(document), context.title, self.error_bound, turning)
         ect.write(table, context.folder / _artefacts.TABLE)
         ect.write_json(table, context.folder / _artefacts.TWIN)
-        proof = [{"component": "tool point", "largest_difference_um": largest_difference(chain, errors, table)}]
+        worst = largest_difference(chain, errors, table, turning)
+        proof = [{"component": "tool point", "largest_difference_um": worst}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         files += write_targets(table, self.targets, context.folder)
         facts = {"proof": proof, "files": files, "left_out": []}
@@ -54,12 +56,22 @@ class ExportVolumetric(Stage):
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
 
 
-def compile_machine(chain: Any, errors: Any, fingerprint: str, title: str, error_bound: float) -> CompensationTable:
-    """The volumetric table of a machine."""
+def reversals(document: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]:
+    """What an identification knows of each axis turning round: what its interval does not exclude to be nothing."""
+    from errpipe.kinematics import records
+
+    return {n: (*records.told(r), float(r["middle"])) for n, r in document.get("reversal", {}).items()}
+
+
+def compile_machine(
+    chain: Any, errors: Any, fingerprint: str, title: str, error_bound: float,
+    turning: Mapping[str, tuple[float, float, float]] | None = None,
+) -> CompensationTable:  # fmt: skip
+    """The volumetric table of a machine; `turning`: reversal of a component at the middle, per metre, the middle."""
     from errpipe import __version__, tables
     from errpipe.kinematics import compensation
 
-    pairs = compensation.lowered(errors)
+    pairs = compensation.lowered(errors, turning)
     outputs = [
         tables.OutputSource(
             o.name, tuple(tables.MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
@@ -99,8 +111,10 @@ def _inputs(chain: Any) -> list[TableInput]:
     return [*places, length, *offsets]
 
 
-def largest_difference(chain: Any, errors: Any, table: CompensationTable) -> float:
-    """Table beside the exact transforms at random poses, um: gridding, rounding and what is second order."""
+def largest_difference(
+    chain: Any, errors: Any, table: CompensationTable, turning: Mapping[str, tuple[float, float, float]] | None = None
+) -> float:
+    """Table beside the identified machine at random poses, um: gridding and rounding. Every axis came from below."""
     import numpy as np
 
     from errpipe.kinematics import synthesis
@@ -108,7 +122,11 @@ def largest_difference(chain: Any, errors: Any, table: CompensationTable) -> flo
 
     q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (STATES, len(chain.axes)))
     tip = chain.tip(100.0, (0.0, 0.0, 0.0))
-    want = synthesis.first_order(chain, q, errors.at(q), tip)[:, :3]
+    values = errors.at(q)
+    for name, (value, slope, middle) in (turning or {}).items():
+        c = chain.index(name)
+        values[:, c] += 0.5 * (value + slope * (q[:, chain.drives[c]] - middle) * 1e-3)
+    want = synthesis.first_order(chain, q, values, tip)[:, :3]
     axes = {a: np.asarray(chain.machine.direction(a)) for a in chain.axes if chain.machine.axes[a].kind == "linear"}
     found = batch.position(table, q, tuple(chain.axes), {"tool_length": 100.0})
     worst = 0.0

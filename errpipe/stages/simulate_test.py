@@ -3,42 +3,72 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from errpipe.pipeline.stage import Context, InputPath, Stage
-
-TOOLS = ((80.0, (0.0, 0.0, 0.0)), (200.0, (0.0, 0.0, 0.0)), (120.0, (60.0, 40.0, 0.0)))
+from errpipe.stages._laser import LASERS, SQUARES, Beam
+from errpipe.stages._machine_page import TRUTH
 
 
 class SimulateTest(Stage):
-    """Point clouds with three tools over the work space, as a tracker or multilateration gives them."""
+    """One measuring protocol played on a machine, true by full transforms, with set-up errors and noise.
+
+    The seed is the machine: tests of one seed are of one machine.
+    """
 
     kind: Literal["simulate_test"]
     machine: InputPath = Field(description="Machine file with the kinematic chain.")
-    points: int = Field(150, ge=20, le=5000, description="Places in the work space, each seen with three tools.")
+    protocol: Literal[
+        "point_cloud", "direct", "ballbar_circle", "telescoping_bar", "multilateration", "diagonal", "step_diagonal",
+        "ball_plate", "ball_array", "hole_pattern", "r_test", "rotary_ballbar",
+    ] = Field("point_cloud", description="Which test; direct: laser and level along each axis, both ways.")  # fmt: skip
+    points: int = Field(150, ge=20, le=5000, description="Places of a point cloud, each seen with three tools.")
+    targets: int = Field(17, ge=5, le=500, description="Targets along each axis of a direct measurement.")
+    cycles: int = Field(3, ge=1, le=50, description="How often each axis goes up and down in a direct measurement.")
+    reversal: float = Field(
+        4.0, ge=0, description="Typical reversal of an axis in a direct measurement.", json_schema_extra={"unit": "um"}
+    )
     noise: float = Field(0.5, gt=0, description="Standard deviation of a reading.", json_schema_extra={"unit": "um"})
     seed: int = Field(1, ge=0, description="Seed of the machine's errors and of the noise.")
+    lasers: dict[str, Beam] = LASERS
+    squares: dict[str, float] = SQUARES
+    code_version: ClassVar[int] = 2
 
     def outputs(self) -> tuple[str, ...]:
-        return ("recording.yaml", "recording.csv")
+        return ("recording.yaml", "recording.csv", TRUTH)
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        import numpy as np
-
         from errpipe import yamlfile
         from errpipe.domain.machine import Machine
+        from errpipe.kinematics import remaining
         from errpipe.kinematics.chain import compile_chain
         from errpipe.simulation import folder, metrology
 
         chain = compile_chain(yamlfile.load(self.machine, Machine))
-        rng = np.random.default_rng(self.seed)
-        low, high = chain.travel.T
-        share = np.column_stack([(rng.permutation(self.points) + 0.5) / self.points for _ in chain.axes])
-        places = low + share * (high - low)
-        runs = [metrology.Run(f"tool {n}", places, length, offset) for n, (length, offset) in enumerate(TOOLS)]
         values = metrology.smooth_machine(chain, self.seed)
-        recording = metrology.record(chain, values, "point_cloud", runs, self.seed, noise=self.noise)
+        recording = self._direct(chain, values) if self.protocol == "direct" else self._indirect(chain, values)
         folder.write(context.folder, recording)
+        context.write_json(TRUTH, remaining.truth_document(chain, values))
         return {"rows": len(recording), "components": len(chain.components)}
+
+    def _indirect(self, chain: Any, values: Any) -> Any:
+        from errpipe.simulation import measuring_runs, metrology
+
+        if self.protocol == "point_cloud":
+            runs = measuring_runs.cloud(chain, self.points, self.seed)
+        else:
+            runs = measuring_runs.PROTOCOLS[self.protocol](chain)
+        return metrology.record(chain, values, self.protocol, runs, self.seed, noise=self.noise)
+
+    def _direct(self, chain: Any, values: Any) -> Any:
+        from errpipe.simulation import direct_records as d
+
+        beams = {
+            n: d.Beam(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for n, b in self.lasers.items()
+        }
+        setup = d.SetUp(
+            self.targets, self.cycles, self.noise, self.noise, self.reversal, beams, self.squares
+        )  # fmt: skip
+        return d.record(chain, values, setup, self.seed)

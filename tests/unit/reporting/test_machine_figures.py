@@ -56,11 +56,22 @@ def test_vectors_say_before_and_after(measured):
     assert svg == machine_figures.vectors(chain, q, deviation, deviation / 20)
 
 
-def test_slices_of_three_planes(measured):
+def test_slices_before_and_after_stand_side_by_side_in_one_scale(measured):
     chain, errors, *_ = measured
-    svg = machine_figures.slices(chain, errors, errors.scaled(0.1))
-    assert {"X mm", "Y mm", "Z mm"} <= words(svg)
-    assert svg == machine_figures.slices(chain, errors, errors.scaled(0.1))
+    panels = {n: machine_figures.size_of(chain, errors.scaled(f)) for n, f in (("before", 1.0), ("after", 0.1))}
+    svg = machine_figures.slices(chain, panels)
+    told = words(svg)
+    assert {"X mm, at Z -250", "X mm, at Y 250", "Y mm, at X 400", "Y mm", "Z mm"} <= told
+    planes = {n: sorted(w for w in told if w.startswith(f"{n}:")) for n in panels}
+    assert len(planes["before"]) == len(planes["after"]) == 3
+    assert sum(w == "um" for w in told) == 1  # one bar of colours
+    assert svg == machine_figures.slices(chain, panels)
+
+
+def test_what_is_left_without_a_known_direction_is_drawn_as_balls(measured):
+    chain, _, q, deviation = measured
+    svg = machine_figures.vectors(chain, q, deviation, np.full(len(q), 2.0))
+    assert "after: 2.0 um rms, 2.0 um largest" in words(svg)
 
 
 def test_components_have_their_iso_names(measured):

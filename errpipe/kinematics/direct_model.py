@@ -1,0 +1,95 @@
+"""Directly measured components as an error model: a curve over its axis each, and what the axis does when it turns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from errpipe import __version__
+from errpipe.domain import driver as d
+from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.recording import Recording
+from errpipe.errors import VerifyError
+from errpipe.kinematics import direct, records
+from errpipe.terms import Backlash, Offset, ProfileDriver, SmoothCurve
+from errpipe.terms._base import Term, plain
+from errpipe.terms._profiles import Line
+
+SEGMENTS = 48  # of the spline that takes a curve up
+CLOSE = 0.02  # um, urad: how near the spline must come to the identified curve
+
+
+def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[str, float]) -> ErrorModel:
+    """The components of a recording, from the document of an identification. noise: of a reading, by component.
+
+    Raises VerifyError where a curve is too rough to be taken up.
+    """
+    columns: dict[str, dict[str, Any]] = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    parts = []
+    for name in (c for c in recording.components() if direct.is_motion(c)):
+        axis = direct.axis_of(name)
+        column = direct.position_of(recording, name)
+        at, value = recording.array(column), recording.array(str(recording.name("error", component=name)))
+        seen = at[np.isfinite(at) & np.isfinite(value)]
+        ranges[column] = (float(seen.min()), float(seen.max()))
+        columns[column] = recording.manifest.columns[column].model_dump(mode="json", exclude_none=True)
+        curve, side = found["curves"][name], recording.name("direction", axis=axis)
+        terms = _curve(name, axis, curve)
+        if side is not None and name in found.get("reversal", {}):
+            columns[side] = recording.manifest.columns[side].model_dump(mode="json", exclude_none=True)
+            terms += _reversal(axis, found["reversal"][name])
+        own, half = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
+        parts.append(
+            ComponentModel(
+                component=name, unit=curve["unit"], terms=tuple(terms), rows=int(seen.size),
+                rows_effective=float(seen.size), rms_before=float(np.sqrt(np.mean(np.square(curve["value"])))),
+                rms_after=own, half_width90=float(1.645 * np.sqrt(own**2 + np.mean(half**2))),
+            )
+        )  # fmt: skip
+    constants = {n: c for n, c in recording.manifest.constants.items() if c.role == "axis"}
+    return ErrorModel(
+        machine=recording.manifest.machine, version=__version__, columns=columns, components=tuple(parts),
+        validity=Validity(ranges=ranges),
+        constants={n: c.model_dump(mode="json", exclude_none=True) for n, c in constants.items()},
+        notes=("zero, straightedge and square are set-up and are not in this model",),
+    )  # fmt: skip
+
+
+def _curve(name: str, axis: str, curve: Mapping[str, Any]) -> list[FittedTerm]:
+    """A level and a spline that give an identified curve back."""
+    value = np.asarray(curve["value"], dtype=float)
+    at = curve["start"] + curve["step"] * np.arange(len(value))
+    term = SmoothCurve(axis=axis, segments=SEGMENTS, span=(float(at[0]), float(at[-1])))
+    basis = np.column_stack([np.ones(len(at)), term._profile().basis(at)])
+    found, *_ = np.linalg.lstsq(basis, value, rcond=None)
+    worst = float(np.abs(basis @ found - value).max())
+    if worst > CLOSE + 1e-3 * float(np.ptp(value)):
+        raise VerifyError(f"{name}: a spline of {SEGMENTS} stretches misses the identified curve by {worst:.3g}")
+    unit = curve["unit"]
+    return [_fitted(Offset(), [found[0]], unit), _fitted(term, found[1:], unit)]
+
+
+def _reversal(axis: str, reversal: Mapping[str, Any]) -> list[FittedTerm]:
+    """Up minus down as a gap, and as a change of it along the axis; only what its interval does not exclude."""
+    value, slope = records.told(reversal)
+    unit, out = str(reversal["unit"]), []
+    if value:
+        out.append(_fitted(Backlash(axis=axis), [-value], unit, float(reversal["half_width95"])))
+    if slope:
+        term = ProfileDriver(axis=axis, profile=Line(origin=reversal["middle"]), driver=(d.Direction(axis=axis),))
+        out.append(_fitted(term, [0.5 * slope], f"{unit}/m", 0.5 * float(reversal["per_metre_half_width95"])))
+    return out
+
+
+def _fitted(term: Term, values: Any, unit: str, half: float | None = None) -> FittedTerm:
+    parameters = tuple(
+        FittedParameter(
+            name=p.name, value=float(v), unit=unit, standard_error=None if half is None else half / 1.96,
+            ci95=None if half is None else (float(v) - half, float(v) + half),
+        )
+        for p, v in zip(term.linear(), values, strict=True)
+    )  # fmt: skip
+    return FittedTerm(term=plain(term), parameters=parameters)

@@ -1,0 +1,284 @@
+"""Laser and level records of single components as observations of a machine, beside any other test.
+
+A row reads one component at one position, in um or urad. The beam's own errors are taken out first (`direct`);
+what is left unknown is solved for together with the components, so that every interval knows of it:
+
+* zero      of each record.
+* slope     of a straightness: how the straightedge lay; of two records against one square it is one turn, and
+            what the two differ by is the squareness of the machine.
+* reversal  up minus down, as a line over the travel, where a record was made from both sides.
+* Abbe      a beam beside the point that a component is defined at reads the axis' angles too, at its arm. Where
+            the angles were measured they are subtracted, with their own uncertainty; where not, the interval says so.
+
+A record counts as the machine's coordinates do: positive where the tool is too far on the positive side of the
+workpiece, whichever of the two moves. The machine file may define an axis' errors as the carriage's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.components import parse
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, did_you_mean
+from errpipe.kinematics import direct
+from errpipe.kinematics import observations as o
+from errpipe.kinematics.chain import LETTERS, Chain
+
+ROTATIONS = {"A": LETTERS["X"], "B": LETTERS["Y"], "C": LETTERS["Z"]}
+BACKLASH, PER_METRE = 30.0, 60.0  # um (urad), um/m (urad/m): how large a reversal and its change may ordinarily be
+LEAST_BOTH = 3  # targets
+LEAST_NOISE = 0.02  # um, urad: no laser or level repeats better
+
+
+@dataclass(frozen=True)
+class Record:
+    """Readings of one component in one recording.
+
+    position (n,) mm or deg; value (n,) um or urad, the beam's errors out; side (n,) +1 coming from below; rows: of
+    the recording; noise: of one reading; label: of the recording, where there are several.
+    """
+
+    component: str
+    axis: str
+    position: np.ndarray
+    value: np.ndarray
+    side: np.ndarray
+    rows: np.ndarray
+    noise: float
+    label: str
+
+
+def is_direct(recording: Recording) -> bool:
+    """Whether a recording holds error motions (EXX, EYX ...) rather than readings at the tool."""
+    return any(direct.is_motion(c) for c in recording.components())
+
+
+def observations(
+    chain: Chain, recordings: Mapping[str, Recording], *, lasers: Mapping[str, direct.Laser] | None = None,
+    squares: Mapping[str, float] | None = None, take: np.ndarray | None = None,
+) -> o.Observations:  # fmt: skip
+    """Every reading of every error-motion column; rows come component by component. recordings: label -> recording.
+
+    lasers: set-up by component. squares: squareness component -> what the square that both straightness records
+    were made against would read on a perfect machine, urad. take: mask of the rows to use (of one recording).
+    Raises DataError where a set-up does not fit its component, a column is missing, or a correction lacks the air.
+    """
+    lasers, squares = dict(lasers or {}), dict(squares or {})
+    records = read(chain, recordings, lasers=lasers, take=take)
+    turns = _square_columns(chain, records, squares)
+    return o.concatenate([_rows(chain, r, lasers.get(r.component), squares, turns) for r in records], shared=True)
+
+
+def read(
+    chain: Chain, recordings: Mapping[str, Recording], *, lasers: Mapping[str, direct.Laser] | None = None,
+    take: np.ndarray | None = None,
+) -> list[Record]:  # fmt: skip
+    """The records behind `observations`, in the order of its rows, the beams' errors out."""
+    records: list[Record] = []
+    for label, recording in recordings.items():
+        motions = [c for c in recording.components() if direct.is_motion(c)]
+        if not motions:
+            raise DataError(f"{label}: the recording has no error column of an error motion such as EXX, EYX or EBX")
+        for name in motions:
+            if name not in chain.components:
+                near = did_you_mean(name, chain.components)
+                raise DataError(f"{name} was recorded, but {chain.machine.name} has no such component.{near}")
+            tag = label if len(recordings) > 1 else ""
+            record = _record(recording, name, (lasers or {}).get(name), tag, take)
+            records += [] if record is None else [record]
+    if not records:
+        raise DataError("no recording has a reading of an error motion")
+    _all_used(lasers or {}, records)
+    return records
+
+
+def _all_used(lasers: Mapping[str, direct.Laser], records: list[Record]) -> None:
+    """Raises DataError for a set-up of a component that was not recorded: a slip of the pen would pass unseen."""
+    names = [r.component for r in records]
+    for name in lasers:
+        if name not in names:
+            raise DataError(f"lasers.{name}: no recording holds {name}.{did_you_mean(name, names)}")
+
+
+def _record(recording: Recording, component: str, laser, label: str, take) -> Record | None:
+    axis, name = direct.axis_of(component), direct.position_of(recording, component)
+    position, value = recording.array(name), recording.array(str(recording.name("error", component=component)))
+    rows = np.isfinite(position) & np.isfinite(value)
+    if not rows.any():
+        return None
+    side = direct.side_of(recording, axis, position, rows)
+    value = value[rows]
+    if laser is not None:
+        value = direct.without_beam_errors(component, recording, position[rows], value, laser, rows)
+    number = np.flatnonzero(rows)
+    kept = np.ones(len(number), dtype=bool) if take is None else take[number]
+    if not kept.any():
+        return None
+    p, value, side = position[rows][kept], value[kept], side[kept]
+    return Record(component, axis, p, value, side, number[kept], _repeatability(p, value, side), label)
+
+
+def _repeatability(p: np.ndarray, value: np.ndarray, side: np.ndarray) -> float:
+    """Scatter of repeats at one target from one side, um or urad.
+
+    Where nothing was repeated: of up minus down about a line, else of neighbours about a cubic.
+    """
+    targets, number = direct.targets_of(p)
+    square, free, means = 0.0, 0, []
+    for s in (1.0, -1.0):
+        own = side == s
+        count = np.bincount(number[own], minlength=len(targets))
+        mean = np.bincount(number[own], weights=value[own], minlength=len(targets)) / np.maximum(count, 1)
+        square += float(np.sum((value[own] - mean[number[own]]) ** 2))
+        free += int(np.sum(np.maximum(count - 1, 0)))
+        means.append(np.where(count > 0, mean, np.nan))
+    if free >= 3:
+        return max(LEAST_NOISE, float(np.sqrt(square / free)))
+    gap = means[0] - means[1]
+    both = np.isfinite(gap)
+    if both.sum() >= 5:
+        left = gap[both] - np.polyval(np.polyfit(targets[both], gap[both], 1), targets[both])
+        return max(LEAST_NOISE, float(np.sqrt(left @ left / (both.sum() - 2) / 2.0)))
+    bent = np.diff(np.nanmean(means, axis=0), 4)
+    return max(LEAST_NOISE, float(np.sqrt(np.mean(bent**2) / 70.0))) if bent.size else 1.0
+
+
+def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -> o.Observations:
+    n, kind = len(r.position), parse(r.component).kind
+    own = np.zeros((n, len(chain.components)))
+    sign = sense(chain, r.axis)
+    own[:, chain.index(r.component)] = sign
+    guided = chain.machine.axes[r.axis].reference_on == "guideway"
+    if kind in ("positioning", "straightness") and (guided or (laser is not None and any(laser.offset))):
+        _add_arms(chain, own, r, laser or direct.Laser(), sign)
+    middle = chain.travel[chain.axes.index(r.axis)].mean()
+    away = (r.position - middle) * 1e-3
+    tag = f"{r.label} {r.component}".strip()
+    value, columns = r.value.copy(), [(f"{tag}: zero", o.SHIFT, np.ones(n))]
+    if kind == "straightness":
+        turn = turns.get(r.component)
+        if turn is None:
+            columns.append((f"{tag}: straightedge", o.TURN, away))
+        else:
+            square, name = turn
+            lean = _lean(chain, square, r.component)
+            columns.append((name, o.TURN, -lean * away))
+            if r.axis == square[2:]:
+                value += lean * squares[square] * away
+    for square in _squares_of(chain, r.component):
+        own[:, chain.index(square)] += _lean(chain, square, r.component) * (r.position - middle) * 1e-3
+    if _both_ways(r):
+        columns.append((f"{tag}: reversal", BACKLASH, 0.5 * r.side))
+        columns.append((f"{tag}: reversal per metre", PER_METRE, 0.5 * r.side * away))
+    q = np.tile(chain.travel.mean(axis=1), (n, 1))
+    q[:, chain.axes.index(r.axis)] = r.position
+    names, spread, values = zip(*columns, strict=True)
+    return o.Observations(
+        q, np.broadcast_to(chain.tip(), (n, 3)).copy(), np.zeros((n, 6)), value, np.column_stack(values), names,
+        np.array(spread), np.full((n, 3), np.nan), np.full(n, r.noise), np.full(n, tag, dtype=object), 0.0, own,
+    )  # fmt: skip
+
+
+def _both_ways(r: Record) -> bool:
+    """Whether enough targets were approached from both sides to tell the reversal and its change from the curve."""
+    number = direct.targets_of(r.position)[1]
+    return len(set(number[r.side > 0]) & set(number[r.side < 0])) >= LEAST_BOTH
+
+
+def sense(chain: Chain, axis: str) -> float:
+    """-1 where the machine file counts an axis' errors as those of a carriage that holds the workpiece."""
+    machine = chain.machine
+    against = machine.axes[axis].errors_of == "carriage" and machine.carries(axis) == "workpiece"
+    return -1.0 if against else 1.0
+
+
+def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser, sign: float) -> None:
+    """What the beam, beside the point a component is defined at, reads of the axis' angles, um per urad."""
+    axis = chain.machine.axes[r.axis]
+    along = np.asarray(chain.machine.direction(r.axis))
+    arm = np.tile(-np.asarray(laser.offset, dtype=float), (len(r.position), 1))
+    if axis.reference_on == "guideway":
+        arm = arm + r.position[:, None] * along
+    reads = direct.direction_of(chain, r.component)
+    for letter, about in ROTATIONS.items():
+        name = f"E{letter}{r.axis}"
+        own[:, chain.index(name)] += sign * (np.cross(about, arm) @ reads) * 1e-3
+
+
+def _lean(chain: Chain, square: str, component: str) -> float:
+    """um/m along a straightness' direction for 1 urad of a squareness of its axis; 0 where it is of another axis."""
+    turned = np.cross(ROTATIONS[square[0]], chain.machine.direction(direct.axis_of(component)))
+    return float(turned @ direct.direction_of(chain, component))
+
+
+def _squares_of(chain: Chain, component: str) -> list[str]:
+    """Squareness of the component's own axis that shows as its slope."""
+    c = parse(component)
+    if c.kind != "straightness":
+        return []
+    own = [n for n in chain.components if n[0] in ROTATIONS and n[1:] == f"0{c.axis}"]
+    return [n for n in own if abs(_lean(chain, n, component)) > 1e-9]
+
+
+def _pair(chain: Chain, square: str) -> tuple[str, str] | None:
+    """The two straightness components that a square in the plane of a squareness is held against."""
+    second = square[2:]
+    machine = chain.machine
+    across = np.cross(ROTATIONS[square[0]], machine.direction(second))
+    letter = max("XYZ", key=lambda d: abs(np.dot(across, LETTERS[d])))
+    datum = next((a for a in machine.linear_axes() if abs(np.dot(machine.direction(a), LETTERS[letter])) > 0.9), None)
+    if datum is None or machine.axes[second].kind != "linear":
+        return None
+    other = max("XYZ", key=lambda d: abs(np.dot(machine.direction(second), LETTERS[d])))
+    return f"E{letter}{second}", f"E{other}{datum}"
+
+
+def _square_columns(chain: Chain, records: list[Record], squares: Mapping[str, float]) -> dict[str, tuple[str, str]]:
+    """Straightness component -> the squareness its square stands for, and the name of that square's turn."""
+    out: dict[str, tuple[str, str]] = {}
+    here = {r.component for r in records}
+    for square in squares:
+        pair = _pair(chain, square) if square in chain.components else None
+        if pair is None:
+            near = did_you_mean(square, [n for n in chain.components if n[1] == "0" and n[0] in ROTATIONS])
+            raise DataError(f"squares.{square}: {chain.machine.name} has no such squareness of two linear axes.{near}")
+        missing = [c for c in pair if c not in here]
+        if missing:
+            raise DataError(f"squares.{square}: needs {pair[0]} and {pair[1]}, but {missing[0]} was not recorded")
+        for component in pair:
+            if component in out:
+                raise DataError(f"{component} cannot stand against two squares ({out[component][0]} and {square})")
+            out[component] = (square, f"{square}: turn of the square")
+    return out
+
+
+def reversals(chain: Chain, setup: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float | str]]:
+    """Reversal (up minus down) of each component that was recorded from both sides, with 95 % half widths.
+
+    setup: value and standard error by name, as an identification solves for them. value counts at `middle`.
+    """
+    out: dict[str, dict[str, float | str]] = {}
+    for name, (value, error) in setup.items():
+        if not name.endswith(": reversal"):
+            continue
+        component = name.removesuffix(": reversal").split(" ")[-1]
+        slope, slope_error = setup[f"{name} per metre"]
+        axis = direct.axis_of(component)
+        sign = sense(chain, axis)
+        out[component] = {
+            "unit": parse(component).unit, "value": sign * value, "half_width95": 1.96 * error,
+            "per_metre": sign * slope, "per_metre_half_width95": 1.96 * slope_error,
+            "middle": float(chain.travel[chain.axes.index(axis)].mean()),
+        }  # fmt: skip
+    return out
+
+
+def told(reversal: Mapping[str, float | str]) -> tuple[float, float]:
+    """Reversal at the middle and its change per metre, each 0 where its interval does not exclude it."""
+    pairs = (("value", "half_width95"), ("per_metre", "per_metre_half_width95"))
+    value, slope = (float(reversal[v]) if abs(float(reversal[v])) > float(reversal[h]) else 0.0 for v, h in pairs)
+    return value, slope

@@ -1,0 +1,109 @@
+"""What is left of a machine's volumetric error once an identification is compensated.
+
+Of a simulated machine the truth is known: the residual is true less predicted, by full transforms, at places that
+no test measured. A shift and turn of the whole workpiece is no error of the part: it is taken out before and after,
+as the workpiece's datum does. Of a real machine only the standard error of the prediction can be said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from errpipe.kinematics import synthesis
+from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.errors import MachineErrors
+from errpipe.kinematics.identify import Identified
+
+PLACES, SEED = 400, 77  # where a residual is looked at: no test's own places
+PIECE = 500  # places at a time where the whole covariance is needed
+
+Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviation (n, 3) um
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """before, after: deviation fields of the simulated machine, less the workpiece's pose; rms and largest, um."""
+
+    before: Field
+    after: Field
+    figures: dict[str, float]
+
+
+def places(chain: Chain, count: int = PLACES, seed: int = SEED) -> np.ndarray:
+    """Random axis positions over the whole travel, shape (count, axes)."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(chain.travel[:, 0], chain.travel[:, 1], (count, len(chain.axes)))
+
+
+def of_truth(chain: Chain, truth: MachineErrors, found: MachineErrors, tip: np.ndarray | None = None) -> Remaining:
+    """The true machine before and after compensation by what was found, each less its best shift and turn."""
+
+    def true(q: np.ndarray) -> np.ndarray:
+        return synthesis.exact(chain, q, truth.at(q), tip)[:, :3]
+
+    def left(q: np.ndarray) -> np.ndarray:
+        return true(q) - synthesis.first_order(chain, q, found.at(q), tip)[:, :3]
+
+    q = places(chain)
+    before, after = (without_pose(chain, field, q, tip) for field in (true, left))
+    figures = {}
+    for name, field in (("before", before), ("after", after)):
+        size = np.linalg.norm(field(q), axis=1)
+        figures[f"{name}_rms_um"] = float(np.sqrt(np.mean(size**2)))
+        figures[f"{name}_largest_um"] = float(size.max())
+    return Remaining(before, after, figures)
+
+
+def without_pose(chain: Chain, field: Field, q: np.ndarray, tip: np.ndarray | None = None) -> Field:
+    """A field less the shift and turn of the workpiece that fit it best at q."""
+    middle = synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0)
+
+    def columns(at: np.ndarray) -> np.ndarray:
+        arm = (synthesis.ideal_pose(chain, at, tip)[:, 0] - middle) * 1e-3
+        turns = [np.cross(axis, arm) for axis in np.eye(3)]
+        shifts = [np.broadcast_to(axis, arm.shape) for axis in np.eye(3)]
+        return np.stack([*shifts, *turns], axis=2)
+
+    pose, *_ = np.linalg.lstsq(columns(q).reshape(-1, 6), field(q).ravel(), rcond=None)
+    return lambda at: field(at) - columns(at) @ pose
+
+
+def spread(found: Identified, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
+    """Size of the standard error of the predicted tool point at q, um, shape (n,)."""
+
+    def size(q: np.ndarray) -> np.ndarray:
+        parts = np.array_split(q, max(1, len(q) // PIECE))
+        return np.concatenate([np.linalg.norm(found.predict(p, tip)[1], axis=1) for p in parts])
+
+    return size
+
+
+def truth_document(chain: Chain, values: Mapping[str, Any], nodes: int = 401) -> dict[str, Any]:
+    """The components of a simulated machine as JSON values: curves over the travel, constants; um and urad."""
+    curves, constants = {}, {}
+    for c, name in enumerate(chain.components):
+        value = values.get(name, 0.0)
+        if chain.drives[c] < 0:
+            constants[name] = float(value)
+            continue
+        low, high = chain.travel[chain.drives[c]]
+        p = np.linspace(low, high, nodes)
+        curve = value(p) if callable(value) else np.full(nodes, float(value))
+        curves[name] = {"start": float(low), "step": float(p[1] - p[0]), "value": [round(float(v), 5) for v in curve]}
+    return {"truth": 1, "machine": chain.machine.name, "curves": curves, "constants": constants}
+
+
+def truth(chain: Chain, document: Mapping[str, Any]) -> MachineErrors | None:
+    """The simulated machine behind `truth_document`; None where it is another machine."""
+    if document.get("machine") != chain.machine.name:
+        return None
+    values: dict[str, Any] = {n: v for n, v in document["constants"].items() if n in chain.components}
+    for name, curve in document["curves"].items():
+        if name in chain.components:
+            grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
+            values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
+    return MachineErrors.of(chain, values, 401)

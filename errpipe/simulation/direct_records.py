@@ -1,0 +1,149 @@
+"""A machine that never existed measured component by component: laser and level along each axis, both ways, with the
+errors that such a set-up has. Rotations are whole, the air and the beam are played forwards: no correction is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from errpipe.domain.components import parse
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.kinematics.chain import LETTERS, Chain
+from errpipe.simulation.metrology import Values
+
+AIR = (-0.93e-6, 0.27e-6)  # change of the refractive index per K and per hPa
+STEP = 20.0  # s from target to target
+ZERO, LAY = 30.0, 300.0  # um or urad of a zero; urad by which a straightedge or square lies askew: typical sizes
+
+
+@dataclass(frozen=True)
+class Beam:
+    """How a laser stands: dead path (mm), misalignment (urad), beam to the point of the component (mm), wavelength."""
+
+    dead_path: float = 0.0
+    misalignment: float = 0.0
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wavelength_corrected: bool = True
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """What a measuring team brings. reversal: up minus down of each positioning, um (its spread); squares: urad.
+
+    warming: rise of the air beside the beam that an axis' test would see if it went on for long, K.
+    """
+
+    targets: int = 17
+    cycles: int = 3
+    noise: float = 0.3
+    angle_noise: float = 0.5
+    reversal: float = 4.0
+    warming: float = 1.5
+    beams: Mapping[str, Beam] = field(default_factory=dict)
+    squares: Mapping[str, float] = field(default_factory=dict)
+
+
+def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
+    """Every linear and rotary axis measured in all six components, `cycles` times up and down."""
+    rng = np.random.default_rng(seed)
+    turns = {n: float(rng.normal(0, LAY)) for n in chain.components if n[1] == "0" and n[0] in "ABC"}
+    parts = [_axis(chain, values, setup, axis, rng, turns, start) for start, axis in enumerate(chain.axes)]
+    frame = pd.concat(parts, ignore_index=True)
+    columns: dict[str, Column] = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    constants: dict[str, Constant] = {}
+    for a in chain.axes:
+        kind = chain.machine.axes[a].kind
+        unit = "mm" if kind == "linear" else "deg"
+        columns[a.lower()] = Column(role="position", axis=a, unit=unit)
+        columns[f"dir_{a.lower()}"] = Column(role="direction", axis=a)
+        constants[a] = Constant(role="axis", kind=kind, travel=chain.machine.axes[a].travel, unit=unit)
+    columns["T_air"] = Column(role="temperature", unit="degC", location="air beside the beam")
+    columns["p_air"] = Column(role="pressure", unit="hPa")
+    for a in chain.axes:
+        columns |= {n: Column(role="error", component=n, unit=parse(n).unit) for n in chain.of_axis(a)}
+    manifest = Manifest(
+        recording=1, title="laser and level along each axis of a simulated machine", machine=chain.machine.name,
+        tables=("recording.csv",), constants=constants, columns=columns,
+    )  # fmt: skip
+    return Recording(manifest, frame[list(columns)])
+
+
+def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, start: int) -> pd.DataFrame:
+    low, high = chain.travel[chain.axes.index(axis)]
+    up = np.linspace(low, high, setup.targets)
+    p = np.tile(np.r_[up, up[::-1]], setup.cycles)
+    side = np.tile(np.repeat([1.0, -1.0], setup.targets), setup.cycles)
+    t = STEP * np.arange(len(p))
+    warm, pressure = 20.0 + setup.warming * (1 - np.exp(-t / 2400.0)) + 0.4 * start, 1013.0 + 3.0 * np.sin(t / 4000.0 + start)
+    found = {
+        "run": np.repeat([f"{axis} {n + 1}" for n in range(setup.cycles)], 2 * setup.targets).astype(object),
+        "t": t, axis.lower(): p, f"dir_{axis.lower()}": side, "T_air": warm, "p_air": pressure,
+    }  # fmt: skip
+    true = {n: np.asarray(values[n](p) if callable(values[n]) else np.zeros(len(p))) for n in chain.of_axis(axis)}
+    own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
+    if own is not None:
+        true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
+    sense = _sense(chain, axis)
+    for n in chain.of_axis(axis):
+        noise = setup.noise if parse(n).unit == "um" else setup.angle_noise
+        shown = _shown(chain, values, setup, n, axis, p, {k: sense * v for k, v in true.items()}, turns, warm, pressure)
+        found[n] = shown + ZERO * rng.normal() + noise * rng.normal(size=len(p))
+    return pd.DataFrame(found)
+
+
+def _sense(chain: Chain, axis: str) -> float:
+    against = chain.machine.axes[axis].errors_of == "carriage" and chain.machine.carries(axis) == "workpiece"
+    return -1.0 if against else 1.0
+
+
+def _shown(chain, values, setup: SetUp, name: str, axis: str, p, true, turns, warm, pressure) -> np.ndarray:
+    """What the instrument displays for one component, um or urad, before zero and noise."""
+    component, beam = parse(name), setup.beams.get(name, Beam())
+    if component.unit == "urad":
+        return true[name]
+    along = np.asarray(chain.machine.direction(axis))
+    reads = along if component.kind == "positioning" else np.asarray(LETTERS[component.direction])
+    arm = np.tile(-np.asarray(beam.offset, dtype=float), (len(p), 1))
+    if chain.machine.axes[axis].reference_on == "guideway":
+        arm = arm + p[:, None] * along
+    moved = true[name] + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
+    if component.kind == "straightness":
+        return moved + _slope(chain, values, setup, name, axis, reads, along, turns) * p * 1e-3
+    if component.kind != "positioning":
+        return moved
+    path = (p - p[0]) + (moved - moved[0]) * 1e-3  # mm since the laser was reset
+    index = AIR[0] * (warm - warm[0]) + AIR[1] * (pressure - pressure[0])
+    seen = path * np.cos(beam.misalignment * 1e-6) * (1.0 if beam.wavelength_corrected else 1.0 + index)
+    return (seen + beam.dead_path * index - (p - p[0])) * 1e3
+
+
+def _turned(turn: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Arms (n, 3) after whole rotations by vectors (n, 3) in urad."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(turn * 1e-6).apply(arm)
+
+
+def _slope(chain, values, setup: SetUp, name: str, axis: str, reads, along, turns) -> float:
+    """Slope of a straightness record, um/m: the axis leans by its squareness, and the square lies askew."""
+    total = 0.0
+    for square in turns:
+        about = LETTERS["XYZ"["ABC".index(square[0])]]
+        lean = float(np.cross(about, along) @ reads)
+        if abs(lean) < 1e-9:
+            continue
+        second = square[2:] == axis
+        if second:
+            total += lean * float(values.get(square, 0.0))
+        if second or _is_datum_of(chain, square, name):
+            total -= lean * (turns[square] + (setup.squares.get(square, 0.0) if second else 0.0))
+    return total
+
+
+def _is_datum_of(chain, square: str, name: str) -> bool:
+    """Whether a straightness is of the axis that a squareness refers to, in its plane."""
+    return name[2:] != square[2:] and name[2:] in chain.machine.linear_axes() and name[1] == square[2:]

@@ -1,0 +1,49 @@
+"""How laser and level stood, as a pipeline says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from errpipe.yamlfile import Options
+
+if TYPE_CHECKING:
+    from errpipe.kinematics.direct import Laser
+
+
+class Beam(Options):
+    """Set-up of the laser for one component: a positioning, or the offset alone of a straightness."""
+
+    dead_path: float = Field(
+        0.0, ge=0, description="From the interferometer to the reflector where the laser was reset.",
+        json_schema_extra={"unit": "mm"},
+    )  # fmt: skip
+    misalignment: float = Field(
+        0.0, ge=0, lt=50_000, description="Angle between the beam and the axis: the laser reads short by its cosine.",
+        json_schema_extra={"unit": "urad"},
+    )  # fmt: skip
+    offset: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="From the beam to the point the component is defined at (Abbe), X, Y, Z.",
+        json_schema_extra={"unit": "mm"},
+    )  # fmt: skip
+    wavelength_corrected: bool = Field(
+        True, description="Whether the laser's own weather station corrected the displacement."
+    )
+
+
+def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
+    """The set-ups as the corrections take them."""
+    from errpipe.kinematics.direct import Laser
+
+    return {name: Laser(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for name, b in beams.items()}
+
+
+LASERS = Field({}, description="How the laser stood, by component: dead path, cosine and Abbe's offset are corrected.")
+SQUARES = Field(
+    {},
+    description="Squareness whose two straightness records were made against one square, and what that square itself "
+    "would read on a perfect machine.",
+    json_schema_extra={"unit": "urad"},
+)

@@ -1,0 +1,180 @@
+"""An identification solved and shown: one document, and one page a metrologist reads from top to bottom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from errpipe.kinematics.chain import Chain
+    from errpipe.kinematics.errors import MachineErrors
+    from errpipe.kinematics.identify import Identified
+    from errpipe.kinematics.remaining import Remaining
+    from errpipe.pipeline.stage import Context
+    from errpipe.stages.identify import Identify
+
+TRUTH = "truth.json"
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What was found, with what it was found from. remaining: of a simulated machine only."""
+
+    chain: Chain
+    found: Identified
+    document: dict[str, Any]
+    tests: dict[str, Any]
+    remaining: Remaining | None
+
+
+def solve(stage: Identify, context: Context) -> Solved:
+    """Read every test, solve, and say what is left. Raises DataError for a test that cannot be read."""
+    from errpipe import yamlfile
+    from errpipe.domain.machine import Machine
+    from errpipe.kinematics import identify, observations, protocols, records, remaining, summary
+    from errpipe.kinematics.chain import compile_chain
+    from errpipe.stages.identify import recordings
+
+    chain = compile_chain(yamlfile.load(stage.machine, Machine))
+    tests = recordings(context)
+    single = {name: r for name, r in tests.items() if records.is_direct(r)}
+    parts = [protocols.observations(chain, r) for name, r in tests.items() if name not in single]
+    if single:
+        parts.append(records.observations(chain, single, lasers=stage.setups(), squares=stage.squares))
+    elif stage.lasers or stage.squares:
+        from errpipe.errors import UsageError
+
+        raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
+    seen = observations.concatenate(parts)
+    context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
+    found = identify.identify(identify.Parametrisation.of(chain, stage.modes, stage.without), seen)
+    document = summary.document(found, seen)
+    if single:
+        each = zip(seen.label, seen.noise, strict=True)
+        noise = {str(tag).split(" ")[-1]: float(size * found.noise) for tag, size in each}
+        document |= {
+            "reversal": records.reversals(chain, found.setup),
+            "records": _records(chain, single, stage),
+            "noise_of": {n: s for n, s in noise.items() if n in chain.components},
+        }
+    left = None
+    true = _truth(chain, context)
+    if true is not None:
+        left = remaining.of_truth(chain, true, found.errors())
+        document["simulated_truth"] = left.figures
+    return Solved(chain, found, document, tests, left)
+
+
+def _truth(chain: Chain, context: Context) -> MachineErrors | None:
+    """The simulated machine that every test was played on; None where something was measured, or machines differ."""
+    from errpipe import jsonfile
+    from errpipe.kinematics import remaining
+
+    folders = context.every("simulated")
+    documents = [jsonfile.read(f / TRUTH) for f in folders.values()]
+    if not documents or len(documents) != len(context.every("recordings")):
+        return None
+    return remaining.truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
+
+
+def _records(chain: Chain, single: Mapping[str, Any], stage: Identify) -> dict[str, dict[str, Any]]:
+    """What was read at each target, mean by direction, the beam's errors out: for tables and plots."""
+    from errpipe.kinematics import direct
+
+    out: dict[str, dict[str, Any]] = {}
+    for recording in single.values():
+        here = {n: s for n, s in stage.setups().items() if n in recording.components()}
+        for name, curve in direct.identify(recording, lasers=here, chain=chain).curves.items():
+            out[name] = {
+                "target": _plain(curve.position), "up": _plain(curve.up), "down": _plain(curve.down),
+                "mean_error": _plain(curve.error),
+            }  # fmt: skip
+    return out
+
+
+def _plain(values: Any) -> list[float | None]:
+    return [None if v != v else round(float(v), 4) + 0.0 for v in values]
+
+
+def page(solved: Solved, title: str) -> str:
+    """The machine drawn, its error as vectors and slices before and after, every component, what was not seen."""
+    from errpipe import __version__
+    from errpipe.reporting import machine_figures, page
+    from errpipe.stages.measure import ballbar_pages
+
+    chain, found, document = solved.chain, solved.found, solved.document
+    errors = found.errors()
+    figures = [("The machine", machine_figures.sketch(chain), _counted(chain))]
+    figures += _volume(solved, errors)
+    figures += [_component_figure(solved, errors)]
+    for test in solved.tests.values():
+        if test.names("error", component="E_R") and _protocol(test) == "ballbar_circle":
+            figures += ballbar_pages(test)
+    data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
+    return page.render("identification.html.j2", data)
+
+
+def _counted(chain: Chain) -> str:
+    counts = {k: v for k, v in chain.counts().items() if v}
+    told = ", ".join(f"{n} {k.replace('_', ' ')}" for k, n in counts.items() if k != "total")
+    return f"Drawn from its chain; arrows show each part's own motion for +. {counts['total']} components: {told}."
+
+
+def _protocol(recording: Any) -> str:
+    named = recording.manifest.constants.get("protocol")
+    return str(named.value) if named is not None else ""
+
+
+def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]:
+    """Vectors and slices, before and after, in one scale."""
+    import numpy as np
+
+    from errpipe.kinematics import remaining, synthesis
+    from errpipe.reporting import machine_figures
+
+    chain, left = solved.chain, solved.remaining
+    q = remaining.places(chain, 200)
+    if left is not None:
+        before, after = left.before(q), left.after(q)
+        sizes = {n: (lambda p, f=f: np.linalg.norm(f(p), axis=1)) for n, f in
+                 (("before", left.before), ("after", left.after))}  # fmt: skip
+        told = (
+            "The machine is simulated, so its true error is known: before compensation, and what compensation by the "
+            "identified components truly leaves, at places that no test measured. The workpiece's own shift and turn "
+            "is taken out of both, as its datum does."
+        )
+    else:
+        before = synthesis.first_order(chain, q, errors.at(q))[:, :3]
+        spread = remaining.spread(solved.found)
+        after = spread(q)
+        sizes = {"before": machine_figures.size_of(chain, errors), "after": spread}
+        told = (
+            "Before: the error as identified. After: what may remain once it is compensated, the standard error of the "
+            "identification. Its direction is not known; a test at places not used here would show the true remainder."
+        )
+    figures = [("Volumetric error, before and after", machine_figures.vectors(chain, q, before, after), told)]
+    if sum(a.kind == "linear" for a in chain.machine.axes.values()) >= 3:
+        slices = machine_figures.slices(chain, sizes)
+        figures.append(("Slices, before and after", slices, "Size of the error in um on the middle planes, one scale."))
+    return figures
+
+
+def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, str]:
+    import numpy as np
+
+    from errpipe.reporting import machine_figures
+
+    bands = {}
+    for name, curve in solved.document["curves"].items():
+        value, half = np.array(curve["value"]), np.array(curve["half_width95"])
+        at = curve["start"] + curve["step"] * np.arange(len(value))
+        bands[name] = (at, value - half, value + half)
+    measured = {
+        name: tuple(np.array([np.nan if v is None else v for v in r[k]]) for k in ("target", "up", "down"))
+        for name, r in solved.document.get("records", {}).items()
+    }
+    told = "After ISO 230-1: displacements left, angles right; bands are 95 % intervals."
+    if measured:
+        told += " Marks: mean reading at a target coming from below (▸) and from above (◂)."
+    return ("Components", machine_figures.components(errors, bands, measured), told)

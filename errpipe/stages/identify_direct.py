@@ -1,0 +1,57 @@
+"""Laser and level records in, every component out: as an identification, and as an error model beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from errpipe.pipeline.stage import Context, Need
+from errpipe.stages import _artefacts
+from errpipe.stages.identify import IDENTIFICATION, Identify, recordings
+
+
+class IdentifyDirect(Identify):
+    """Solve for the components that laser and level read one by one, both ways, the beam's own errors taken out.
+
+    Writes what `identify` writes, for `export_volumetric`; and an error model of the components in the last recording
+    before it, for `validate`, `export`, `report` and `errpipe predict`.
+    """
+
+    kind: Literal["identify_direct"]
+    modes: int = Field(20, ge=2, le=40, description="Waves per error motion; they are shrunk to what the data say.")
+    reads: ClassVar[Mapping[str, Need]] = Identify.reads
+
+    def outputs(self) -> tuple[str, ...]:
+        return (*super().outputs(), _artefacts.MODEL, "fit.json")
+
+    def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe import jsonfile, yamlfile
+        from errpipe.domain.machine import Machine
+        from errpipe.errors import DataError
+        from errpipe.kinematics import direct, direct_model, records
+
+        tests = recordings(context)
+        for name, recording in tests.items():
+            if not records.is_direct(recording):
+                raise DataError(f"{self.label}: {name} holds no error motion such as EXX or EBX; `identify` reads it")
+        out = super().run(context)
+        *_, last = tests.values()
+        motions = [c for c in last.components() if direct.is_motion(c)]
+        found = jsonfile.read(context.folder / IDENTIFICATION)
+        model = direct_model.error_model(last, found, found["noise_of"])
+        model = model.model_copy(
+            update={"title": context.title or last.manifest.title, "inputs": {"recording": context.fingerprint}}
+        )
+        context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
+        document = {
+            "fit": 1,
+            "family": "direct",
+            "machine": yamlfile.load(self.machine, Machine).model_dump(mode="json"),
+            "modes": self.modes,
+            "components": motions,
+            "lasers": {n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},
+        }
+        context.write_json("fit.json", document)
+        return out
