@@ -1,9 +1,10 @@
 """One cycle of a compensation table, and the replay of a recording, on plain arrays.
 
 The operations and their order are those of the reference evaluator (`errpipe/tables/reference.py`), to the bit.
-Nothing is allocated in a cycle. A `Program` is the sections of an `.ect` file as record arrays, as they lie in
-the file; `errpipe/tables/pack.py` makes it and a `State`. Loops stand in few functions with few arguments:
-what is called per node takes numbers, not arrays, else the calls cost more than the arithmetic.
+Nothing is allocated in a cycle. `program` is the sections of an `.ect` file as record arrays, as they lie in the
+file, `state` what lasts from cycle to cycle: `errpipe/tables/pack.py` declares their records and makes both. Loops
+stand in few functions with few arguments: what is called per node takes numbers, not arrays, else the calls cost more
+than the arithmetic. One file because a kernel may call only kernels of its own file: this is all of one cycle.
 """
 
 from __future__ import annotations
@@ -13,52 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.kernels import kernel
-
-INPUT_RECORD = np.dtype({
-    "names": ["flags", "first", "count", "low", "high", "max_rate", "stale", "hold", "default", "offset",
-              "valid_low", "valid_high", "margin"],
-    "formats": ["<u2", "<u4", "<u4"] + ["<f8"] * 10,
-    "offsets": [58, 60, 64, *range(72, 152, 8)],
-    "itemsize": 152,
-})  # fmt: skip
-WEIGHTED = np.dtype({"names": ["number", "weight"], "formats": ["<u4", "<f8"], "offsets": [0, 8], "itemsize": 16})
-NODE_RECORD = np.dtype({
-    "names": ["op", "flags", "first", "count", "other", "others", "a", "b", "c", "d"],
-    "formats": ["<u2", "<u2"] + ["<u4"] * 4 + ["<f8"] * 4,
-    "offsets": [0, 2, 4, 8, 12, 16, 24, 32, 40, 48],
-    "itemsize": 56,
-})  # fmt: skip
-PROFILE_RECORD = np.dtype({
-    "names": ["input", "flags", "first", "count", "start", "step", "inverse_step", "inverse_turn", "scale"],
-    "formats": ["<i4"] + ["<u4"] * 3 + ["<f8"] * 5,
-    "offsets": [0, 4, 8, 12, 16, 24, 32, 40, 48],
-    "itemsize": 72,
-})  # fmt: skip
-PAIR_RECORD = np.dtype({
-    "names": ["component", "profile", "node", "flags"],
-    "formats": ["<u4"] * 4,
-    "offsets": [0, 4, 8, 12],
-    "itemsize": 16,
-})  # fmt: skip
-OUTPUT_RECORD = np.dtype({
-    "names": ["flags", "first", "count", "factor", "magnitude", "slew", "acceleration"],
-    "formats": ["<u4"] * 3 + ["<f8"] * 4,
-    "offsets": [44, 48, 52, 56, 64, 72, 80],
-    "itemsize": 88,
-})  # fmt: skip
-TERM_RECORD = np.dtype({
-    "names": ["component", "count", "n0", "n1", "n2", "n3", "weight"],
-    "formats": ["<u4"] * 6 + ["<f8"],
-    "offsets": [0, 4, 8, 12, 16, 20, 24],
-    "itemsize": 32,
-})  # fmt: skip
-
-INPUT_STATE = np.dtype([(n, "f8") for n in ("raw", "wait", "good", "age", "value")]
-                       + [(n, "i8") for n in ("seen", "usable", "fault", "source")])  # fmt: skip
-NODE_STATE = np.dtype([("value", "f8"), ("memory", "f8"), ("ready", "i8")])
-OUTPUT_STATE = np.dtype([(n, "f8") for n in ("deviation", "correction", "limited", "rate", "target")])
-COMMON_STATE = np.dtype([("fade", "f8"), ("ramp", "f8")]
-                        + [(n, "i8") for n in ("until_slow", "heartbeat", "status", "unready")])  # fmt: skip
 
 CONSTANT, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DIRECTION, APPROACH, LOOKUP = range(1, 13)
 OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 4, 8, 16, 32
@@ -83,6 +38,9 @@ LN = np.array([
     0.047619047619047616, 0.05263157894736842, 0.058823529411764705, 0.06666666666666667, 0.07692307692307693,
     0.09090909090909091, 0.1111111111111111, 0.14285714285714285, 0.2, 0.3333333333333333, 1.0,
 ])  # fmt: skip
+
+
+# Both stay in this file under these names: caches that Numba wrote on users' disks name them.
 
 
 class Program(NamedTuple):

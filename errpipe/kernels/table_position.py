@@ -2,7 +2,7 @@
 
 Blocks of points run through one operation at a time, so inner loops are straight lines over arrays. The
 operations on one point, and their order, are those of a cycle, so the numbers agree to the bit.
-Shapes: block buffers are (rows, BLOCK). `Program` is that of `table_cycle` (a plain tuple of arrays here).
+Shapes: block buffers are (rows, BLOCK). `program` is as in `table_cycle`.
 """
 
 from __future__ import annotations

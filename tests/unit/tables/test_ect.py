@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from errpipe.domain import table as t
 from errpipe.errors import VerifyError
-from errpipe.kernels import table_cycle as k
 from errpipe.tables import ect, layout, pack
 from tests.unit.tables.made import everything, ten_um_too_long
 
@@ -67,9 +66,9 @@ def test_fields_lie_where_the_format_page_says():
 
 def test_the_kernels_records_are_the_files_records():
     pairs = (
-        (k.INPUT_RECORD, layout.INPUT), (k.WEIGHTED, layout.SUBSTITUTE), (k.WEIGHTED, layout.OPERAND),
-        (k.NODE_RECORD, layout.NODE), (k.PROFILE_RECORD, layout.PROFILE), (k.PAIR_RECORD, layout.PAIR),
-        (k.OUTPUT_RECORD, layout.OUTPUT), (k.TERM_RECORD, layout.TERM),
+        (pack.INPUT_RECORD, layout.INPUT), (pack.WEIGHTED, layout.SUBSTITUTE), (pack.WEIGHTED, layout.OPERAND),
+        (pack.NODE_RECORD, layout.NODE), (pack.PROFILE_RECORD, layout.PROFILE), (pack.PAIR_RECORD, layout.PAIR),
+        (pack.OUTPUT_RECORD, layout.OUTPUT), (pack.TERM_RECORD, layout.TERM),
     )  # fmt: skip
     for dtype, record in pairs:
         assert dtype.itemsize == record.size

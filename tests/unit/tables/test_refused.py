@@ -95,3 +95,14 @@ def test_c_and_structured_text_give_one_reason(libraries, block):
             differ.append((what, ours, theirs))
     # Which of two broken rules is named first differs where one change breaks two.
     assert len(differ) < 15, differ
+
+
+@needs_gcc
+@pytest.mark.toolchain
+@pytest.mark.slow
+def test_damaged_tables_in_both_readers(tmp_path):
+    """Twenty thousand of what `python -m tests.unit.tables.fuzz_readers 1000000` does."""
+    from tests.unit.tables import fuzz_readers
+
+    taken, found = fuzz_readers.run(20_000, 5, fuzz_readers.c_reader(tmp_path))
+    assert found == [] and 500 < taken < 8_000

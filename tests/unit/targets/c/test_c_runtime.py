@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import random
 import re
 import shutil
@@ -246,6 +247,29 @@ def test_damaged_tables_never_read_out_of_bounds(tmp_path):
 def test_many_damaged_tables_never_read_out_of_bounds(tmp_path):
     program, files = sanitized(tmp_path, [everything(s) for s in range(20, 40)])
     assert run(program, *files, 10_000).stdout.startswith("200000 executions")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("clang") is None, reason="clang, which brings libFuzzer, is not installed")
+def test_libfuzzer_finds_nothing(tmp_path):
+    """Guided by coverage, from sound tables; ERRPIPE_FUZZ=1000000 is what a release is given (about six minutes)."""
+    from tests.unit.tables import refused
+
+    count = int(os.environ.get("ERRPIPE_FUZZ", "20000"))
+    flags = ["-g", "-O1", "-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all", f"-I{RUNTIME}"]
+    try:
+        run("clang", *flags, RUNTIME / "ect.c", HERE / "fuzz.c", "-o", tmp_path / "fuzz")
+    except subprocess.CalledProcessError as err:
+        pytest.skip(f"no libFuzzer here: {err.stderr.splitlines()[-1]}")
+    corpus = tmp_path / "corpus"
+    corpus.mkdir()
+    sound = [refused.sound(), ten_um_too_long(), *(everything(s) for s in range(8))]
+    for n, table in enumerate(sound):
+        ect.write(table, corpus / f"{n}.ect")
+    for seed in (HERE / "seeds").glob("*.ect"):
+        (corpus / seed.name).write_bytes(seed.read_bytes())
+    told = run(tmp_path / "fuzz", f"-runs={count}", "-max_len=6000", "-seed=1", corpus, cwd=tmp_path).stderr
+    assert f"Done {count} runs" in told
 
 
 def test_memory_is_known_before_it_runs(library):
