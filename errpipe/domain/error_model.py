@@ -79,6 +79,14 @@ class ComponentModel(Frozen):
         description="Added half width per unit of distance outside what was seen.",
         json_schema_extra={"unit": "of the deviation per unit of distance"},
     )
+    growth90: float = Field(
+        0.0,
+        description="By which share the half width grows per unit of predicted magnitude.",
+        json_schema_extra={"unit": "1 per unit of the deviation"},
+    )
+    factor90: dict[str, Any] | None = Field(
+        None, description="Driver that the half width is multiplied by, as declared; none: 1."
+    )
     limit: float | None = Field(
         None, description="No prediction beyond this magnitude.", json_schema_extra={"unit": "of the deviation"}
     )
@@ -92,6 +100,9 @@ class Validity(Frozen):
     )
     margins: dict[str, float] = Field(
         {}, description="Column -> distance outside over which it fades.", json_schema_extra={"unit": "of the column"}
+    )
+    fades: bool = Field(
+        True, description="Whether a table fades outside the box; not where the drivers fade by themselves."
     )
 
 

@@ -25,6 +25,15 @@ class SeasonOptions(Frozen):
         description="Lags of parts without a sensor that follow the room.",
         json_schema_extra={"unit": "s"},
     )
+    mixes: tuple[float, ...] = Field(
+        (0.0, 0.25, 0.5),
+        description="How far towards the room these parts may begin, from the machine's own temperature.",
+        json_schema_extra={"unit": "1"},
+    )
+    thinning: float = Field(
+        0.05, ge=0, description="Loss of viscosity of the oil whose friction heats while the spindle runs.",
+        json_schema_extra={"unit": "1/K"},
+    )  # fmt: skip
     penalty: float = Field(
         1e-3, gt=0, description="Shrinks causes that moved less than its root.", json_schema_extra={"unit": "K2"}
     )

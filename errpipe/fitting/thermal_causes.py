@@ -4,9 +4,11 @@ Three kinds of cause, each in K, so that a gain is an expansion in um/K and its 
 
     body      the rise of a measured part over the start of the run: it pushes (+)
     running   the same rise, counted only while the spindle runs and arriving late: heat that no sensor sees,
-              of bearings and nuts, comes and goes with the stop at midday (+)
-    follower  a part without a sensor that begins the run as warm as the machine and then follows the room
-              through a slow lag: it carries the other side of the tool-point loop, so it pulls (-)
+              of bearings and nuts, comes and goes with the stop at midday (+). It is friction of oil, and oil
+              is thinner in a warm shop: it counts less by the oil's own law where the machine starts warmer
+    follower  a part without a sensor that begins the run as warm as the machine, or some of the way to the room's
+              temperature, and then follows the room through a slow lag: it carries the other side of the
+              tool-point loop, so it pulls (-)
 
 Where the room is warm before the machine is (the heating starts early, the machine stood all night), the
 follower moves at once although nothing was switched on; that is what separates the seasons.
@@ -32,6 +34,9 @@ _BED = re.compile(r"\bbed\b|base|frame", re.IGNORECASE)
 
 HEAT_WINDOW = 360.0  # s: shortest window over which a rate of 0.01 K readings stands above their steps
 COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at a standstill must not look like running
+THINNING = 0.05  # 1/K: a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
+OIL_REFERENCE = 20.0  # degC at which the share of running is one
+OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
 HEATED = (1.8, 1.2)  # K/h: on above, off below; 23 days of a turning centre ran at 2.5..9 and stood at -5..0.9
 
 
@@ -42,7 +47,7 @@ class Cause:
     name: str
     kind: Literal["body", "running", "follower"]
     driver: d.Driver
-    start: str = ""  # follower: the sensor that tells how warm it begins
+    start: str = ""  # follower: what tells how warm it begins; causes of one start belong together
 
     @property
     def sign(self) -> float:
@@ -122,30 +127,63 @@ def running(recording: Recording, found: Sensors) -> d.Driver | None:
     return d.Switch(of=heat, on=HEATED[0], off=HEATED[1])
 
 
-def causes(recording: Recording, found: Sensors, late: Sequence[float], slow: Sequence[float]) -> tuple[Cause, ...]:
-    """The dictionary: bodies, bodies while running (lags `late`, s), followers of the room (lags `slow`, s)."""
+def causes(
+    recording: Recording,
+    found: Sensors,
+    late: Sequence[float],
+    slow: Sequence[float],
+    mixes: Sequence[float] = (0.0,),
+    thinning: float = 0.0,
+) -> tuple[Cause, ...]:
+    """The dictionary: bodies, bodies while running (lags `late`, s), followers of the room (lags `slow`, s).
+
+    mixes: how far towards the room a follower may begin, 0..1; thinning: of the oil whose friction heats, 1/K.
+    """
     out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in found.bodies]
     state = running(recording, found)
     if state is not None:
+        friction = oil(found, thinning)
         out += [
-            Cause(f"rise of {n} while running, {tau / 60:.0f} min late", "running", _late(state, n, tau))
+            Cause(f"rise of {n} while running, {tau / 60:.0f} min late", "running", _late(state, n, tau, friction))
             for n in found.bodies
             for tau in late
         ]
     if found.room is not None:
         out += [
-            Cause(f"part that starts as {n} and follows {found.room}, {tau / 3600:.3g} h", "follower",
-                  follower(found.room, n, tau), n)
+            Cause(f"part that starts as {n}{_towards(mix, found.room)} and follows {found.room}, {tau / 3600:.3g} h",
+                  "follower", follower(found.room, n, tau, mix), f"{n} {mix:g}")
             for n in found.starts
+            for mix in mixes
             for tau in slow
         ]  # fmt: skip
     return tuple(out)
 
 
-def follower(room: str, start: str, tau: float) -> d.Lag:
-    """Rise since the start of the run of a part that began at `start`'s temperature and follows the room, K."""
-    pull = d.Affine(weights=(1.0, -1.0), of=(d.Input(name=room), d.First(of=d.Input(name=start))))
-    return d.Lag(of=pull, tau_up=tau, tau_down=tau, start="zero")
+def _towards(mix: float, room: str) -> str:
+    return f" {100 * mix:.0f} % towards {room}" if mix else ""
+
+
+def oil(found: Sensors, thinning: float) -> d.Driver | None:
+    """Friction of an oil as warm as the machine at the start of the run, 1 at 20 degC; None where it does not thin."""
+    if thinning == 0.0:
+        return None
+    starts = tuple(_first_of(n) for n in found.bodies)
+    level = d.Affine(weights=(1.0 / len(starts),) * len(starts), of=starts)
+    grid = np.linspace(*OIL_RANGE, 25)
+    values = tuple(float(v) for v in np.exp(-thinning * (grid - OIL_REFERENCE)))
+    return d.Lookup(of=level, start=float(grid[0]), step=float(grid[1] - grid[0]), values=values)
+
+
+def follower(room: str, start: str, tau: float, mix: float = 0.0) -> d.Lag:
+    """Rise since the start of the run of a part that follows the room, K.
+
+    It began at `start`'s temperature, or the share `mix` of the way from there to the room's.
+    """
+    parts: tuple[d.Driver, ...] = (d.Input(name=room), _first_of(start))
+    weights: tuple[float, ...] = (1.0, mix - 1.0)
+    if mix:
+        parts, weights = (*parts, _first_of(room)), (*weights, -mix)
+    return d.Lag(of=d.Affine(weights=weights, of=parts), tau_up=tau, tau_down=tau, start="zero")
 
 
 def lagged_difference(one: str, other: str, tau: float) -> d.Lag:
@@ -154,8 +192,13 @@ def lagged_difference(one: str, other: str, tau: float) -> d.Lag:
     return d.Lag(of=gap, tau_up=tau, tau_down=tau, start="zero")
 
 
-def _late(state: d.Driver, name: str, tau: float) -> d.Lag:
-    return d.Lag(of=d.Product(of=(state, d.rise(name))), tau_up=tau, tau_down=tau, start="zero")
+def _late(state: d.Driver, name: str, tau: float, friction: d.Driver | None) -> d.Lag:
+    factors = (state, d.rise(name)) if friction is None else (state, friction, d.rise(name))
+    return d.Lag(of=d.Product(of=factors), tau_up=tau, tau_down=tau, start="zero")
+
+
+def _first_of(name: str) -> d.First:
+    return d.First(of=d.Input(name=name))
 
 
 def columns(recording: Recording, drivers: Sequence[d.Driver]) -> np.ndarray:

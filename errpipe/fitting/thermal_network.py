@@ -55,14 +55,14 @@ def signed_gains(
 
 
 def networks(kinds: Sequence[str], starts: Sequence[str]) -> list[np.ndarray]:
-    """Index sets of the networks: all bodies, one way (or none) for heat while running, one start of the hidden part.
+    """Index sets of the networks: all bodies, one way for the heat while running, one start of the hidden part.
 
     Which part takes up the heat of running and how warm the hidden part begins are not measured; each network
     answers once, and the answers are averaged.
     """
     kinds_, starts_ = np.asarray(kinds), np.asarray(starts)
     bodies = np.flatnonzero(kinds_ == "body")
-    heat = [np.empty(0, dtype=int), *(np.array([k]) for k in np.flatnonzero(kinds_ == "running"))]
+    heat = [np.array([k]) for k in np.flatnonzero(kinds_ == "running")] or [np.empty(0, dtype=int)]
     follows = kinds_ == "follower"
     hidden = [np.flatnonzero(follows & (starts_ == s)) for s in dict.fromkeys(starts_[follows])]
     return [np.r_[bodies, run, pull] for run in heat for pull in (hidden or [np.empty(0, dtype=int)])]

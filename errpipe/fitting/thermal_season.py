@@ -1,6 +1,6 @@
 """A thermal model meant to survive the season: physics that carries, a correction that knows where it was learnt.
 
-    deviation since the start of the run = clip( share x core + gate x correction )
+    deviation since the start of the run = clip( share x fade x core + gate x correction )
 
 core         causes of known sign (`thermal_causes`), gains by averaged signed networks (`thermal_network`)
 correction   ridge on lagged differences to the room, fitted to what the core leaves, most by runs that started about
@@ -9,6 +9,8 @@ correction   ridge on lagged differences to the room, fitted to what the core le
              runs left out that started about as warm, and takes it back to nothing where a run starts outside
              the temperatures seen
 share        1 inside; outside it fades to the slope that the core had on environments left out (at most 1)
+fade         1 as far outside as seasons left out have been judged, then down to 0.6: where the model is as wrong as
+             nothing is, six tenths of it still do better than nothing, and where it is right they cost little
 clip         causes stay within twice the span seen, the sum within a quarter span beyond the deviations seen
 
 Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
@@ -29,18 +31,18 @@ from errpipe.domain import driver as d
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout, thermal_causes, thermal_local, thermal_network
+from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_local, thermal_network
 from errpipe.fitting.design import response_name
 from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.thermal_arithmetic import (
     centred,
-    conformal_half_width,
     inner_groups,
     limits,
     rms,
     since_start,
     slope,
 )
+from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.validity import box, distance
 from errpipe.terms import ProfileDriver
 from errpipe.terms._base import drive, plain
@@ -48,18 +50,15 @@ from errpipe.terms._base import drive, plain
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
 WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing
+WITNESSES = 2.0  # runs that started as warm and earned nothing, believed before any is seen: one run proves little
 WORTH_STEPS = 16
-LEAST_OUTSIDE = 0.01  # margins: rows nearer to the box tell nothing of how errors grow outside of it
-DOUBLED = 12.0  # K summed over sensors: this far outside the interval is at least twice as wide (2 K on each of six)
-MARGIN = 50.0  # K: the drivers fade by themselves, so a table's own fade has next to nothing left to do
+FULL_WITHIN = 3.0  # K, mean over sensors: starts of two seasons left out in turn lay so far apart, and held
+FADED_AT = 9.0  # K: from here on only FAR_SHARE of the core is used
+FAR_SHARE = 0.6
+FEWEST_RUNS = 3  # an environment is left out only where so many runs stay to learn from
 
 
-@dataclass(frozen=True)
-class Intervals:
-    """Half width in um: `inside` the box of what was seen, wider by `widening` per margin outside of it."""
-
-    inside: float
-    widening: float
+Part = tuple[str, float, d.Driver]  # a cause: its name, its gain in um/K, its driver in K
 
 
 @dataclass(frozen=True)
@@ -76,15 +75,17 @@ class Prediction:
 class SeasonModel:
     """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run.
 
-    parts: the same, cause by cause and without the limit, for a person to read. fade: K, see the options.
+    parts: the same, cause by cause and without fade and limit, for a person to read. factor: of the interval
+    (`thermal_interval`). fade: K, see the options.
     datum: mean and standard deviation of the runs' zeros, um: how far the start of a new run is unknown.
     """
 
     component: str
     options: SeasonOptions
-    parts: tuple[tuple[str, float, d.Driver], ...]
+    parts: tuple[Part, ...]
     terms: tuple[tuple[float, d.Driver], ...]
     intervals: Intervals
+    factor: d.Driver
     validity: Validity
     fade: float
     limit: tuple[float, float]
@@ -99,7 +100,7 @@ class SeasonModel:
         """Deviation since the start of each run with its interval, um; row k uses rows up to k of its run."""
         value = self.values(recording)
         away = distance(self.validity, recording)
-        half = self.intervals.inside + self.intervals.widening * away
+        half = self.intervals.half_width(value, drive(self.factor, recording), away)
         return Prediction(value, value - half, value + half, away > 0.0)
 
     def component_model(self) -> ComponentModel:
@@ -117,7 +118,9 @@ class SeasonModel:
             rows=self.report["rows"],
             rms_before=self.report["rms_before"],
             rms_after=self.report["rms_after"],
-            half_width90=self.intervals.inside,
+            half_width90=self.intervals.unknown,
+            growth90=thermal_interval.GROWTH,
+            factor90=self.factor.model_dump(mode="json"),
             widening90=self.intervals.widening,
             limit=max(abs(self.limit[0]), abs(self.limit[1])),
         )
@@ -154,12 +157,13 @@ def fit(
 
 @dataclass(frozen=True)
 class _Gains:
-    """What one set of groups teaches: gains, correction, its slope, and the box of starts it saw."""
+    """What one set of groups teaches: gains, correction, the box of starts it saw, and the balance of its days."""
 
     core: np.ndarray
     correction: thermal_local.Local | None
     low: np.ndarray
     high: np.ndarray
+    balance: tuple[float, float]
 
 
 class _Problem:
@@ -170,12 +174,15 @@ class _Problem:
         self.found = thermal_causes.sensors(
             recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
         )
-        self.causes = thermal_causes.causes(recording, self.found, options.late, options.slow)
+        self.causes = thermal_causes.causes(
+            recording, self.found, options.late, options.slow, options.mixes, options.thinning
+        )
         self.further = _correction_drivers(recording, self.found, options) if options.correction else ()
         self.core = thermal_causes.columns(recording, [c.driver for c in self.causes])
         self.extra = thermal_causes.columns(recording, self.further)
         names = self.found.all()
         self.starts = thermal_causes.columns(recording, [_start(n) for n in names])
+        self.balance = np.nan_to_num(drive(_balance(self.found), recording))
         deviation = recording.array(response_name(recording, component))
         run = recording.run_codes()
         self.response, self.zero = since_start(deviation, run, options.datum_rows)
@@ -216,7 +223,8 @@ class _Problem:
         core = thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
         correction = self._local(groups, core) if self.further and corrected else None
         mask = self.rows & np.isin(self.group, list(groups))
-        return _Gains(core, correction, np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0))
+        low, high = np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0)
+        return _Gains(core, correction, low, high, (float(self.balance[mask].min()), float(self.balance[mask].max())))
 
     def _local(self, groups: Sequence[int], core: np.ndarray) -> thermal_local.Local:
         warmth = self.warmth()
@@ -232,8 +240,8 @@ class _Problem:
         return np.nan_to_num(outside).mean(axis=1)
 
     def left_out(self, folds: Sequence[Sequence[int]], corrected: bool = True) -> dict[str, np.ndarray]:
-        """Core and gated correction of every used row by gains that never saw its fold; also the distance."""
-        out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction", "outside")}
+        """Core and gated correction of every used row by gains that never saw its fold."""
+        out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction")}
         warmth = self.warmth()
         for fold in folds:
             rest = [g for g in self.groups if g not in fold]
@@ -247,14 +255,11 @@ class _Problem:
             out["correction"][rows] = 0.0
             if gains.correction is not None:
                 out["correction"][rows] = gate * gains.correction.values(warmth[rows], self.extra_centred[rows])
-            seen = self.seen_box(self.rows & np.isin(self.group, rest))
-            out["outside"][rows] = distance(seen, self.recording)[rows]
         return out
 
     def seen_box(self, rows: np.ndarray) -> Validity:
         """The temperatures of the rows of a mask."""
-        found = box(self.recording, self.found.all(), rows)
-        return found.model_copy(update={"margins": dict.fromkeys(found.ranges, MARGIN)})
+        return box(self.recording, self.found.all(), rows).model_copy(update={"fades": False})
 
     def environments(self) -> list[list[int]]:
         """Groups by their surroundings: the labelled ones, else runs that started cold and runs that started warm."""
@@ -264,8 +269,10 @@ class _Problem:
             labels = np.full(self.rows.size, "")
         per_group = {g: labels[np.flatnonzero(self.rows & (self.group == g))[0]] for g in self.groups}
         kinds = list(dict.fromkeys(per_group.values()))
-        if len(kinds) > 1:
-            return [[g for g in self.groups if per_group[g] == k] for k in kinds]
+        apart = [[g for g in self.groups if per_group[g] == k] for k in kinds]
+        fewest = min(len(self.groups) - len(one) for one in apart)
+        if len(kinds) > 1 and fewest >= min(FEWEST_RUNS, len(self.groups) - 1):
+            return apart
         warmth = {g: float(np.nanmean(self.starts[self.rows & (self.group == g)])) for g in self.groups}
         order = sorted(self.groups, key=lambda g: (warmth[g], g))
         half = len(order) // 2
@@ -285,10 +292,10 @@ class _Problem:
         above, below = np.zeros(warm.size), np.zeros(warm.size)
         for k, g in enumerate(self.groups):
             mine = self.rows & (self.group == g) & np.isfinite(gain)
-            above[k] = np.sum(left[mine] * gain[mine])
-            below[k] = np.sum(gain[mine] ** 2) + WORTH_PRIOR * np.count_nonzero(mine)
+            if mine.any():
+                above[k], below[k] = np.mean(left[mine] * gain[mine]), np.mean(gain[mine] ** 2) + WORTH_PRIOR
         near = np.exp(-0.5 * ((grid[:, None] - warm) / WORTH_WIDTH) ** 2)
-        return grid, np.clip((near @ above) / np.maximum(near @ below, 1e-12), 0.0, 1.0)
+        return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)
 
     def model(self) -> SeasonModel:
         """The final model: gains from all groups, its scales from groups left out."""
@@ -301,15 +308,17 @@ class _Problem:
         far = self.rows & np.isfinite(afar["core"])
         share = self._share(afar["core"], far) if far.any() else 1.0
         gains = self.solve(self.groups)
-        near = np.abs(y - runs["core"] - runs["correction"])
-        intervals = self._intervals(near, seen, np.abs(y - afar["core"]), far, afar["outside"])
+        intervals = self._intervals(runs["core"] + runs["correction"], afar["core"])
         limit = limits(y[self.rows])
-        parts = self._parts(gains, worth, share)
-        total = d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
+        core, correction, known = self._parts(gains, worth)
+        held = d.Clip(of=_sum(core), low=limit[0], high=limit[1])
+        fading = d.Product(of=(self._fading(gains, share), held)) if core else None
+        total = _sum(tuple(("", 1.0, node) for node in (fading, correction) if node is not None))
         terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
-        seen_box = self.seen_box(self.rows)
+        parts = core if correction is None else (*core, ("correction where it was learnt", 1.0, correction))
         model = SeasonModel(
-            self.component, self.options, parts, terms, intervals, seen_box,
+            self.component, self.options, parts, terms, intervals,
+            intervals.factor(known, self._ramp(gains, 1.0 / FAR_SHARE)), self.seen_box(self.rows),
             self.options.fade, limit, self._datum(),
         )  # fmt: skip
         after = y - model.values(self.recording)
@@ -338,52 +347,54 @@ class _Problem:
         spread = float(np.sqrt((len(each) - 1) / len(each) * np.sum((np.array(each) - np.mean(each)) ** 2)))
         return float(np.clip(whole + spread, 0.0, 1.0))
 
-    def _intervals(self, near, seen, afar, far, outside) -> Intervals:
-        """Half widths from rows left out; inside the box a new run counts as likely of a new season as of a known one.
-
-        Temperatures inside the box do not prove that the season is known (a cold morning in spring), so errors of
-        runs left out and errors inside the box of environments left out weigh the same.
-        """
-        level = self.options.coverage
+    def _intervals(self, near: np.ndarray, afar: np.ndarray) -> Intervals:
+        """From predictions of rows left out with their run, and with their environment; um."""
         runs = np.unique(self.recording.run_codes()[self.rows]).size
-        inside = conformal_half_width(near[seen], self.group[seen], level, runs)
-        unseen = far & (outside <= 0.0)
-        if unseen.any():
-            errors = np.r_[near[seen], afar[unseen]]
-            groups = np.r_[self.group[seen], -1 - self.group[unseen]]
-            inside = max(inside, conformal_half_width(errors, groups, level, runs))
-        beyond = far & (outside > LEAST_OUTSIDE)
-        least = inside * MARGIN / DOUBLED
-        if np.count_nonzero(beyond) < 50:
-            return Intervals(inside, least)
-        needed = np.maximum(afar[beyond] - inside, 0.0) / outside[beyond]
-        return Intervals(inside, max(least, conformal_half_width(needed, self.group[beyond], level)))
+        both = [LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar)]
+        return thermal_interval.calibrate(*both, self.group[self.rows], self.options.coverage, runs)
 
-    def _parts(self, gains: _Gains, worth, share: float) -> tuple[tuple[str, float, d.Driver], ...]:
-        away = self._distance_driver(gains)
-        outside = d.Clip(of=d.Affine(weights=(1.0 / self.options.fade,), of=(away,)), low=0.0, high=1.0)
+    def _parts(self, gains: _Gains, worth) -> tuple[tuple[Part, ...], d.Driver | None, d.Driver]:
+        """The core cause by cause, the gated correction, and how well the season of a run is known (0..1)."""
         values = self.core[self.rows]
         low, high = values.min(axis=0), values.max(axis=0)
         span = CAUSE_BEYOND * (high - low)
-        core = [
+        core = tuple(
             (c.name, float(g), d.Clip(of=c.driver, low=float(a), high=float(b)))
             for c, g, a, b in zip(self.causes, gains.core, low - span, high + span, strict=True)
             if abs(g) > 1e-9
-        ]
-        if share < 1.0:
-            keep = d.Affine(offset=1.0, weights=(share - 1.0,), of=(outside,))
-            core = [(name, g, d.Product(of=(keep, node))) for name, g, node in core]
+        )
         grid, shares = worth
         if gains.correction is None or not shares.any():
-            return tuple(core)
-        inside = d.Affine(offset=1.0, weights=(-1.0,), of=(outside,))
+            return core, None, d.Constant(value=0.0)
+        inside = d.Affine(offset=1.0, weights=(-1.0,), of=(self._outside(gains),))
         names = self.found.all()
         warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
         earned = d.Lookup(
             of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
         )
-        learnt = gains.correction.driver(warmth, self.further)
-        return (*core, ("correction where it was learnt", 1.0, d.Product(of=(inside, earned, learnt))))
+        known = d.Product(of=(inside, earned))
+        return core, d.Product(of=(known, gains.correction.driver(warmth, self.further))), known
+
+    def _fading(self, gains: _Gains, share: float) -> d.Driver:
+        """What the core is multiplied by: by how far outside of what was seen the run started and the day moves."""
+        far = self._ramp(gains, FAR_SHARE)
+        if share >= 1.0:
+            return far
+        return d.Product(of=(far, d.Affine(offset=1.0, weights=(share - 1.0,), of=(self._outside(gains),))))
+
+    def _outside(self, gains: _Gains) -> d.Driver:
+        """0 where the run started inside what was seen, 1 from `fade` outside on."""
+        away = self._distance_driver(gains)
+        return d.Clip(of=d.Affine(weights=(1.0 / self.options.fade,), of=(away,)), low=0.0, high=1.0)
+
+    def _ramp(self, gains: _Gains, end: float) -> d.Lookup:
+        """1 as far outside as was tried, `end` from FADED_AT on; starts and balance of the day count alike, K."""
+        low, high = gains.balance
+        day = _balance(self.found)
+        beyond = d.Affine(weights=(1.0, -1.0), of=(day, d.Clip(of=day, low=low, high=high)))
+        size = d.Power(of=d.Product(of=(beyond, beyond)), exponent=0.5)
+        away = d.Affine(weights=(1.0, 1.0), of=(self._distance_driver(gains), size))
+        return d.Lookup(of=away, start=FULL_WITHIN, step=FADED_AT - FULL_WITHIN, values=(1.0, end))
 
     def _distance_driver(self, gains: _Gains) -> d.Driver:
         most = 1e3
@@ -398,6 +409,21 @@ class _Problem:
         run = self.recording.run_codes()
         levels = [self.zero[np.flatnonzero(self.rows & (run == r))[0]] for r in np.unique(run[self.rows])]
         return float(np.mean(levels)), float(np.std(levels))
+
+
+def _balance(found: thermal_causes.Sensors) -> d.Driver:
+    """Rise of the machine, mean over its sensors, less the rise of the room, K: what pushes less what pulls."""
+    rises = tuple(d.rise(n) for n in found.bodies)
+    weights = (1.0 / len(rises),) * len(rises)
+    if found.room is None:
+        return d.Affine(weights=weights, of=rises)
+    return d.Affine(weights=(*weights, -1.0), of=(*rises, d.rise(found.room)))
+
+
+def _sum(parts: Sequence[Part]) -> d.Driver:
+    if not parts:
+        return d.Constant(value=0.0)
+    return d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
 
 
 def _start(name: str) -> d.First:

@@ -55,7 +55,7 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
         )
     default = min(max(sum(seen) / 2 if seen else 0.0, low), high)
     box = {}
-    if seen is not None and kind not in ("position", "velocity", "coolant"):
+    if seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
         box = {"valid": seen, "margin": margin}
     return TableInput(

@@ -121,8 +121,9 @@ def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None 
     _inputs.unknown_inputs(_inputs.read_by([p.driver for pairs in lowered.values() for p in pairs]), model)
     if guard is not None:
         lowered = {name: [_guarded(p, guard) for p in pairs] for name, pairs in lowered.items()}
+    keep = None if model.validity.fades else False  # no box in the table, but it still fades where a sensor is lost
     sources = [
-        tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]))
+        tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]), keep)
         for c in model.components
         if lowered[c.component]
     ]

@@ -178,12 +178,17 @@ def _validity(model: Any) -> list[dict[str, Any]]:
             "input": f"{name} in {model.columns.get(name, {}).get('unit') or '1'}",
             "low": low,
             "high": high,
-            "outside": f"fades to nothing over {model.validity.margins[name]:.3g}"
-            if name in model.validity.margins
-            else "held at the end",
+            "outside": _outside(model, name),
         }
         for name, (low, high) in model.validity.ranges.items()
     ]
+
+
+def _outside(model: Any, name: str) -> str:
+    if not model.validity.fades:
+        return "fades by itself, never to a jump"
+    margin = model.validity.margins.get(name)
+    return "held at the end" if margin is None else f"fades to nothing over {margin:.3g}"
 
 
 def _exported(folder: Path | None) -> list[dict[str, Any]]:

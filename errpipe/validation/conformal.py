@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.fitting.thermal_season import conformal_half_width
+from errpipe.fitting.thermal_arithmetic import conformal_half_width
 
 __all__ = ["conformal_half_width", "coverage", "cross_coverage"]
 

@@ -11,13 +11,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
+from pydantic import TypeAdapter
 
+from errpipe.domain.driver import Driver
 from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting.components import evaluate
 from errpipe.fitting.validity import distance
+from errpipe.terms._base import drive
 
+_DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
 Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]
 INPUTS = (
     "position", "command", "velocity", "acceleration", "feed", "spindle_speed", "temperature", "pressure", "humidity",
@@ -30,7 +34,8 @@ class Predictor:
     """Anything that gives deviations for the rows of one run: a fitted model, a compiled table.
 
     evaluate: recording of one run -> component -> deviation, (rows,). half_width90: component -> half width of the
-    90 % interval inside the box; widening90: added per range's width outside of it.
+    90 % interval inside the box; widening90: added per range's width outside of it; growth90: its share more per unit
+    predicted; factor90: its multiple from the inputs.
     """
 
     evaluate: Evaluate
@@ -38,6 +43,16 @@ class Predictor:
     validity: Validity = field(default_factory=Validity)
     half_width90: Mapping[str, float] = field(default_factory=dict)
     widening90: Mapping[str, float] = field(default_factory=dict)
+    growth90: Mapping[str, float] = field(default_factory=dict)
+    factor90: Mapping[str, Driver] = field(default_factory=dict)
+
+    def half_width(self, component: str, alone: Recording, value: np.ndarray, far: np.ndarray) -> np.ndarray:
+        """Half width of the 90 % interval per row of one run; NaN where none is known."""
+        half = self.half_width90.get(component, np.nan) * (1.0 + self.growth90.get(component, 0.0) * np.abs(value))
+        if component in self.factor90:
+            factor = drive(self.factor90[component], alone)
+            half = half * np.where(np.isfinite(factor), factor, 1.0)
+        return half + self.widening90.get(component, 0.0) * far
 
 
 def of_model(model: ErrorModel) -> Predictor:
@@ -53,6 +68,8 @@ def of_evaluator(evaluator: Evaluate, model: ErrorModel) -> Predictor:
         model.validity,
         {c.component: c.half_width90 for c in model.components if c.half_width90 is not None},
         {c.component: c.widening90 for c in model.components},
+        {c.component: c.growth90 for c in model.components},
+        {c.component: _DRIVER.validate_python(c.factor90) for c in model.components if c.factor90 is not None},
     )
 
 
@@ -66,15 +83,19 @@ def predict(model: ErrorModel | Predictor, recording: Recording) -> pd.DataFrame
     source = of_model(model) if isinstance(model, ErrorModel) else model
     _all_there(source, recording)
     values = {c: np.zeros(len(recording)) for c in source.components}
+    half = {c: np.full(len(recording), np.nan) for c in source.components}
     far = np.zeros(len(recording))
     run = recording.run_codes()
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
         alone = recording.take(rows)
         far[rows] = distance(source.validity, alone)
-        for component, found in source.evaluate(held(alone)).items():
+        kept = held(alone)
+        for component, found in source.evaluate(kept).items():
             values[component][rows] = found
-    return _frame(source, recording, values, far)
+            told = np.where(np.isfinite(found), found, 0.0)
+            half[component][rows] = source.half_width(component, kept, told, far[rows])
+    return _frame(source, recording, values, half, far)
 
 
 def held(recording: Recording) -> Recording:
@@ -99,16 +120,21 @@ def _all_there(source: Predictor, recording: Recording) -> None:
         raise DataError(f"predict: the recording has no column {listed}, which the model reads")
 
 
-def _frame(source: Predictor, recording: Recording, values: Mapping[str, np.ndarray], far: np.ndarray) -> pd.DataFrame:
+def _frame(
+    source: Predictor,
+    recording: Recording,
+    values: Mapping[str, np.ndarray],
+    half: Mapping[str, np.ndarray],
+    far: np.ndarray,
+) -> pd.DataFrame:
     labels = np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]
     out: dict[str, np.ndarray] = {"run": labels, "time": recording.time()}
     for component in source.components:
         name = recording.name("error", component=component) or component
         told = np.where(np.isfinite(values[component]), values[component], 0.0)
-        half = source.half_width90.get(component, np.nan) + source.widening90.get(component, 0.0) * far
         silent = ~np.isfinite(values[component])
         out[f"{name}_predicted"] = told
-        out[f"{name}_lower"] = told - half
-        out[f"{name}_upper"] = told + half
+        out[f"{name}_lower"] = told - half[component]
+        out[f"{name}_upper"] = told + half[component]
         out[f"{name}_outside"] = ((far > 0) | silent).astype(int)
     return pd.DataFrame(out)

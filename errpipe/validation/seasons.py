@@ -7,13 +7,15 @@
     bias, scatter   mean and standard deviation of the out-of-season residual
     worst           its largest magnitude
     coverage        share of rows inside the 90 % interval of the model that never saw the group
+    half_width      mean half width of that interval
 
 The optimism gap is out_of_season less the rms that a random choice of rows would have promised.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,7 @@ from errpipe.validation.champion import Fitter, rms, target
 
 VERSION = 1
 RANDOM_FOLDS = 5
+POOLED = ("uncompensated", "out_of_season")
 
 
 def table(
@@ -50,8 +53,8 @@ def table(
     y = target(recording, component)
     runs = holdout.folds(recording, "leave-one-run-out") if in_season else []
     own = _left_out(recording, component, fit, runs, y)[0] if runs else None
-    residual, covered = _left_out(recording, component, fit, folds, y)
-    rows = [_row(f, y, residual, covered, own) for f in folds]
+    residual, covered, half = _left_out(recording, component, fit, folds, y)
+    rows = [_row(f, y, residual, covered, half, own) for f in folds]
     gap = optimism(recording, component, fit, y, residual) if in_season else None
     chosen = plain_holdout.parse(scheme) if isinstance(scheme, str) else scheme
     return {
@@ -61,8 +64,22 @@ def table(
         "scheme": plain_holdout.name(chosen),
         "groups": rows,
         "never_worse": all(r["out_of_season"] <= r["uncompensated"] for r in rows),
+        **({"months": months} if (months := by_month(rows)) else {}),
         "optimism": gap,
     }
+
+
+def by_month(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of days (2017-02-27) pooled by their months; [] where the groups are no days. um."""
+    if not all(re.fullmatch(r"\d{4}-\d\d-\d\d", r["left_out"]) for r in rows):
+        return []
+    out = []
+    for month in dict.fromkeys(r["left_out"][:7] for r in rows):
+        own = [r for r in rows if r["left_out"].startswith(month)]
+        size = sum(r["rows"] for r in own)
+        pooled = {k: float(np.sqrt(sum(r["rows"] * r[k] ** 2 for r in own) / size)) for k in POOLED}
+        out.append({"month": month, "days": len(own), "rows": size, **pooled})
+    return out
 
 
 def optimism(
@@ -71,15 +88,15 @@ def optimism(
     """rms promised by random rows against rms of whole groups left out, um."""
     pick = np.random.default_rng(0).integers(RANDOM_FOLDS, size=len(recording))
     folds = [Fold(str(k), pick != k, pick == k) for k in range(RANDOM_FOLDS)]
-    random, _ = _left_out(recording, component, fit, folds, y)
+    random = _left_out(recording, component, fit, folds, y)[0]
     seen = np.isfinite(residual) & np.isfinite(random)
     promised, kept = rms(random[seen]), rms(residual[seen])
     return {"random_rows": promised, "groups_left_out": kept, "gap": kept - promised}
 
 
 def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: np.ndarray):
-    """Residual of each judged row and whether its interval covered it (NaN where the model has none)."""
-    residual, covered = np.full(y.size, np.nan), np.full(y.size, np.nan)
+    """Residual of each judged row, whether its interval covered it, its half width (NaN where the model has none)."""
+    residual, covered, half = (np.full(y.size, np.nan) for _ in range(3))
     for fold in folds:
         plain_holdout.check(fold)
         model = fit(recording, component, fold.train)
@@ -88,13 +105,14 @@ def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: 
             value = told.predicted
             inside = (y >= told.lower) & (y <= told.upper)
             covered[fold.test] = inside[fold.test]
+            half[fold.test] = 0.5 * (told.upper - told.lower)[fold.test]
         else:
             value = model.values(recording)
         residual[fold.test] = (y - value)[fold.test]
-    return residual, covered
+    return residual, covered, half
 
 
-def _row(fold: Fold, y, residual, covered, own) -> dict[str, Any]:
+def _row(fold: Fold, y, residual, covered, half, own) -> dict[str, Any]:
     judged = fold.test & np.isfinite(residual)
     if not judged.any():
         raise DataError(f"seasons: no row of {fold.label} can be judged")
@@ -113,16 +131,23 @@ def _row(fold: Fold, y, residual, covered, own) -> dict[str, Any]:
         "scatter": float(np.std(left)),
         "worst": float(np.abs(left).max()),
         "coverage": float(np.nanmean(told)) if np.isfinite(told).any() else None,
+        "half_width": float(np.nanmean(half[judged])) if np.isfinite(told).any() else None,
     }
 
 
 def text(document: dict[str, Any]) -> str:
     """The table for a terminal."""
-    names = ("left_out", "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage")
+    names = (
+        "left_out", "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage",
+        "half_width",
+    )  # fmt: skip
     lines = ["  ".join(f"{n:>13}" for n in names)]
     for row in document["groups"]:
         cells = [row["left_out"], *(row[n] for n in names[1:])]
         lines.append("  ".join(f"{_cell(c):>13}" for c in cells))
+    for month in document.get("months", ()):
+        told = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f} um over {month['days']} days"
+        lines.append(f"{month['month']}  {told}")
     gap = document["optimism"]
     if gap:
         promised, kept = gap["random_rows"], gap["groups_left_out"]

@@ -163,7 +163,10 @@ class TestReal:
         assert groups["winter"]["out_of_season"] <= 10.0
         assert groups["spring"]["out_of_season"] < 8.7
         assert document["seasons"]["never_worse"]
-        assert document["forward"]["never_worse"]  # by months; by days, the first spring days are worse than nothing
+        assert document["forward"]["never_worse"]  # retrained by the month
+        for month in document["forward_daily"]["months"]:  # retrained every day; single days may still lose
+            assert month["out_of_season"] < 0.8 * month["uncompensated"], month["month"]
+        assert all(0.85 < g["coverage"] < 0.99 for g in groups.values())
         recording = REAL / "turning-centre-thermal"
         for source in ("table.ect", "error_model.json"):
             assert main(["predict", str(out / "export" / source), str(recording), "--out", str(tmp_path / source)]) == 0

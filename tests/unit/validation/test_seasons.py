@@ -96,6 +96,16 @@ def test_the_table_tells_a_season_that_fails(recording):
     assert "spring" in seasons.text(bad)
 
 
+def test_days_are_pooled_by_months(recording):
+    told = seasons.table(recording, "E_D", Slope, "forward:day", in_season=False)
+    assert [m["month"] for m in told["months"]] == ["2017-01", "2017-02"]
+    spring = [r for r in told["groups"] if r["left_out"].startswith("2017-02")]
+    squares = sum(r["rows"] * r["out_of_season"] ** 2 for r in spring)
+    assert_allclose(told["months"][1]["out_of_season"] ** 2 * told["months"][1]["rows"], squares)
+    assert "months" not in seasons.table(recording, "E_D", Slope, in_season=False)
+    assert "2017-02" in seasons.text(told)
+
+
 def test_a_season_model_is_judged_like_every_other_model(recording):
     fold = holdout.folds(recording, "leave-one-group-out:season")[1]
     told = seasons.judge(recording, "E_D", SeasonOptions(correction=False), fold)
