@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from errpipe.diagnosis import confidence, holdout, locate, model, separate, significance, whiteness
+from errpipe.diagnosis import confidence, friction, holdout, locate, model, separate, significance, whiteness
 from errpipe.diagnosis.judge import Case, needs_recalibration, residual
 from errpipe.domain.diagnosis import (
     Finding,
@@ -20,6 +22,8 @@ from errpipe.terms._base import Term
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
 NEVER = ("moving_mass",)
+UNPROVED = 0.5  # confidence of a name, at most, where rows that sat out are no better explained with it
+FRICTION = {"coulomb_friction", "viscous_friction"}
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
@@ -36,6 +40,10 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
     recalibrated = residual(case, [])
     found = significance.chance(case)
     findings = [f.model_copy(update=_beyond_chance(case, f)) for f in findings]
+    if held.after >= held.before:
+        findings = [f.model_copy(update=_no_surer(f, UNPROVED)) if f.p_search else f for f in findings]
+    law = friction.by_direction(case) if {f.effect for f in findings} & FRICTION else None
+    findings = friction.told_by_direction(findings, law) if law else findings
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component, unit=case.pair.unit, verdict=verdict, rms_before_um=_rms(before),
@@ -113,7 +121,10 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
     h = found[k].hypothesis
     rivals = sorted((r for r in case.search.rivals(found, k) if r[0] not in NEVER), key=lambda r: r[1])
     own = {f.hypothesis.effect for f in found}
-    close = [r for r in rivals if r[0] not in own and (r[1] < CLOSE or _alike(case, made, r[2]))][:4]
+    every = [r for r in rivals if r[0] not in own and (r[1] < CLOSE or _alike(case, made, r[2]))]
+    close = every[:4]
+    beyond = min((r[1] for r in rivals if r[0] not in own and r not in every), default=50.0)
+    sure = confidence.naming(replace(signs[k], margin=max(beyond, signs[k].margin)))
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
@@ -132,6 +143,7 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
             FoundParameter(name=e.name, value=e.value, unit=e.unit, ci95=(e.low, e.high)) for e in made.estimates
         ),
         indistinguishable_from=tuple(r[0] for r in close),
+        confidence_of_class=round(sure, 3) if close else None,
         would_separate=sentence,
         says=_says(case, h.effect, h.drivers, made, signs[k]),
         rms_um=float(np.std(made.contribution)),
@@ -177,13 +189,18 @@ def _verdict(case: Case, findings: list[Finding], strange: float) -> tuple[list[
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     if findings and strange > 0.5:
-        named = [f.model_copy(update={"confidence": round(min(f.confidence, 1.0 - strange), 3)}) for f in findings]
+        named = [f.model_copy(update=_no_surer(f, 1.0 - strange)) for f in findings]
         return [_unknown(case, strange), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
     if strange > 0.5:
         return [_unknown(case, strange), *_recalibration(case, recalibrated)], "unexplained"
     return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
+
+
+def _no_surer(f: Finding, most: float) -> dict[str, float]:
+    sure = {} if f.confidence_of_class is None else {"confidence_of_class": round(min(f.confidence_of_class, most), 3)}
+    return {"confidence": round(min(f.confidence, most), 3), **sure}
 
 
 def _recalibration(case: Case, needed: bool) -> list[Finding]:
@@ -231,11 +248,22 @@ def _unknown(case: Case, chance: float) -> Finding:
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Signs) -> str:
     numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in made.estimates[:3])
+    numbers += _unusual(made)
     size = float(np.std(made.contribution))
     return (
         f"The simulation lacks {effect.replace('_', ' ')}, driven by {', '.join(drivers)}: {numbers}; "
         f"it makes up {size:.3g} {case.pair.unit} rms of the mismatch."
     )
+
+
+def _unusual(made: model.Modelled) -> str:
+    """A lag or length far from what machines show is said to be: the form may stand for something else."""
+    names = {p.name: p for t in made.hypothesis.terms for p in t.nonlinear()}
+    for e in made.estimates:
+        p = names.get(e.name)
+        if p is not None and p.typical[0] > 0 and not p.typical[0] / 2 <= e.value <= 2 * p.typical[1]:
+            return f" (unusual: {e.name} is mostly {p.typical[0]:g} to {p.typical[1]:g} {p.unit})"
+    return ""
 
 
 def in_words(r: ResponseDiagnosis) -> str:
@@ -249,8 +277,21 @@ def in_words(r: ResponseDiagnosis) -> str:
             f"{r.rms_after_um:.3g} {unit} rms."
         )
     names = [f.effect.replace("_", " ") for f in r.findings if f.effect != "recalibration"]
-    what = " and ".join(names[:2])
+    what, one = " and ".join(names[:2]), len(names[:2]) == 1
+    before, after = r.holdout.rms_before_um, r.holdout.rms_after_um
+    if after >= before:
+        return (
+            f"{r.component}: {what} {'is' if one else 'are'} the best name found, but unproved: rows that sat out are "
+            f"no better explained with it ({before:.3g} before, {after:.3g} {unit} rms after)."
+        )
+    if names[0] == "unknown":
+        told = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]
+        near = f" (the nearest name would be {told[0]})" if told else ""
+        return (
+            f"{r.component}: something is missing that no known effect carries{near}; a shape in the data brings the "
+            f"mismatch, held out, from {before:.3g} to {after:.3g} {unit} rms."
+        )
     return (
-        f"{r.component}: {what} explains the mismatch; held out it falls from {r.holdout.rms_before_um:.3g} to "
-        f"{r.holdout.rms_after_um:.3g} {unit} rms."
+        f"{r.component}: {what} explain{'s' if one else ''} the mismatch; held out it falls from {before:.3g} to "
+        f"{after:.3g} {unit} rms."
     )

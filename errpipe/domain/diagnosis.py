@@ -52,6 +52,9 @@ class Finding(Frozen):
     where: Where = Where()
     parameters: tuple[FoundParameter, ...] = ()
     indistinguishable_from: tuple[str, ...] = ()
+    confidence_of_class: float | None = Field(
+        None, ge=0, le=1, description="Chance that it is this effect or one of those it cannot be told from."
+    )
     would_separate: str = ""
     says: str = ""
     rms_um: float = Field(0.0, description="rms of what the finding contributes to the response.")
@@ -64,6 +67,10 @@ class Finding(Frozen):
     p_search: float | None = Field(
         None, description="Share of surrogates without this effect in which the whole search gains as much."
     )
+
+    def sure(self) -> float:
+        """Confidence in the effect together with those that the data cannot tell it from."""
+        return max(self.confidence, self.confidence_of_class or 0.0)
 
     def all_terms(self) -> tuple[dict[str, object], ...]:
         """Every term of the finding, as an error model declares them."""

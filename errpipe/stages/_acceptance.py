@@ -44,7 +44,8 @@ class Accept(Options):
     """When a finding becomes a term of the error model."""
 
     confidence: float = Field(
-        0.8, ge=0, le=1, description="Lowest confidence of a finding.", json_schema_extra={"unit": "1"}
+        0.8, ge=0, le=1, json_schema_extra={"unit": "1"},
+        description="Lowest confidence of a finding, or of it and those the data cannot tell it from together.",
     )
     despite_artefact: bool = Field(
         False, description="Also where the data cannot tell the finding from an artefact of measuring."
@@ -104,7 +105,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
     refuse = Decision(response.component, f)
     if f.effect == "unknown":
         return replace(refuse, reason=UNKNOWN)
-    sure = f.confidence >= accept.confidence
+    sure = f.sure() >= accept.confidence
     held = response.holdout
     worse = held.rms_after_um >= held.rms_before_um
     if f.effect == "recalibration":
@@ -114,7 +115,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
         reason = ARTEFACTS.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
         return replace(refuse, terms=terms, reason=reason, beside=sure and bool(terms) and f.effect != "clock_offset")
     if not sure:
-        return replace(refuse, reason=f"its confidence of {f.confidence:.2f} is below {accept.confidence:.2f}")
+        return replace(refuse, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
     if worse:
         told = f"{held.rms_before_um:.3g} -> {held.rms_after_um:.3g} {response.unit}"
         return replace(refuse, reason=f"rows that sat out are no better explained with it ({told})")

@@ -1,0 +1,142 @@
+"""Friction that differs by direction: the whole drive force fitted once with one law, once with one for each way.
+
+    force = mass a + damping v + friction tanh(v / sharpness) + offset                       both ways alike
+    force = mass a + damping(way) v + friction(way) tanh(|v| / sharpness)                    each way its own
+
+The second is said to hold where blocks of the recording that sat out are predicted better with it and a
+difference between the ways is beyond doubt. Intervals come from leaving out blocks in turn, for neighbouring rows of
+a trace tell the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.diagnosis.judge import Case
+from errpipe.domain.diagnosis import Finding, FoundParameter
+from errpipe.terms import ViscousFriction
+
+SHARPNESS = (0.0, 0.3, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # mm/s
+BLOCKS = 40
+BETTER = 0.97  # rms on blocks that sat out, over that of one law both ways, below which the ways differ
+DOUBT = 4.0  # standard errors by which a parameter must differ between the ways
+WIDER = 1.25  # as for all parameters: see model.py
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Coefficients, their standard errors, differences (last two pairs), and the rms on blocks that sat out."""
+
+    value: np.ndarray
+    covariance: np.ndarray
+    held_out: float
+
+    def parameter(self, name: str, k: int, unit: str) -> FoundParameter:
+        """One coefficient with its 95 % interval."""
+        value, reach = float(self.value[k]), 1.96 * WIDER * float(np.sqrt(self.covariance[k, k]))
+        return FoundParameter(name=name, value=value, unit=unit, ci95=(value - reach, value + reach))
+
+    def differ(self, one: int, other: int) -> bool:
+        """Do two coefficients differ beyond doubt?"""
+        c = self.covariance
+        sd = np.sqrt(max(c[one, one] + c[other, other] - 2 * c[one, other], 1e-300))
+        return bool(abs(self.value[one] - self.value[other]) > DOUBT * sd)
+
+
+@dataclass(frozen=True)
+class ByDirection:
+    """A friction law for each way: damping N s/m and friction N forwards and backwards; sharpness mm/s."""
+
+    axis: str
+    column: str
+    sharpness: float
+    law: Fitted
+    alike: Fitted
+
+    def damping(self) -> tuple[FoundParameter, ...]:
+        """What grows with speed, each way."""
+        return tuple(self.law.parameter(f"damping_{way}", k, "N s/m") for way, k in (("forward", 1), ("backward", 2)))
+
+    def force(self) -> tuple[FoundParameter, ...]:
+        """What does not, each way."""
+        return tuple(self.law.parameter(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
+
+    def says(self) -> str:
+        """One sentence."""
+        told = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g})" for p in (*self.damping(), *self.force())]
+        return (
+            f"Friction differs by direction: {told[0]} N s/m forwards and {told[1]} backwards, beside a dry part of "
+            f"{told[2]} N and {told[3]}; on stretches that sat out the force is then met to {self.law.held_out:.3g} N "
+            f"rms instead of {self.alike.held_out:.3g} with one law both ways."
+        )
+
+
+def by_direction(case: Case) -> ByDirection | None:
+    """The law of each way where it differs, from the recorded force; None where it does not or cannot be told."""
+    axis = case.pair.component[2:]
+    velocity = case.recording.name("velocity", axis=axis)
+    acceleration = case.recording.name("acceleration", axis=axis)
+    if not case.pair.component.startswith("F_") or velocity is None or acceleration is None:
+        return None
+    rows = case.pair.rows
+    force = case.recording.array(case.pair.error)[rows]
+    v, a = (case.recording.array(name)[rows] for name in (velocity, acceleration))
+    ahead, back = (v > 0).astype(float), (v < 0).astype(float)
+    if min(ahead.sum(), back.sum()) < 10 * BLOCKS:
+        return None
+    best = None
+    for sharpness in SHARPNESS:
+        dry = np.sign(v) if sharpness == 0 else np.tanh(v / sharpness)
+        mass, drag = 1e-3 * a, 1e-3 * v
+        law = fitted(np.column_stack([mass, drag * ahead, drag * back, dry * ahead, dry * back]), force)
+        if best is None or law.held_out < best.law.held_out:
+            alike = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
+            best = ByDirection(axis, velocity, sharpness, law, alike)
+    assert best is not None
+    apart = best.law.differ(1, 2) or best.law.differ(3, 4)
+    return best if apart and best.law.held_out < BETTER * best.alike.held_out else None
+
+
+def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
+    """Least squares, and what leaving out each block of rows in turn says about it."""
+    block = np.arange(y.size) * BLOCKS // y.size
+    G = np.stack([columns[block == k].T @ columns[block == k] for k in range(BLOCKS)])
+    g = np.stack([columns[block == k].T @ y[block == k] for k in range(BLOCKS)])
+    whole = G.sum(axis=0) + 1e-12 * np.trace(G.sum(axis=0)) * np.eye(columns.shape[1])
+    value = np.linalg.solve(whole, g.sum(axis=0))
+    without = np.stack([np.linalg.solve(whole - G[k], g.sum(axis=0) - g[k]) for k in range(BLOCKS)])
+    moved = without - without.mean(axis=0)
+    left = y - np.einsum("nk,nk->n", columns, without[block])
+    return Fitted(value, (BLOCKS - 1) / BLOCKS * moved.T @ moved, float(np.sqrt(np.mean(left**2))))
+
+
+def told_by_direction(findings: list[Finding], law: ByDirection) -> list[Finding]:
+    """The findings once friction is known to differ by direction.
+
+    Dry friction gets its two levels. A Stribeck part that would have friction rise from standstill is no such thing: it
+    only mended one law for both ways, and the damping of each way takes its place.
+    """
+    out: list[Finding] = []
+    for f in findings:
+        if f.effect == "coulomb_friction":
+            f = f.model_copy(update={"parameters": (*f.parameters, *law.force()), "says": f"{f.says} {law.says()}"})
+        elif f.effect == "viscous_friction":
+            f = f.model_copy(update={"parameters": (*f.parameters, *law.damping()), "says": f"{f.says} {law.says()}"})
+        elif f.effect == "stribeck_friction" and mends(f, findings):
+            term = ViscousFriction(axis=law.axis, column=law.column)
+            f = Finding(
+                effect="viscous_friction", confidence=f.confidence, drivers=(law.column,), parameters=law.damping(),
+                says=law.says(), rms_um=f.rms_um, rivals=(), compensable=False,
+                would_separate=f"run {law.axis} both ways at three constant speeds and compare the forces",
+                term={"term": term.term, "axis": law.axis, "column": law.column},
+            )  # fmt: skip
+        out.append(f)
+    return out
+
+
+def mends(stribeck: Finding, findings: list[Finding]) -> bool:
+    """Does a Stribeck part work against the dry friction beside it, where the law would have it add to it?"""
+    dry = [f.parameters[0].value for f in findings if f.effect == "coulomb_friction" and f.parameters]
+    return bool(dry) and bool(stribeck.parameters) and stribeck.parameters[0].value * dry[0] < 0
