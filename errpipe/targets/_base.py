@@ -17,6 +17,8 @@ from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 
 Confidence = Literal["verified", "documented", "experimental"]
+# What the files of an experimental format say of themselves, as a comment.
+CAUTION = "experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use"
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, ReadBack, Target, expect
 
 MOST = 1001
 ERROR_UM = 0.1
@@ -60,7 +60,7 @@ class BeckhoffCrosscomp(Target):
 
 
 def _text(axes: list[str], axis: str, over: str, curve: Curve) -> str:
-    lines = [f"kopf.achs_nr {axes.index(over) + 1}", f"kopf.log_achs_name {over}"]
+    lines = [f"# {CAUTION}", f"kopf.achs_nr {axes.index(over) + 1}", f"kopf.log_achs_name {over}"]
     lines += [f"kw.crosscomp.slave_ax_nr {axes.index(axis) + 1}", f"kw.crosscomp.last_index {curve.positions.size - 1}"]
     mean = (curve.up + curve.down) / 2
     for n, (x, v) in enumerate(zip(curve.positions.tolist(), mean.tolist(), strict=True)):

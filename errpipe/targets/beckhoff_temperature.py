@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Line, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Line, ReadBack, Target, expect
 
 FILE = "temp_comp.lis"
 LEAST_UM = 0.01  # per kelvin over the travel
@@ -42,7 +42,7 @@ class BeckhoffTemperature(Target):
                     rows.append(_text(line))
         if not rows:
             raise GateError("beckhoff_temperature: no axis of the table moves with a temperature")
-        return {FILE: "".join(rows)}
+        return {FILE: "".join([f"# {CAUTION}\n", *rows])}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

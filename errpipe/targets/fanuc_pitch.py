@@ -15,7 +15,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, Points, ReadBack, expect, too_many
+from errpipe.targets._base import CAUTION, Curve, Points, ReadBack, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
@@ -41,7 +41,7 @@ class FanucPitch(ScrewMap):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         axes = [axis for _, axis in cls.own_axes(table)]
         most = MOST // (2 * len(axes))
-        lines, first = ["%"], 0
+        lines, first = ["%", f"({CAUTION.upper()})"], 0
         for number, axis in enumerate(axes, 1):
             points, left = _sample.uniform(table, axis, axis, most, 0.5)
             curve = _whole_steps(table, axis, points, most, left)

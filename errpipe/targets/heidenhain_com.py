@@ -3,6 +3,7 @@
 Value     the ERROR in mm along each compensated axis (MP720: positive when the travel is too long); the sense of the
           .COM columns and the text frame are from experience: prove both on the control before use.
 Columns   AXISPOS, BACKLASH (value measured in negative traverse), then one column per compensated axis.
+Mark      the first line of each file says that it is experimental: it is to be taken out once the sense is proved.
 Limits    256 rows (TNC 407, iTNC; newer controls take free spacing); one line of config.CMA is ACTIVE.
 """
 
@@ -15,9 +16,10 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, ReadBack, Target, expect
 
 MOST = 256
+MARK = f"; {CAUTION}; then take this line out\n"
 ERROR_UM = 0.1
 
 
@@ -31,6 +33,7 @@ class HeidenhainCom(Target):
     limits = "256 rows; sums of curves over one axis each; one reversal value per position; no temperature"
     source = "MANUALplus 620 technical manual p. 716, 718; TNC 407 technical manual p. 153 to 156"
     activation = (
+        "take the first line of each file out: it says what this list says",
         "copy the .COM files and config.CMA to the control's table folder; one line ACTIVE *",
         "MP730 axis error compensation active; compare the position display at three points with a gauge",
     )
@@ -48,10 +51,12 @@ class HeidenhainCom(Target):
                 files[f"{over}.COM"] = _com(table, over, own, whole)
         if not files:
             raise GateError("heidenhain_com: no axis of the table is corrected over a position")
-        return {**files, "CONFIG.CMA": _cma(axes, files)}
+        files["CONFIG.CMA"] = _cma(axes, files)
+        return {name: MARK + text for name, text in files.items()}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        files = {name: text.removeprefix(MARK) for name, text in files.items()}
         active = [line.split() for line in files["CONFIG.CMA"].splitlines() if "*" in line.split()[1:2]]
         expect(len(active) == 1, "CONFIG.CMA", f"{len(active)} active lines (one is needed)")
         curves = []

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.targets._base import Curve, expect
+from errpipe.targets._base import CAUTION, Curve, expect
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -37,7 +37,7 @@ class Mach4ScrewMap(ScrewMap):
 
 def _text(axis: str, curve: Curve) -> str:
     n, length = curve.positions.size, float(curve.positions[-1] - curve.positions[0])
-    lines = []
+    lines = [f"# {CAUTION}"]
     for side, values in (("+", curve.up), ("-", curve.down)):
         lines += [f"[{axis}{side}]", f"Start={curve.positions[0]:.6f}", f"Length={length:.6f}", f"Points={n}"]
         lines += [f"Error{k}={v + 0.0:.6f}" for k, v in enumerate(values.tolist())]

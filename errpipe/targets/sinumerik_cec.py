@@ -25,7 +25,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, Points, Product, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, Points, Product, ReadBack, Target, expect
 
 MOST, TABLES = 200, 8
 ERROR_UM = 0.1
@@ -93,7 +93,7 @@ class SinumerikCec(Target):
             )
             blocks += _four(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
-        return {FILE: "%_N_NC_CEC_INI\n" + named + told + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
+        return {FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n" + named + told + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
