@@ -48,12 +48,15 @@ class SinumerikCec(Target):
     source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1, K3 (p. 245, 248 to 252, 264); 802D sl p. 222"
     activation = (
         "MD18342 points per table; the option for sag compensation, else alarm 8040",
-        "MD32710 CEC_ENABLE = 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] = 1; reference again",
+        "MD32710 CEC_ENABLE = 0 while the file is loaded, then 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] = 1; "
+        "reference again",
         "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points",
+        "MD32720 CEC_MAX_SUM (mm) above the largest value of the list below, MD32730 CEC_MAX_VELO: the control limits "
+        "the sum and its rate with an alarm, and goes on",
         "tables with MULT_BY_TABLE (products): enable all four of a product or none; basic system metric (MD10240 = 1)",
-        "to learn how this control reads a product: SD41300 = 0 for the second pair of the four, go where one table of "
-        "the first pair is 0 and the other is not: no compensation means that only products count; this file holds "
-        "either way once all four are enabled again",
+        "to learn how this control reads a product, clear of any part: SD41300 = 0 for the second pair of the four, go "
+        "where one table of the first pair is 0 and the other is not; no compensation there means that only products "
+        "count. The file holds either way once all four are enabled again",
     )
     goes_with = ("sinumerik_lec", "sinumerik_temperature")
 
