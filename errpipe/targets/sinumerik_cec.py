@@ -48,8 +48,8 @@ class SinumerikCec(Target):
     source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1, K3 (p. 245, 248 to 252, 264); 802D sl p. 222"
     activation = (
         "MD18342 points per table; the option for sag compensation, else alarm 8040",
-        "MD32710 CEC_ENABLE = 0 while the file is loaded, then 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] = 1; "
-        "reference again",
+        "MD32710 CEC_ENABLE = 0 while the file is loaded, then 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] "
+        "= 1; reference again",
         "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points",
         "MD32720 CEC_MAX_SUM (mm) above the largest value of the list below, MD32730 CEC_MAX_VELO: the control limits "
         "the sum and its rate with an alarm, and goes on",
