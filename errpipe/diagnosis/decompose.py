@@ -119,7 +119,7 @@ class _Work:
 
     def _gains(self, chosen: list[int]) -> np.ndarray:
         everything = range(len(self.library.hypotheses))
-        scored = self._scene(chosen).score(self.library.slices, [self.library.freedom_of(k) for k in everything], ROWS)
+        scored = self._scene(chosen).score(self.library.places, [self.library.freedom_of(k) for k in everything], ROWS)
         return np.array([s.gain for s in scored]) + self.prior
 
     def _certainty(self, chosen: list[int]) -> list[float]:
