@@ -3,6 +3,7 @@
 Mesh      the bed's height in mm: Z + mesh(x, y), so the correction of Z (minus its deviation), with the plane's mean.
 Skew      tangents: x' = x - y*xy - z*(xz - xy*yz), y' = y - z*yz; a tangent is the deviation per length.
 Thermal   z' = z - temp_coeff * (T - T_ref): a coefficient is the deviation of Z per kelvin, at most 1 mm/K.
+          Homing Z sets T_ref anew; an adjustment waits until it is larger than a step of Z, and for a move in X or Y.
 Limits    no direction, no lag; mesh rows are Y ascending, columns X ascending.
 """
 
@@ -35,6 +36,8 @@ class KlipperSections(Target):
     source = "Klipper: docs/Config_Reference.md; klippy/extras bed_mesh, skew_correction, z_thermal_adjust"
     activation = (
         "[include errpipe.cfg]; BED_MESH_PROFILE LOAD=errpipe; SKEW_PROFILE LOAD=errpipe",
+        "[z_thermal_adjust] of printer.cfg names the sensor and its limits; SET_Z_THERMAL_ADJUST REF_TEMP=<the file's "
+        "reference>: homing Z sets it to the temperature of that moment",
         "G1 to three points and GET_POSITION: toolhead against commanded",
     )
 
@@ -115,6 +118,7 @@ def _thermal(table: CompensationTable) -> str:
     most = max(lines, key=lambda line: abs(line.level))
     expect(abs(most.level) <= 1.0, FILE, "more than 1 mm/K")
     return (
+        "# the sensor itself (sensor_type, sensor_pin, min_temp, max_temp) stands in the same section of printer.cfg\n"
         f"# sensor {most.sensor} reference {most.reference:.4f}\n"
         f"[z_thermal_adjust]\ntemp_coeff: {-most.level:.9f}\nmax_z_adjustment: 1.0\n\n"
     )

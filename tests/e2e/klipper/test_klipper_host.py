@@ -54,3 +54,27 @@ def test_toolhead_positions_equal_what_is_read_back(klippy, tmp_path, capsys):
     there = found[2]
     assert (there["Z"] - -1.0) * 1e3 == pytest.approx(-20.0, abs=0.05)
     assert (found[3]["X"] - 250.0) * 1e3 == pytest.approx(10.0, abs=0.05)
+
+
+def test_a_warm_day_moves_z_by_what_is_read_back(klippy, tmp_path, capsys):
+    """A Z that drifts 2 um/K: in batch mode the host's sensors read 0 degC, so the reference is moved instead."""
+    files = KlipperSections.write(machines.warm())
+    read = KlipperSections.read_back(files)
+    (line,) = read.lines
+    (tmp_path / FILE).write_text(files[FILE])
+    sensor = "[z_thermal_adjust]\nsensor_type: temperature_host\nmin_temp: -60\nmax_temp: 100\n"
+    found = {}
+    for rise in (-12.0, 10.0, 25.0):
+        gcode = f"SET_KINEMATIC_POSITION X=0 Y=0 Z=0\nSET_Z_THERMAL_ADJUST REF_TEMP={-rise}\n"
+        gcode += "G1 X50 Y50 Z-100 F6000\nM400\nGET_POSITION\n"
+        (place,) = host.positions(klippy, tmp_path, sensor + host.printer(machines.AXES, FILE), gcode)
+        found[rise] = 1e3 * (place["Z"] + 100.0)
+    with capsys.disabled():
+        print("\nKlipper host, Z per warmth: " + ", ".join(f"{k:+g} K {v:+.3f} um" for k, v in found.items()))
+    for rise, moved in found.items():
+        want = read.correction(
+            "Z", {"X": np.full(1, 50.0), "Y": np.full(1, 50.0), "Z": np.full(1, -100.0)}, np.ones(1),
+            {line.sensor: np.full(1, line.reference + rise)},
+        )  # fmt: skip
+        assert moved == pytest.approx(1e3 * want[0], abs=0.0011)
+    assert found[10.0] == pytest.approx(-20.0, abs=0.05)  # 20 um too high: told to go 20 um less high
