@@ -24,18 +24,29 @@ def predict(source: Path, recording: Path, out: Path) -> dict[str, Any]:
 
     found = _artefacts.model_or_table(source)
     read = _artefacts.recording_in(Path(recording))
-    if isinstance(found, ErrorModel):
-        frame = rows.predict(found, read)
-    else:
-        frame = rows.predict(_of_table(found, Path(source)), read)
+    source_of = rows.of_model(found) if isinstance(found, ErrorModel) else _of_table(found, Path(source))
+    frame = rows.predict(source_of, read)
     jsonfile.write_text(Path(out), frame.to_csv(index=False, lineterminator="\n"))
-    return {"written": str(out), "rows": len(frame), "columns": list(frame.columns)}
+    told = {"written": str(out), "rows": len(frame), "columns": list(frame.columns)}
+    without = [c for c in source_of.components if c not in source_of.half_width90]
+    return told | ({"intervals": _why_empty(found, without)} if without else {})
+
+
+def _why_empty(found: ErrorModel | CompensationTable, without: list[str]) -> str:
+    """Why the columns of the interval are empty, in words."""
+    names = ", ".join(without)
+    if not hasattr(found, "fingerprint"):
+        return f"empty for {names}: the model states no interval"
+    return (
+        f"empty for {names}: a table carries the deviation alone; its interval stands in the error model that it was "
+        f"compiled from, which `{_artefacts.MODEL}` beside it would be (none there has the table's fingerprint)"
+    )
 
 
 def _of_table(table: CompensationTable, path: Path):
     """The predictor of a table, with the intervals of the model that stands beside it where it is the same one."""
     from errpipe import jsonfile
-    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.error_model import ErrorModel, Validity
     from errpipe.validation.predict import Predictor, of_evaluator
 
     beside = path.parent / _artefacts.MODEL
@@ -44,7 +55,9 @@ def _of_table(table: CompensationTable, path: Path):
         if jsonfile.fingerprint(_artefacts.model_json(model)) == table.fingerprint:
             return of_evaluator(lambda recording: table_values(table, model, recording), model)
     bare = ErrorModel(components=())
-    return Predictor(lambda recording: table_values(table, bare, recording), tuple(o.name for o in table.outputs))
+    seen = Validity(ranges={i.name: i.valid for i in table.inputs if i.valid is not None})
+    names = tuple(o.name for o in table.outputs)
+    return Predictor(lambda recording: table_values(table, bare, recording), names, seen)
 
 
 def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:

@@ -168,7 +168,8 @@ def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
     if figures["verdict"] != "model":
         notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
     if component.half_width90 is not None:
-        notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}.")
+        more = "" if component.factor90 is None else " of a small prediction, in surroundings that were not seen"
+        notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}{more}.")
     return notes
 
 
@@ -245,7 +246,9 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
         "forward": "Trained on past months alone",
         "forward_daily": "Trained anew each day on the past alone",
     }
-    names = ("uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage")
+    names = (
+        "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage", "half_width",
+    )  # fmt: skip
     out = []
     for key, heading in headings.items():
         document = validation.get(key)
@@ -254,6 +257,9 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
         rows = [[g["left_out"], *(g[n] for n in names)] for g in document["groups"]]
         gap = document.get("optimism")
         caption = f"{document['component']} in {document['unit']}, rms unless said otherwise."
+        for month in document.get("months", ()):
+            told = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f}"
+            caption += f" {month['month']}, {month['days']} days: {told}."
         if gap:
             told = f"{gap['random_rows']:.2f}; whole groups left out keep {gap['groups_left_out']:.2f}"
             caption += f" Random rows would have promised {told}: the gap is optimism."

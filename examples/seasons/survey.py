@@ -1,7 +1,7 @@
 """Does a thermal model survive the season? Every figure of the seasonal question, on a recording of yours.
 
-    python examples/seasons/survey.py RECORDING_FOLDER --component E_D --out out/seasons [table forward champions
-        readings sensors hours failures]
+    python examples/seasons/survey.py RECORDING_FOLDER --component E_D --out out/seasons [table cycles
+        forward daily champions hotter readings sensors hours failures]
 
 Writes one JSON and one SVG per question into the output folder and prints the table. All of it takes minutes.
 """
@@ -66,6 +66,45 @@ def table(recording: Recording, component: str, scheme: str = SEASON, runs: bool
 def forward(recording: Recording, component: str) -> tuple[Any, str]:
     """Trained on the past only, month by month."""
     return table(recording, component, "forward:month", runs=False)
+
+
+def daily(recording: Recording, component: str) -> tuple[Any, str]:
+    """Trained anew every day on the past only, days pooled by months."""
+    told, _ = table(recording, component, "forward:day", runs=False)
+    months = told["months"]
+    series = {n: [m[k] for m in months] for n, k in (("uncompensated",) * 2, ("trained on the past", "out_of_season"))}
+    return told, bars([m["month"] for m in months], series, "rms in um", "Residual, trained anew every day")
+
+
+def cycles(recording: Recording, component: str) -> tuple[Any, str]:
+    """Each duty cycle left out whole."""
+    return table(recording, component, "leave-one-group-out:duty_cycle", runs=False)
+
+
+def hotter(recording: Recording, component: str) -> tuple[Any, str]:
+    """A summer that never was: every day again with all temperatures shifted, as if the deviation stayed the same."""
+    model = thermal_season.fit(recording, component)
+    y, run = champion.target(recording, component), recording.run_codes()
+    told = []
+    for shift in (-8.0, -4.0, 0.0, 2.0, 4.0, 6.0, 10.0, 15.0):
+        moved = {n: recording.array(n) + shift for n in recording.names("temperature")}
+        value = model.predict(Recording(recording.manifest, recording.frame.assign(**moved)))
+        left = y - value.predicted
+        worse = [champion.rms(left[run == c]) > champion.rms(y[run == c]) for c in np.unique(run)]
+        told.append(
+            {
+                "shift_K": shift, "rms": champion.rms(left), "uncompensated": champion.rms(y),
+                "runs_worse_than_nothing": int(sum(worse)), "largest": float(np.abs(value.predicted).max()),
+                "half_width": float(np.mean(value.upper - value.lower)) / 2,
+            }
+        )  # fmt: skip
+        print({k: round(v, 1) for k, v in told[-1].items()})
+    shifts = [e["shift_K"] for e in told]
+    series = {
+        word: (shifts, [e[key] for e in told])
+        for word, key in (("residual", "rms"), ("uncompensated", "uncompensated"), ("half width", "half_width"))
+    }
+    return told, lines(series, "all temperatures shifted by, K", "um", "The same days in another climate")
 
 
 def champions(recording: Recording, component: str) -> tuple[Any, str]:
@@ -142,7 +181,7 @@ def hours(recording: Recording, component: str) -> tuple[Any, str]:
         middle = [float(np.median([e["rms"] for e in mine if e["runs"] == s])) for s in sizes]
         spent = [float(np.median([e["hours"] for e in mine if e["runs"] == s])) for s in sizes]
         series[f"{group} left out (median of 5 orders)"] = (spent, middle)
-        print(group, [(round(h), round(r, 1)) for h, r in zip(spent, middle, strict=True)])
+        print(group, [(f"{n} runs", f"{h:.0f} h", round(r, 1)) for n, h, r in zip(sizes, spent, middle, strict=True)])
     return told, lines(series, "hours of measuring", "rms in um", "Residual against hours of characterisation")
 
 
@@ -222,7 +261,8 @@ def _recover(recording: Recording, name: str, relation) -> tuple[Recording, floa
     return mended, float(np.mean(waits)) if waits else None
 
 
-QUESTIONS = {f.__name__: f for f in (table, forward, champions, readings, sensors, hours, failures)}
+ASKED = (table, cycles, forward, daily, champions, hotter, readings, sensors, hours, failures)
+QUESTIONS = {f.__name__: f for f in ASKED}
 
 
 def main() -> None:

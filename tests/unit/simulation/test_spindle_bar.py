@@ -83,6 +83,8 @@ def test_linear_at_the_strategic_place_extrapolates_where_a_polynomial_elsewhere
     assert error(0.35, 1) < 0.05 and error(0.40, 1) < 0.02
     assert error(0.02, 1) > 0.15 and error(0.98, 1) > 0.25
     assert error(0.98, 2) > 1.5 and error(0.02, 2) > 0.4
+    assert error(0.35, 1) == pytest.approx(0.034, abs=0.01)  # 3.4 % of the range against 215 %
+    assert error(0.98, 2) == pytest.approx(2.15, abs=0.1)
 
 
 def test_column_leans_away_from_the_heat_and_a_pair_of_sensors_tells_how_far():
