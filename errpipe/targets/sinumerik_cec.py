@@ -88,7 +88,8 @@ class SinumerikCec(Target):
         if len(blocks) > TABLES:
             raise GateError(f"sinumerik_cec: {len(blocks)} tables are needed, {TABLES} fit")
         told = ""
-        for factors in _products(table)[: (TABLES - len(blocks)) // PER_PRODUCT]:
+        room = (TABLES - len(blocks)) // PER_PRODUCT
+        for factors in _products(table)[:room] if room else ():
             told += (
                 f"; tables {len(blocks)} to {len(blocks) + 3}: a product for AX{axes.index(factors.axis) + 1}, in two "
                 "pairs whose own values cancel: experimental, the manual\n"
