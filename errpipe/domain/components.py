@@ -1,7 +1,8 @@
 """Names of error components after ISO 230-1:2012: what each one is, its unit, and how many a machine has.
 
     EXX EYX EBX    error motions: E, direction of the deviation (X Y Z, A B C), axis that moves (clause 3.4)
-    C0Y X0C        axis location errors: direction, 0, axis (C0Y is the squareness of Y to X)
+    C0Y X0C C0C    axis location errors: direction, 0, axis (C0Y is the squareness of Y to X; C0C the zero of C)
+    X0X Y0X        drift of the origin of a linear axis' frame; X0S A0S: growth and tilt of the spindle
     E_X E_Y E_Z    deviation of the tool point along a direction; E_A E_B E_C its orientation
     E_R E_D        radial deviation in a circular test; deviation of a workpiece's diameter
     F_X            drive force of an axis
@@ -30,7 +31,8 @@ _FORCE = re.compile(rf"^F_([{_LINEAR_AXES}]\d?)$")
 
 Kind = Literal[
     "positioning", "straightness", "roll", "tilt", "radial", "axial", "angular positioning",
-    "squareness", "axis offset", "tool point", "tool orientation", "circular", "diameter", "force",
+    "squareness", "axis offset", "zero position", "drift", "tool point", "tool orientation", "circular", "diameter",
+    "force",
 ]  # fmt: skip
 
 
@@ -50,8 +52,10 @@ def parse(name: str) -> Component:
         return _motion(*found.groups())
     if found := _LOCATION.match(name):
         direction, axis = found.groups()
-        kind = "squareness" if direction in ABOUT else "axis offset"
-        return Component(name=f"{direction}0{axis}", kind=kind, direction=direction, axis=axis, unit=_unit(direction))
+        return Component(
+            name=f"{direction}0{axis}", kind=_location_kind(direction, axis), direction=direction, axis=axis,
+            unit=_unit(direction),
+        )  # fmt: skip
     if found := _TOOL_POINT.match(name):
         direction = found.group(1)
         kind = {"R": "circular", "D": "diameter"}.get(direction) or (
@@ -87,10 +91,19 @@ def describe(name: str) -> str:
             return f"{c.kind} error motion of {c.axis} in the {c.direction} direction"
         case "angular positioning":
             return f"angular positioning deviation of {c.axis}"
-        case "squareness":
+        case "squareness" if _is_linear(str(c.axis)):
             return f"squareness of {c.axis}: its direction, turned about {ABOUT[c.direction]}"
+        case "squareness":
+            return f"squareness of the axis line of {c.axis}: tilted about {ABOUT[c.direction]}"
         case "axis offset":
-            return f"offset of the axis {c.axis} in the {c.direction} direction"
+            return f"offset of the axis line of {c.axis} in the {c.direction} direction"
+        case "zero position":
+            return f"zero position of {c.axis}: turned about its own line where it reads 0"
+        case "drift" if c.axis == "S":
+            way = f"tilt of the spindle about {ABOUT[c.direction]}" if c.direction in ABOUT else None
+            return way or f"growth of the spindle in the {c.direction} direction"
+        case "drift":
+            return f"drift of the origin of {c.axis}'s frame in the {c.direction} direction"
         case "tool point":
             return f"deviation of the tool point in the {c.direction} direction"
         case "tool orientation":
@@ -108,29 +121,33 @@ def positioning(axis: str) -> str:
 
 
 def of_machine(linear: Sequence[str] = ("X", "Y", "Z"), rotary: Sequence[str] = ()) -> tuple[str, ...]:
-    """Names of all independent rigid-body components of a machine, error motions first.
+    """Names of all rigid-body components of a machine, error motions first: what `kinematics.chain` finds in a chain.
 
-    Six error motions an axis; one squareness for each pair of linear axes (the later one tilts); four
-    location errors for each rotary axis: two offsets and two tilts across its own line. 21 for three linear
-    axes, 41 for five axes. An offset along the axis itself and zero positions only shift the coordinates.
+    linear: in the order squareness refers to, the datum axis first. Six error motions an axis; one squareness for
+    each pair of linear axes (the later one tilts); five location errors for each rotary axis: two offsets and two
+    tilts across its own line, and its zero position. 21 for three linear axes, 43 for five axes. Along a rotary
+    axis' own line an offset does nothing; the zero of a linear axis is the workpiece's datum, and is not counted.
     """
     motions = [f"E{d}{axis}" for axis in (*linear, *rotary) for d in "XYZABC"]
     return (*motions, *map(_squareness, combinations(linear, 2)), *(e for axis in rotary for e in _location(axis)))
 
 
 def count(linear: int = 3, rotary: int = 0) -> int:
-    """Number of components of `of_machine`: 21 for three linear axes, 41 for five axes."""
-    return 6 * (linear + rotary) + linear * (linear - 1) // 2 + 4 * rotary
+    """Number of components of `of_machine`: 21 for three linear axes, 43 for five axes."""
+    return 6 * (linear + rotary) + linear * (linear - 1) // 2 + 5 * rotary
 
 
-def thermal_and_geometric(linear: Sequence[str] = ("X", "Y", "Z")) -> tuple[str, ...]:
-    """The 32 of a three-axis machine with a warm spindle (Ni 1997, after Yang 1996).
+def thermal_and_geometric(
+    linear: Sequence[str] = ("Z", "X", "Y"), drifting: Sequence[str] = ("X", "Y")
+) -> tuple[str, ...]:
+    """The 32 of a three-axis machine with a warm spindle (Ni 1997).
 
-    21 rigid-body components; spindle drift along three directions and tilt about two; drift of the origin
-    of each moving frame in the two directions across its axis.
+    21 rigid-body components; growth of the spindle along three directions and its tilt about two; drift of the
+    origins of two frames along three directions each: the paper's three of the x slide (Ozx) and three of the y
+    slide (Oxy). The third frame's drift would be the machine's own zero, so the paper has none.
     """
-    drifts = [f"drift of the origin of {a} along {d}" for a in linear for d in "XYZ" if d != a]
-    return (*of_machine(linear), "E_X", "E_Y", "E_Z", "E_A", "E_B", *drifts)
+    spindle = ("X0S", "Y0S", "Z0S", "A0S", "B0S")
+    return (*of_machine(linear), *(f"{d}0{axis}" for axis in drifting for d in "XYZ"), *spindle)
 
 
 def _unit(direction: str) -> Literal["um", "urad"]:
@@ -158,9 +175,25 @@ def _squareness(pair: tuple[str, str]) -> str:
 
 
 def _location(axis: str) -> list[str]:
-    own = _PARALLEL.get(axis[0], axis[0])
-    line = ABOUT.get(own, "Z")
-    return [f"{d}0{axis}" for d in "XYZABC" if d not in (line, own)]
+    line = ABOUT.get(_own(axis), "Z")
+    return [f"{d}0{axis}" for d in "XYZABC" if d != line]
+
+
+def _own(axis: str) -> str:
+    return _PARALLEL.get(axis[0], axis[0])
+
+
+def _is_linear(axis: str) -> bool:
+    return _own(axis) in "XYZ"
+
+
+def _location_kind(direction: str, axis: str) -> Kind:
+    """Of the spindle and of a linear frame's origin a drift, else where and how an axis' line lies."""
+    if axis == "S" or (_is_linear(axis) and direction not in ABOUT):
+        return "drift"
+    if not _is_linear(axis) and direction == _own(axis):
+        return "zero position"
+    return "squareness" if direction in ABOUT else "axis offset"
 
 
 _COMMON = (*of_machine(rotary=("A", "B", "C")), "E_X", "E_Y", "E_Z", "E_R", "E_D", "F_X", "F_Y", "F_Z")

@@ -150,7 +150,7 @@ def identify(
 def is_motion(component: str) -> bool:
     """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
     return parse(component).kind not in ("tool point", "tool orientation", "circular", "diameter", "force",
-                                         "squareness", "axis offset")  # fmt: skip
+                                         "squareness", "axis offset", "zero position", "drift")  # fmt: skip
 
 
 def axis_of(component: str) -> str:

@@ -20,6 +20,10 @@ from errpipe.domain import components
         ("C0Y", "squareness", "urad"),
         ("X0C", "axis offset", "um"),
         ("A0C", "squareness", "urad"),
+        ("C0C", "zero position", "urad"),
+        ("X0X", "drift", "um"),
+        ("X0S", "drift", "um"),
+        ("A0S", "drift", "urad"),
         ("E_Z", "tool point", "um"),
         ("E_A", "tool orientation", "urad"),
         ("E_R", "circular", "um"),
@@ -53,7 +57,7 @@ def test_a_wrong_name_gets_the_nearest_right_one():
 
 def test_how_many_a_machine_has():
     assert components.count(3) == 21
-    assert components.count(3, 2) == 41
+    assert components.count(3, 2) == 43
     for linear, rotary in [(("X", "Y", "Z"), ()), (("X", "Y", "Z"), ("A", "C")), (("X", "Z"), ()), (("X",), ("B",))]:
         names = components.of_machine(linear, rotary)
         assert len(set(names)) == len(names) == components.count(len(linear), len(rotary))
@@ -63,7 +67,24 @@ def test_how_many_a_machine_has():
 
 def test_squareness_turns_about_the_third_axis():
     assert components.of_machine()[-3:] == ("C0Y", "B0Z", "A0Z")
-    assert components.of_machine(("X",), ("C",))[-4:] == ("X0C", "Y0C", "A0C", "B0C")
+    assert components.of_machine(("X",), ("C",))[-5:] == ("X0C", "Y0C", "A0C", "B0C", "C0C")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("C0Y", "squareness of Y: its direction, turned about Z"),
+        ("A0C", "squareness of the axis line of C: tilted about X"),
+        ("C0C", "zero position of C: turned about its own line where it reads 0"),
+        ("X0C", "offset of the axis line of C in the X direction"),
+        ("X0X", "drift of the origin of X's frame in the X direction"),
+        ("Y0X", "drift of the origin of X's frame in the Y direction"),
+        ("Z0S", "growth of the spindle in the Z direction"),
+        ("A0S", "tilt of the spindle about X"),
+    ],
+)
+def test_location_errors_are_said_as_what_they_are(name, told):
+    assert components.describe(name) == told
 
 
 def test_positioning_of_an_axis():

@@ -54,6 +54,22 @@ def test_the_paper_counts_thirty_two():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("name", RIGID)
+def test_the_names_are_those_of_the_machine_s_axes(name):
+    """Chain and naming agree, machine by machine, component by component."""
+    chain = ready(name)
+    machine, counts = chain.machine, chain.counts()
+    rigid = components.of_machine(machine.linear_axes(), machine.rotary_axes())
+    drifts = [n for n in chain.components if components.parse(n).kind == "drift"]
+    assert set(chain.components) - set(drifts) == set(rigid)
+    assert len(rigid) == components.count(len(machine.linear_axes()), len(machine.rotary_axes())) == RIGID[name]
+    assert len(drifts) == counts["drift"] + counts["spindle"]
+
+
+def test_the_thirty_two_of_the_paper_are_named_alike():
+    assert set(components.thermal_and_geometric()) == set(ready("horizontal-centre-ni-1997").components)
+
+
 @pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
 def test_every_component_has_a_name_of_iso_230_1(path):
     for name in ready(path.stem).components:
