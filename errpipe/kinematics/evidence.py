@@ -7,7 +7,7 @@ priors of their own (log-normal about typical values), so that a family the read
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
@@ -31,6 +31,10 @@ class Spreads:
         """Spread of each parameter."""
         sizes, power = hyper[:-2], hyper[-2]
         return np.where(self.family < 0, self.fixed, sizes[np.maximum(self.family, 0)] * self.rough**-power)
+
+    def take(self, columns: np.ndarray) -> Spreads:
+        """Of some of the parameters."""
+        return replace(self, **{n: getattr(self, n)[columns] for n in ("family", "rough", "fixed")})
 
 
 @dataclass(frozen=True)

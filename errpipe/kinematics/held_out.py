@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,24 +38,29 @@ def judge(
     without = tuple(c for c in chain.components if c[0] != "E" or c[2:] not in axes)
     model = identify.Parametrisation.of(chain, modes, without)
     own = {n: s for n, s in lasers.items() if direct.axis_of(n) in axes}
-    fitted = records.observations(chain, {"": recording}, lasers=own, take=_of(recording, train, axes))
+    taken = _of(recording, train | test, axes)
+    every = records.observations(chain, {"": recording}, lasers=own, take=taken)
+    parts = records.read(chain, {"": recording}, lasers=own, take=taken)
+    sits_out = test[np.concatenate([r.rows for r in parts])]
+    # one design for both sides: a run that goes one way has no reversal of its own, but obeys the one found
+    alone = records.observations(chain, {"": recording}, lasers=own, take=_of(recording, train, axes))
+    fitted = replace(every.take(np.flatnonzero(~sits_out)), noise=alone.noise)
     found = identify.identify(model, fitted)
-    wanted = _of(recording, test, axes)
-    asked = records.observations(chain, {"": recording}, lasers=own, take=wanted)
-    whole = model.design(asked)
-    setup = np.array([found.setup.get(n, (0.0, 0.0))[0] for n in asked.nuisance_names])
-    turning = np.array([": reversal" in n for n in asked.nuisance_names], dtype=bool)
+    whole = model.design(every)
+    setup = np.array([found.setup[n][0] for n in every.nuisance_names])
+    turning = np.array([": reversal" in n for n in every.nuisance_names], dtype=bool)
     out, start = [], 0
-    for record in records.read(chain, {"": recording}, lasers=own, take=wanted):
-        rows = slice(start, start + len(record.rows))
-        start = rows.stop
+    for record in parts:
+        rows = np.arange(start, start + len(record.rows))
+        start += len(rows)
+        rows, at = rows[sits_out[rows]], record.rows[sits_out[rows]]
         if record.component not in judged:
             continue
         mine = model.prior.component == chain.index(record.component)
-        beside = whole[rows][:, ~mine] @ found.mean[~mine] + asked.nuisance[rows][:, ~turning] @ setup[~turning]
-        before = asked.value[rows] - beside
-        after = before - whole[rows][:, mine] @ found.mean[mine] - asked.nuisance[rows][:, turning] @ setup[turning]
-        out.append(Left(record.component, record.rows, before, after))
+        beside = whole[rows][:, ~mine] @ found.mean[~mine] + every.nuisance[rows][:, ~turning] @ setup[~turning]
+        before = every.value[rows] - beside
+        after = before - whole[rows][:, mine] @ found.mean[mine] - every.nuisance[rows][:, turning] @ setup[turning]
+        out.append(Left(record.component, at, before, after))
     return out
 
 

@@ -142,8 +142,10 @@ class Identified:
         position = np.zeros(1) if chain.drives[c] < 0 else np.atleast_1d(np.asarray(position, dtype=float))
         q = np.zeros((len(position), len(chain.axes)))
         q[:, max(chain.drives[c], 0)] = position
-        rows = self.model.functions(q) * (self.model.prior.component == c)
-        return rows @ self.mean, np.sqrt(np.einsum("np,pq,nq->n", rows, self.covariance, rows))
+        mine = np.flatnonzero(self.model.prior.component == c)
+        rows = self.model.functions(q)[:, mine]
+        own = self.covariance[np.ix_(mine, mine)]
+        return rows @ self.mean[mine], np.sqrt(np.sum((rows @ own) * rows, axis=1))
 
     def interval(self, name: str, position: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """95 % interval of a component."""
@@ -207,11 +209,13 @@ def identify(
     plain = np.hstack([model.design(obs), obs.nuisance])
     design = plain / obs.noise[:, None]
     spreads = model.prior.spreads(obs.nuisance_spread)
+    told = np.flatnonzero(design.any(axis=0))  # what no reading knows of keeps its prior: it needs no solving
     offset, hyper = np.zeros(len(obs)), None
     for _ in range(max(1, iterations)):
-        moments = evidence.Moments.of(design, (obs.value - offset) / obs.noise)
-        hyper = evidence.learn(spreads, moments, _known(sizes, power, noise), hyper)
-        mean, cov = evidence.solve(spreads, moments, hyper)
+        moments = evidence.Moments.of(design[:, told], (obs.value - offset) / obs.noise)
+        hyper = evidence.learn(spreads.take(told), moments, _known(sizes, power, noise), hyper)
+        mean, cov = np.zeros(design.shape[1]), np.diag(spreads.of(hyper) ** 2)
+        mean[told], cov[np.ix_(told, told)] = evidence.solve(spreads.take(told), moments, hyper)
         bent = _bending_of_lengths(chain, model, obs, plain, mean)
         if np.abs(bent - offset).max() < 1e-3 * hyper[-1]:
             break

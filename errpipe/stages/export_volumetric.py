@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
 
 STATES = 500
+BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
 
 
 class ExportVolumetric(Stage):
@@ -99,7 +100,7 @@ def _inputs(chain: Any) -> list[TableInput]:
 
     places = [
         TableInput(
-            name=axis, kind="position", axis=axis, unit=unit(axis), low=low - 1, high=high + 1,
+            name=axis, kind="position", axis=axis, unit=unit(axis), low=low - BEYOND, high=high + BEYOND,
             default=min(max(0.0, low), high),
         )
         for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True)
@@ -128,7 +129,10 @@ def largest_difference(
         values[:, c] += 0.5 * (value + slope * (q[:, chain.drives[c]] - middle) * 1e-3)
     want = synthesis.first_order(chain, q, values, tip)[:, :3]
     axes = {a: np.asarray(chain.machine.direction(a)) for a in chain.axes if chain.machine.axes[a].kind == "linear"}
-    found = batch.position(table, q, tuple(chain.axes), {"tool_length": 100.0})
+    known = {i.name for i in table.inputs}  # an axis or a tool that nothing depends on is no input
+    moving = [n for n, a in enumerate(chain.axes) if a in known]
+    readings = {"tool_length": 100.0} if "tool_length" in known else {}
+    found = batch.position(table, np.ascontiguousarray(q[:, moving]), tuple(chain.axes[n] for n in moving), readings)
     worst = 0.0
     for n, output in enumerate(table.outputs):
         if output.axis in axes:
