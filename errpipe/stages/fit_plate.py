@@ -26,7 +26,11 @@ class FitPlate(Stage):
         "last", description="Plate that speaks for the machine: the last one, all of them, or the label of a run."
     )
     every: int = Field(10, ge=2, description="Every so many holes sit out when a single plate is validated.")
+    measured_twice: tuple[str, str] | None = Field(
+        None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
+    )
     reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest")}
+    code_version: ClassVar[int] = 2
 
     def outputs(self) -> tuple[str, ...]:
         return (_artefacts.MODEL, "fit.json", "plate.json")
@@ -36,6 +40,7 @@ class FitPlate(Stage):
 
         recording = _artefacts.recording_in(context.needed("recording"))
         context.progress(0.1, "fitting")
+        twice = planar.repeated(recording, *self.measured_twice) if self.measured_twice else None
         recording = plates(recording, self.plate)
         found = planar.fit_plate(recording, modes=self.modes)
         model = error_model(found, recording).model_copy(
@@ -48,6 +53,8 @@ class FitPlate(Stage):
         context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
         context.write_json("fit.json", {"fit": 1, "family": "plate", "modes": self.modes, "every": self.every})
         document = {"plate": 1, "figures": figures, "noise_um": found.noise, "setup": found.setup}
+        if twice is not None:
+            document["measured_twice"] = {"runs": list(self.measured_twice or ()), **twice}
         context.write_json("plate.json", document)
         return {name: f"{f['value']:.3g} {f['unit']}" for name, f in figures.items()}
 

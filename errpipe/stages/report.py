@@ -57,7 +57,7 @@ class Report(Stage):
             iso230=_iso230(validation),
             tables=[
                 *_causes(context.needed("fit") / "season.json"),
-                *_plate(context.needed("fit") / "plate.json"),
+                *_plate(context.needed("fit") / "plate.json", validation),
                 *_seasons(validation),
             ],
             notes=_left_out(context.maybe("export")),
@@ -224,17 +224,42 @@ def _causes(path: Path) -> list[Any]:
     return [Table("Causes", ["cause", "gain"], rows, caption)]
 
 
-def _plate(path: Path) -> list[Any]:
-    """Scale and squareness of a planar map, each with its interval."""
+def _plate(path: Path, validation: Mapping[str, Any]) -> list[Any]:
+    """Scale and squareness of a planar map with intervals; its residual beside what measuring a plate twice leaves."""
     from errpipe import jsonfile
     from errpipe.reporting.run_report import Table
 
     if not path.is_file():
         return []
-    figures = jsonfile.read(path)["figures"].items()
-    rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in figures]
+    document = jsonfile.read(path)
+    rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in document["figures"].items()]
     caption = "The straight line through the whole map; intervals are 95 %."
-    return [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
+    tables = [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
+    twice = document.get("measured_twice")
+    return [*tables, _floor(twice, validation)] if twice else tables
+
+
+def _floor(twice: Mapping[str, Any], validation: Mapping[str, Any]) -> Any:
+    """The metrology floor of a plate measured twice, beside what the map leaves on holes that had no say."""
+    from errpipe.reporting.run_report import Table
+
+    def rms(key: str) -> float:
+        values = [c[key] for c in validation["components"]]
+        return float((sum(v * v for v in values) / len(values)) ** 0.5)
+
+    first, second = twice["runs"]
+    rows = [
+        ["shift and rotation alone, held-out holes", rms("rms_before")],
+        ["the map, held-out holes", rms("rms_after")],
+        [f"{second} less {first}, hole by hole", twice["difference"]],
+        ["one measurement's share of that", twice["floor"]],
+        ["the same, a smooth drift between the two taken out", twice["smooth"]],
+    ]
+    caption = (
+        f"um rms of one coordinate. One plate, measured as {first} and as {second}: {twice['holes']} holes in common, "
+        "each less its own shift and rotation. No map of that plate can be judged finer than one measurement's share."
+    )
+    return Table("Residual and metrology floor", ["", "um rms"], rows, caption)
 
 
 def _seasons(validation: Mapping[str, Any]) -> list[Any]:

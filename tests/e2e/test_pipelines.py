@@ -227,6 +227,10 @@ class TestReal:
         assert np.sqrt(np.mean([c["rms_before"] ** 2 for c in both])) > 6.0
         plate = json.loads((tmp_path / "out" / "fit_plate" / "plate.json").read_text())
         assert {"C0Y", "scale_difference"} <= set(plate["figures"])
+        floor = plate["measured_twice"]
+        assert floor["holes"] > 600 and 1.0 < floor["smooth"] < floor["floor"] < 3.0
+        page = (tmp_path / "out" / "report" / "report.html").read_text()
+        assert "Residual and metrology floor" in page and "scale_difference" in page
 
     def test_gantry_with_two_sources(self, tmp_path, at_root):
         """Frame and bed, held out by blocks of time: about 5 um where the frame alone leaves about 37."""
