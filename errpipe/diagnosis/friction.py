@@ -63,6 +63,14 @@ class ByDirection:
         """What does not, each way."""
         return tuple(self.law.parameter(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
 
+    def briefly(self) -> str:
+        """The headline."""
+        (ahead, back), (dry, other) = self.damping(), self.force()
+        return (
+            f"Friction differs by direction: {ahead.value:.3g} N s/m and {dry.value:.3g} N forwards, "
+            f"{back.value:.3g} N s/m and {other.value:.3g} N backwards."
+        )
+
     def says(self) -> str:
         """One sentence."""
         told = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g})" for p in (*self.damping(), *self.force())]

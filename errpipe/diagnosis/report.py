@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.diagnosis import confidence, friction, holdout, locate, model, separate, significance, whiteness
+from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.judge import Case, needs_recalibration, residual
 from errpipe.domain.diagnosis import (
     Finding,
@@ -26,8 +27,8 @@ UNPROVED = 0.5  # confidence of a name, at most, where rows that sat out are no 
 FRICTION = {"coulomb_friction", "viscous_friction"}
 
 
-def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
-    """One response of diagnosis.json, and what each finding carries on the judged rows."""
+def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
+    """One response of diagnosis.json, what each finding carries on the judged rows, and what all of it leaves."""
     before, after = case.y, residual(case)
     held = holdout.held_out(case)
     signs = [signs_of(case, k, held) for k in range(len(case.explanation.found))]
@@ -36,7 +37,9 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
     carried = {m.hypothesis.effect: m.contribution for m in made}
     strange = confidence.unknown(signs[0]) if signs else _strange_alone(case, held)
     findings, verdict = _verdict(case, findings, strange)
-    floor = float(min(case.sigma, case.rough) if signs else case.sigma)
+    if findings and findings[0].effect == "unknown" and case.remainder.taken:
+        carried["unknown"], after = _with_shape(case)
+    floor = float(min(case.sigma, case.rough) if signs or strange > 0.5 else case.sigma)
     recalibrated = residual(case, [])
     found = significance.chance(case)
     findings = [f.model_copy(update=_beyond_chance(case, f)) for f in findings]
@@ -44,6 +47,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
         findings = [f.model_copy(update=_no_surer(f, UNPROVED)) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if {f.effect for f in findings} & FRICTION else None
     findings = friction.told_by_direction(findings, law) if law else findings
+    carried = {name: values for name, values in carried.items() if name in {f.effect for f in findings}}
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component, unit=case.pair.unit, verdict=verdict, rms_before_um=_rms(before),
@@ -56,7 +60,26 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray]]:
             rows=int(case.run.size),
         ),
     )  # fmt: skip
-    return out.model_copy(update={"says": in_words(out)}), carried
+    says = in_words(out) + (f" {law.briefly()}" if law else "")
+    return out.model_copy(update={"says": says}), carried, after
+
+
+def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """What the shapes without a name carry on the judged rows, and what names and shapes leave together."""
+    shapes = np.column_stack([case.loose[k].columns for k in case.remainder.taken])
+    named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    b = Scene(case.search.data, case.remainder.active, case.search.sigma).coefficients()
+    carried = shapes @ b[-shapes.shape[1] :]
+    return carried, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - carried
+
+
+def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
+    """Values, on the judged rows, of what drives the findings, of the axis positions and of time."""
+    wanted = [n for f in r.findings for n in f.drivers]
+    wanted += [n for n in (case.recording.name("time"), *case.recording.names("position")) if n is not None]
+    held = [n for n in dict.fromkeys(wanted) if n in case.recording.frame.columns]
+    labels = case.recording.names("run") + case.recording.names("group")
+    return {n: case.recording.array(n)[case.pair.rows] for n in held if n not in labels}
 
 
 def _beyond_chance(case: Case, f: Finding) -> dict[str, object]:
@@ -236,11 +259,10 @@ def _unknown(case: Case, chance: float) -> Finding:
     drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
         case.recording.name("time") or "row",
     )
-    kinds = " and ".join(dict.fromkeys(s.kind for s, _ in shapes[:2])) or "no single input"
     return Finding(
         effect="unknown", confidence=round(chance, 3), drivers=drivers, where=Where(),
-        says=f"Structure remains that no effect of the vocabulary carries; it goes with {kinds} "
-        f"({', '.join(drivers)}). A data-driven shape brings it from {case.sigma:.3g} to "
+        says=f"Structure remains that no effect of the vocabulary carries; it goes with "
+        f"{' and '.join(drivers)}. A data-driven shape brings it from {case.sigma:.3g} to "
         f"{case.remainder.rms:.3g} {case.pair.unit} rms.",
         rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))), compensable=False,
     )  # fmt: skip

@@ -9,7 +9,9 @@ from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.recording import Recording
 
 STEPS = 240
-REVERSALS = (0.01, 0.03, 0.1, 0.3, 1.0)  # mm
+REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm
+SURE = 3.0  # standard errors by which two rivals must come apart
+MOST_READINGS = 20000  # nobody takes more
 
 
 def would_separate(
@@ -33,8 +35,11 @@ def would_separate(
             best = (size, what)
     if not best[1]:
         return ""
-    word = "differ" if best[0] > noise else "still differ only"
-    return f"{best[1]}; the two then {word} by {2 * best[0]:.2g} {unit} (noise {noise:.2g} {unit})"
+    readings = int(np.ceil((SURE * noise / best[0]) ** 2))
+    if readings > MOST_READINGS:
+        return f"{best[1]}; though on this machine even then the two predict the same within the noise"
+    enough = "a few readings" if readings < 10 else f"about {float(f'{readings:.1g}'):.0f} readings"
+    return f"{best[1]}; the two then differ by {2 * best[0]:.2g} {unit} ({enough} at a noise of {noise:.2g} {unit})"
 
 
 def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndarray:
@@ -71,7 +76,7 @@ def _trials(recording: Recording, drivers: tuple[str, ...]):
     for axis in {columns[n].axis for n in wanted if n in columns and columns[n].role in ("direction", "position")}:
         made = _short_reversals(recording, rest, axis)
         if made is not None:
-            yield "approach the same target after reversals of 0.01, 0.1 and 1 mm", made
+            yield "approach the same target after reversals of 0.002, 0.01, 0.1 and 1 mm", made
 
 
 def _rest(recording: Recording) -> pd.DataFrame:

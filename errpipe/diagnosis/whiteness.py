@@ -165,6 +165,10 @@ def structured(found: Whiteness) -> list[WhitenessTest]:
     return sorted(alarming, key=lambda t: (t.against == ORDER, t.p))
 
 
+def _small(p: float) -> str:
+    return f"= {p:.1g}" if p > 1e-16 else "< 1e-16"
+
+
 def _says(tests: list[WhitenessTest], p: float) -> str:
     found = Whiteness(p=p, slow_share=0.0, tests=tuple(tests), says="")
     alarming = structured(found)
@@ -173,4 +177,4 @@ def _says(tests: list[WhitenessTest], p: float) -> str:
         worst = told(min(tests, key=lambda t: t.p))
         return f"What is left is noise: of {len(tests)} tests the strongest ({worst}) has p = {p:.2g} for all together."
     where = told(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
-    return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p = {p:.1g}."
+    return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p {_small(p)}."

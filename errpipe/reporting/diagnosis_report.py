@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
+from errpipe.domain.diagnosis import ChangePoint, Diagnosis, Finding, ResponseDiagnosis
 from errpipe.reporting import page, svg
 
 VERDICTS = {
@@ -18,19 +19,22 @@ VERDICTS = {
     "unexplained": "something is there that has no name here",
 }
 LAGS = 40
+SHAPE = "a shape without a name"
+HOW = ("level", "by run", "by direction", "Ljung-Box")
 
 
 @dataclass(frozen=True)
 class Trace:
     """A response's rows for the figures, all of shape (rows,): mismatch before and after, in time order.
 
-    carried: name of a finding -> its contribution on each row.
+    carried: name of a finding -> its contribution on each row; inputs: column -> its value on each row.
     """
 
     before: np.ndarray
     after: np.ndarray
     run: np.ndarray
     carried: Mapping[str, np.ndarray] = field(default_factory=dict)
+    inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def render(diagnosis: Diagnosis, traces: Sequence[Trace], *, machine: str = "", version: str = "") -> str:
@@ -65,8 +69,12 @@ def _block(r: ResponseDiagnosis, trace: Trace) -> dict[str, Any]:
         "verdict": VERDICTS[r.verdict],
         "findings": [_finding(f) for f in r.findings],
         "overview": _overview(r, trace),
+        "shape": _shape(r, trace),
         "rivals": _rivals(r),
         "located": _located(r),
+        "most": _most(r),
+        "changes": [_change(c, r.unit) for c in r.changes],
+        "tests": _tests(r),
         "left": _left(r, trace),
     }
 
@@ -75,15 +83,58 @@ def _finding(f: Finding) -> dict[str, Any]:
     where = [f"runs {', '.join(f.where.runs)}"] if f.where.runs else []
     where += [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in f.where.ranges.items()]
     others = " or ".join(e.replace("_", " ") for e in f.indistinguishable_from)
-    return {"d": f, "name": f.effect.replace("_", " "), "where": "; ".join(where) or "everywhere", "others": others}
+    shown = f.parameters
+    if f.effect == "recalibration":  # a simulation has many gains: those that are off
+        shown = tuple(p for p in f.parameters if not p.ci95[0] <= 0 <= p.ci95[1])
+    return {
+        "d": f, "name": f.effect.replace("_", " "), "where": "; ".join(where) or "everywhere", "others": others,
+        "parameters": shown, "hidden": len(f.parameters) - len(shown),
+    }  # fmt: skip
+
+
+def _change(c: ChangePoint, unit: str) -> str:
+    what = "mean" if c.what == "level" else "spread"
+    return f"at {c.column} = {c.at:.5g} its {what} changes from {c.before_um:.3g} to {c.after_um:.3g} {unit}"
+
+
+def _most(r: ResponseDiagnosis) -> str:
+    """The part of the recording that carries most of the mismatch for its size."""
+    rows = max((p.rows for p in r.regimes), default=0)
+    shared = [p for p in r.regimes if p.share is not None]
+    if not shared:
+        return "Nothing stands out of the noise that could be located."
+    total = max(r.significance.rows if r.significance else rows, 1)
+    top = max(shared, key=lambda p: (p.share or 0.0) - p.rows / total)
+    if (top.share or 0.0) < 1.25 * top.rows / total:
+        return "It is spread evenly over the recording: no part carries much more than its rows."
+    share, part = f"{top.share:.0%}", f"{top.rows / total:.0%}"
+    return f"Most for its size: {top.what}, with {share} of the energy beyond the noise in {part} of the rows."
+
+
+def _tests(r: ResponseDiagnosis) -> list[dict[str, Any]]:
+    """One line per input: level, by run, by direction; the strongest first."""
+    if r.whiteness is None:
+        return []
+    lines: dict[str, dict[str, Any]] = {}
+    for t in r.whiteness.tests:
+        how = "by direction" if t.how.startswith("by direction") else t.how
+        line = lines.setdefault(t.against, {"against": t.against, "cells": dict.fromkeys(HOW)})
+        known = line["cells"][how]
+        if known is None or t.p < known.p:
+            line["cells"][how] = t
+    for line in lines.values():
+        line["p"] = min(t.p for t in line["cells"].values() if t is not None)
+        line["alarm"] = line["p"] * len(r.whiteness.tests) < 0.01
+    return sorted(lines.values(), key=lambda line: line["p"])
 
 
 def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
     rows = svg.thin(trace.before.size)
     with svg.figure(7.2, 4.2, rows=2) as (canvas, axes):
         axes[0].plot(rows, trace.before[rows], ".", ms=2.5, color=svg.BEFORE, label="before")
-        for name, values in trace.carried.items():
-            axes[0].plot(rows, values[rows], "-", lw=1.0, color=svg.INK, label=name.replace("_", " "))
+        for style, (name, values) in zip(itertools.cycle(("-", (0, (3, 1)))), trace.carried.items(), strict=False):
+            label = SHAPE if name == "unknown" else name.replace("_", " ")
+            axes[0].plot(rows, values[rows], ls=style, lw=1.0, color=svg.INK, label=label)
         axes[0].legend(loc="upper right", fontsize=8)
         axes[1].plot(rows, trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
         axes[1].sharey(axes[0])
@@ -92,37 +143,80 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
             a.set_ylabel(f"{r.component} ({r.unit})")
             for edge in np.flatnonzero(np.diff(trace.run)) + 1 if np.unique(trace.run).size <= 12 else ():
                 a.axvline(edge, color=svg.FLOOR, lw=0.4)
+            for c in r.changes if a is axes[0] else ():
+                if c.column in trace.inputs:
+                    place = int(np.argmax(trace.inputs[c.column] >= c.at))
+                    a.axvline(place, color=svg.ALARM, lw=1.2, ls="--")
         axes[1].set_xlabel("row")
         return svg.to_svg(canvas, f"Mismatch of {r.component} before and after")
 
 
-def _rivals(r: ResponseDiagnosis) -> str:
-    named = [f for f in r.findings if f.rivals]
-    if not named:
+def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
+    """Each named finding beside what only it explains, against what drives it."""
+    named = [f for f in r.findings if f.effect in trace.carried and f.effect != "unknown"]
+    drawn = [(f, x) for f in named for x in [_against(f, trace)] if x][:2]
+    if not drawn:
         return ""
-    rivals = named[0].rivals
-    with svg.figure(7.2, 0.6 + 0.28 * len(rivals)) as (canvas, axes):
-        place = np.arange(len(rivals))[::-1]
-        axes.barh(place, [max(v.lost_by, 0.0) + 0.5 for v in rivals], color=svg.FLOOR, height=0.6)
-        axes.set_yticks(place, [v.effect.replace("_", " ") for v in rivals])
+    rows = svg.thin(trace.before.size)
+    with svg.figure(7.2, 2.8, columns=len(drawn)) as (canvas, axes):
+        for a, (f, name) in zip(np.atleast_1d(axes), drawn, strict=True):
+            x, fitted = trace.inputs[name][rows], trace.carried[f.effect][rows]
+            a.plot(x, trace.after[rows] + fitted, ".", ms=2.5, color=svg.BEFORE, label="recorded, rest taken away")
+            a.plot(x, fitted, ".", ms=2.0, color=svg.AFTER, label=f.effect.replace("_", " "))
+            a.set_xlabel(name)
+            a.set_ylabel(f"{r.component} ({r.unit})")
+            a.legend(fontsize=8)
+        return svg.to_svg(canvas, f"What the findings carry of {r.component}")
+
+
+def _against(f: Finding, trace: Trace) -> str:
+    """The driver with most different values; a direction is shown along the axis, a lag along time."""
+    own = [n for n in f.drivers if n in trace.inputs]
+    many = [n for n in own if np.unique(trace.inputs[n]).size > 2]
+    if not many:
+        return next((n for n in trace.inputs if np.unique(trace.inputs[n]).size > 2), "")
+    return max(many, key=lambda n: np.unique(trace.inputs[n]).size)
+
+
+def _rivals(r: ResponseDiagnosis) -> list[str]:
+    return [_rivals_of(f) for f in [f for f in r.findings if f.rivals][:2]]
+
+
+def _rivals_of(f: Finding) -> str:
+    with svg.figure(7.2, 0.7 + 0.24 * len(f.rivals)) as (canvas, axes):
+        place = np.arange(len(f.rivals))[::-1]
+        lost = [max(v.lost_by, 0.0) + 0.5 for v in f.rivals]
+        axes.barh(place, lost, color=svg.FLOOR, height=0.6)
+        axes.set_yticks(place, [v.effect.replace("_", " ") for v in f.rivals], fontsize=8)
         axes.set_xscale("log")
-        axes.axvline(4.0, color=svg.ALARM, lw=1.0)
-        axes.set_xlabel(f"explains less than {named[0].effect.replace('_', ' ')} by (log Bayes factor)")
-        return svg.to_svg(canvas, "Rivals of the first finding")
+        axes.set_xlim(0.3, 3 * max(*lost, 20.0))
+        for y, v, end in zip(place, f.rivals, lost, strict=True):
+            axes.text(1.1 * end, y, f"{v.lost_by:.3g}", va="center", fontsize=8)
+        axes.axvline(4.5, color=svg.ALARM, lw=1.0)
+        axes.set_xlabel(f"explains less than {f.effect.replace('_', ' ')} by (log Bayes factor)")
+        return svg.to_svg(canvas, f"Rivals of {f.effect.replace('_', ' ')}")
 
 
 def _located(r: ResponseDiagnosis) -> str:
     parts = r.regimes[:24]
     if not parts:
         return ""
-    with svg.figure(7.2, 0.8 + 0.24 * len(parts)) as (canvas, axes):
+    with svg.figure(7.2, 0.9 + 0.19 * len(parts)) as (canvas, axes):
         place = np.arange(len(parts))[::-1]
-        axes.barh(place + 0.2, [p.rms_before_um for p in parts], height=0.36, color=svg.BEFORE, label="before")
-        axes.barh(place - 0.2, [p.rms_after_um for p in parts], height=0.36, color=svg.AFTER, label="after")
-        axes.axvline(r.noise_floor_um, color=svg.FLOOR, lw=1.0, label="noise floor")
+        before, after = [p.rms_before_um for p in parts], [p.rms_after_um for p in parts]
+        axes.hlines(place, after, before, color=svg.FLOOR, lw=0.8)
+        axes.plot(before, place, "o", ms=4, color=svg.BEFORE, label="before")
+        axes.plot(after, place, "o", ms=4, color=svg.AFTER, label="after")
+        axes.axvline(r.noise_floor_um, color=svg.FLOOR, lw=1.0, ls=":", label="noise floor")
         axes.set_yticks(place, [p.what for p in parts], fontsize=8)
-        axes.set_xlabel(f"rms ({r.unit})")
-        axes.legend(fontsize=8)
+        axes.set_ylim(-0.7, len(parts) - 0.3)
+        most = max(*before, *after, r.noise_floor_um)
+        axes.set_xlim(0, 1.18 * most)
+        for y, p in zip(place, parts, strict=True):
+            if p.share is not None:
+                axes.text(1.17 * most, y, f"{p.share:.0%}", va="center", ha="right", fontsize=8)
+        axes.set_xlabel(f"rms ({r.unit}); right: share of the mismatch's energy beyond the noise")
+        canvas.legend(loc="outside upper right", ncols=3, fontsize=8)
         return svg.to_svg(canvas, f"Where the mismatch of {r.component} sits")
 
 

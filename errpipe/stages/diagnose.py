@@ -41,7 +41,7 @@ def judged(recording: Recording, progress: Callable[[float, str], None]) -> tupl
     from errpipe.reporting.diagnosis_report import Trace, render
 
     found, rows = judge(recording, progress)
-    traces = [Trace(before=r.before, after=r.after, run=r.run, carried=r.carried) for r in rows]
+    traces = [Trace(before=r.before, after=r.after, run=r.run, carried=r.carried, inputs=r.inputs) for r in rows]
     page = render(found, traces, machine=recording.manifest.machine, version=__version__)
     return found.document(), page, found
 
