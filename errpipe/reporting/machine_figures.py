@@ -350,8 +350,9 @@ def ballbar(
         axes.legend(fontsize=7, loc="center", ncols=1)
         axes.set_title(title or f"circle of {radius:g} mm", fontsize=9)
         told = [f"{division:g} um per division", *lines]
+        step = min(0.085, 0.97 / len(told))
         for i, line in enumerate(told):
-            text.text(0.0, 0.95 - 0.085 * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
+            text.text(0.0, 0.95 - step * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
         return svg.to_svg(canvas, f"Ball-bar plot {title}; largest deviation {top:.1f} um")
 
 

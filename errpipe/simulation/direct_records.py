@@ -78,7 +78,8 @@ def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, sta
     p = np.tile(np.r_[up, up[::-1]], setup.cycles)
     side = np.tile(np.repeat([1.0, -1.0], setup.targets), setup.cycles)
     t = STEP * np.arange(len(p))
-    warm, pressure = 20.0 + setup.warming * (1 - np.exp(-t / 2400.0)) + 0.4 * start, 1013.0 + 3.0 * np.sin(t / 4000.0 + start)
+    warm = 20.0 + setup.warming * (1 - np.exp(-t / 2400.0)) + 0.4 * start
+    pressure = 1013.0 + 3.0 * np.sin(t / 4000.0 + start)
     found = {
         "run": np.repeat([f"{axis} {n + 1}" for n in range(setup.cycles)], 2 * setup.targets).astype(object),
         "t": t, axis.lower(): p, f"dir_{axis.lower()}": side, "T_air": warm, "p_air": pressure,

@@ -53,6 +53,7 @@ class FitPlate(Stage):
         context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
         context.write_json("fit.json", {"fit": 1, "family": "plate", "modes": self.modes, "every": self.every})
         document = {"plate": 1, "figures": figures, "noise_um": found.noise, "setup": found.setup}
+        document["parts"] = parts(found)
         if twice is not None:
             document["measured_twice"] = {"runs": list(self.measured_twice or ()), **twice}
         context.write_json("plate.json", document)
@@ -73,6 +74,25 @@ def plates(recording: Recording, chosen: str) -> Recording:
     if label not in labels:
         raise DataError(f"fit_plate: no plate {label!r} (plates: {', '.join(labels)}).{did_you_mean(label, labels)}")
     return recording.take(recording.run_codes() == labels.index(label))
+
+
+def parts(found: Any) -> list[dict[str, Any]]:
+    """What the map is made of, in words, with the range of each part over the pattern, um; largest first."""
+    import numpy as np
+
+    box, curves = found.functions.box, found.components(POINTS)
+    out = [
+        {"component": f"E_{name[1]}", "part": f"curve over {name[2]} ({name})", "range_um": float(np.ptp(curve[1]))}
+        for name, curve in curves.items()
+        if name != "C0Y"
+    ]
+    lean = abs(curves["C0Y"]) * 1e-3 * (box.y[1] - box.y[0])
+    out.append({"component": "E_X", "part": "squareness (C0Y)", "range_um": float(lean)})
+    for name in ("E_X", "E_Y"):
+        products = [(over_x, over_y) for component, _, over_x, _, over_y in found.products() if component == name]
+        size = float(np.ptp(sum(np.outer(x, y) for x, y in products))) if products else 0.0
+        out.append({"component": name, "part": f"{len(products)} products of curves over X and Y", "range_um": size})
+    return sorted(out, key=lambda part: (part["component"], -part["range_um"]))
 
 
 def error_model(found: Any, recording: Recording) -> ErrorModel:

@@ -34,25 +34,42 @@ def measure(machine: Path, out: Path, without: Sequence[str], positions: int) ->
 
 
 def ballbar_pages(recording: Any) -> list[tuple[str, str, str]]:
-    """A polar plot per plane of a circular test, with G and F and what is read off it: heading, figure, caption."""
+    """A polar plot per plane of a circular test, with G and F and what is read off it: heading, figure, caption.
+
+    Plot and F count from each full circle's own least-squares centre (ISO 230-4 allows it): where the bar stood is
+    set-up.
+    """
+    import numpy as np
+
     from errpipe.reporting import machine_figures
     from errpipe.validation import iso230_4
 
     circles = iso230_4.circles(recording)
     out = []
     for test in iso230_4.evaluate(recording):
-        plane = test.figures.plane
-        own = [c for c in circles if "".join(c.plane) == "".join(plane)]
-        found = test.figures
-        lines = [f"G {run}: {value:.1f} um" for run, value in found.circular.items()]
-        lines += [f"F {run}: {low:+.1f} to {high:+.1f} um" for run, (high, low) in found.radial.items()]
+        found, name = test.figures, "".join(test.figures.plane)
+        own = [c for c in circles if "".join(c.plane) == name]
+        drawn, lines = [], []
+        for c in own:
+            deviation, close = iso230_4.centred(c), slice(0, 1 if iso230_4.is_full(c) else 0)
+            drawn.append((c.label, np.r_[c.angle, c.angle[close]], np.r_[deviation, deviation[close]]))
+            g = f"G {c.label}: {found.circular[c.label]:.1f} um, " if c.label in found.circular else ""
+            lines.append(f"{g}F {c.label}: {deviation.min():+.1f} to {deviation.max():+.1f} um")
         lines += [f"G both ways: {found.both:.1f} um"] if found.both is not None else []
+        lines += [f"hysteresis H: {found.hysteresis:.1f} um"] if found.hysteresis is not None else []
         lines += [
             f"{e.effect.replace('_', ' ')} {e.where}: {e.value:.1f} ({e.ci95[0]:.1f} to {e.ci95[1]:.1f}) {e.unit}"
             for e in test.effects
         ]
-        drawn = [(c.label, c.angle, c.deviation) for c in own]
-        name = "".join(plane)
         figure = machine_figures.ballbar(drawn, own[0].radius, lines, f"Circular test {name}")
-        out.append((f"Circular test {name}", figure, "ISO 230-4 figures, and what a metrologist reads off the plot."))
+        out.append((f"Circular test {name}", figure, _reading(test)))
     return out
+
+
+def _reading(test: Any) -> str:
+    """What a metrologist says of a plane, largest part of the plot first, and what cannot be told from nothing."""
+    sure = [e.says for e in test.effects if e.ci95[0] * e.ci95[1] > 0]
+    clear = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
+    told = f"Read off the plot, largest first: {'; '.join(sure)}." if sure else "Nothing systematic shows."
+    rest = f" Not told from nothing: {', '.join(clear)}." if clear else ""
+    return f"After ISO 230-4, each circle about its own centre. {told}{rest} What is left is {test.noise:.1f} um rms."

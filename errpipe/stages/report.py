@@ -117,7 +117,7 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
                 rms_before=figures["rms_before"],
                 rms_after=figures["rms_after"],
                 noise_floor=figures["noise_floor"],
-                terms=[_term(t) for t in component.terms],
+                terms=[_term(t) for t in component.terms if _tells(t)],
                 table=[_group(g) for g in figures["groups"]],
                 scheme=validation["scheme"],
                 notes=_notes(component, figures),
@@ -144,6 +144,11 @@ def _term(fitted: Any) -> dict[str, Any]:
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
     told = equation[1].strip() if equation else ""
     return {"says": term.says(fitted.values()), "equation": told, "parameters": parameters}
+
+
+def _tells(fitted: Any) -> bool:
+    """Whether a term's parameters say something; a map's curves have a gain of 1 each and a table of their own."""
+    return not (fitted.term["term"] == "profile_driver" and [p.value for p in fitted.parameters] == [1.0])
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -235,6 +240,8 @@ def _plate(path: Path, validation: Mapping[str, Any]) -> list[Any]:
     rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in document["figures"].items()]
     caption = "The straight line through the whole map; intervals are 95 %."
     tables = [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
+    rows = [[f"{p['component']}: {p['part']}", p["range_um"]] for p in document["parts"]]
+    tables.append(Table("What the map is made of", ["part", "range, um"], rows, "Largest less smallest, over the map."))
     twice = document.get("measured_twice")
     return [*tables, _floor(twice, validation)] if twice else tables
 

@@ -69,6 +69,7 @@ class SimulateTest(Stage):
             n: d.Beam(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for n, b in self.lasers.items()
         }
         setup = d.SetUp(
-            self.targets, self.cycles, self.noise, self.noise, self.reversal, beams, self.squares
+            targets=self.targets, cycles=self.cycles, noise=self.noise, angle_noise=self.noise,
+            reversal=self.reversal, beams=beams, squares=self.squares,
         )  # fmt: skip
         return d.record(chain, values, setup, self.seed)

@@ -118,7 +118,7 @@ def evaluate(recording: Recording) -> tuple[CircularTest, ...]:
 
 def _plane(runs: list[Circle]) -> CircularTest:
     name = "".join(runs[0].plane)
-    whole = [c for c in runs if _arc(c) >= FULL_CIRCLE]
+    whole = [c for c in runs if is_full(c)]
     figures = Figures(
         name,
         {c.label: minimum_zone(c.angle, c.deviation, c.radius) for c in whole},
@@ -175,6 +175,16 @@ def _setup(circle: Circle) -> tuple[np.ndarray, np.ndarray]:
     one = np.column_stack([np.cos(circle.angle), np.sin(circle.angle), np.ones(len(circle.angle))])
     found, *_ = np.linalg.lstsq(one, circle.deviation, rcond=None)
     return found, one[:, :2] @ found[:2]
+
+
+def centred(circle: Circle) -> np.ndarray:
+    """Radial deviation about the run's own least-squares centre, um; of part of a circle, as it was read."""
+    return circle.deviation - _setup(circle)[1] if is_full(circle) else circle.deviation
+
+
+def is_full(circle: Circle) -> bool:
+    """Whether a run goes round far enough for circle figures."""
+    return _arc(circle) >= FULL_CIRCLE
 
 
 def _hysteresis(runs: list[Circle]) -> float | None:

@@ -130,3 +130,17 @@ def test_all_components_of_a_simulated_machine(tmp_path, monkeypatch):
         assert component["rms_after"] < 0.5, component["component"]
     for stage in ("export", "export_volumetric"):
         assert main(["verify", str(out / stage)]) == 0
+
+
+@pytest.mark.slow
+def test_lasers_and_a_ball_bar_are_solved_as_one_machine(tmp_path, monkeypatch):
+    """What the lasers leave open, the squareness, the circles show; and the circles are drawn with their reading."""
+    monkeypatch.chdir(ROOT)
+    out = tmp_path / "out"
+    assert main(["run", "pipelines/vertical-centre-ballbar.yaml", "--out", str(out)]) == 0
+    found = json.loads((out / "identify" / "identification.json").read_text())
+    assert found["unseen"] == [] and found["simulated_truth"]["after_rms_um"] < 0.6
+    page = (out / "identify" / "identification.html").read_text()
+    for told in ("Circular test XY", "G both ways", "servo mismatch XY", "Read off the plot"):
+        assert told in page
+    assert main(["verify", str(out / "export_volumetric")]) == 0
