@@ -38,6 +38,8 @@ from errpipe.yamlfile import Options
 
 MOST_STEPS = 5_000_000  # communication steps of one session
 INNER = 4  # steps between two rows where the FMU states none: an input is held during a step
+MOST_TUNABLE = 6  # parameters recalibrated at once
+REACH = 2.0  # a tunable parameter without declared bounds may be this many times smaller or larger (from taste)
 TAIL = 400  # characters of what the FMU last said
 KEPT = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP", "TMPDIR", "HOME",
         "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # fmt: skip
@@ -84,7 +86,9 @@ class FmuOptions(Options):
     parameters: dict[str, float] = Field(
         {}, description="Values to set before the start, in the FMU's units.", json_schema_extra={"unit": "of each"}
     )
-    recalibrate: tuple[Tunable, ...] = Field((), max_length=6, description="Parameters to set right on the recording.")
+    recalibrate: tuple[Tunable, ...] = Field(
+        (), max_length=MOST_TUNABLE, description="Parameters to set right on the recording."
+    )
     step: float | None = Field(
         None, gt=0, description="Communication step; default: the FMU's own, else a quarter of the rows' step.",
         json_schema_extra={"unit": "s"},
@@ -125,7 +129,8 @@ def run(
 def by_name(recording: Recording, file: Path) -> dict[str, Any]:
     """`inputs` and `outputs` of an FMU whose variables are called as the recording's columns and responses are.
 
-    Units are the recording's own where the FMU declares none. Raises DataError where no output is a response.
+    Units are the recording's own where the FMU declares none. Parameters that the FMU calls tunable are to be
+    recalibrated: see `tunable`. Raises DataError where no output is a response.
     """
     from errpipe.simulation.external import names_of
 
@@ -149,7 +154,26 @@ def by_name(recording: Recording, file: Path) -> dict[str, Any]:
         told = ", ".join(recording.components())
         near = did_you_mean(recording.components()[0], given) if recording.components() else ""
         raise DataError(f"{file.name}: none of its outputs ({', '.join(given)}) is a response ({told}).{near}")
-    return {"inputs": inputs, "outputs": outputs}
+    return {"inputs": inputs, "outputs": outputs, "recalibrate": tunable(variables)}
+
+
+def tunable(variables: Mapping[str, Mapping[str, Any]]) -> tuple[Tunable, ...]:
+    """What an FMU leaves to be set right: its tunable parameters, within their declared bounds, or half to twice.
+
+    One that stands at zero and declares no bounds stays there: nothing says how far it may go.
+    """
+    out = []
+    for name, v in variables.items():
+        numeric = v["type"] in ("Real", "Float64", "Float32") and v["scalar"]
+        if v["causality"] != "parameter" or v["variability"] != "tunable" or not numeric or v["start"] is None:
+            continue
+        start = float(v["start"])
+        low, high = sorted((start / REACH, start * REACH))
+        low = low if v["min"] is None else float(v["min"])
+        high = high if v["max"] is None else float(v["max"])
+        if low < high and low <= start <= high and np.isfinite([low, high]).all():
+            out.append(Tunable(parameter=name, low=low, high=high))
+    return tuple(out[:MOST_TUNABLE])
 
 
 def _refuse_missing(file: Path) -> None:

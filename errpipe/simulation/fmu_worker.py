@@ -46,6 +46,7 @@ def describe(model: Any) -> dict[str, Any]:
             v.name: {
                 "causality": v.causality, "variability": v.variability, "type": v.type, "unit": unit_of(v),
                 "start": None if v.start is None else str(v.start), "scalar": not v.dimensions,
+                "min": getattr(v, "min", None), "max": getattr(v, "max", None),
             }
             for v in model.modelVariables
         },

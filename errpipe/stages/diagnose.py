@@ -25,8 +25,8 @@ def diagnose(
     from errpipe.formats import manifest_folder
 
     try:
-        read = with_simulation(manifest_folder.read(Path(recording)), simulation)
-        document, page, found = judged(read, progress)
+        read, notes = with_simulation(manifest_folder.read(Path(recording)), simulation)
+        document, page, found = judged(read, progress, notes)
     except DataError as err:
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
@@ -34,25 +34,38 @@ def diagnose(
     return {"says": [r.says for r in found.responses], "verdicts": {r.component: r.verdict for r in found.responses}}
 
 
-def judged(recording: Recording, progress: Callable[[float, str], None]) -> tuple[dict[str, Any], str, Diagnosis]:
-    """diagnosis.json as plain data, the page, and the findings."""
+def judged(
+    recording: Recording, progress: Callable[[float, str], None], notes: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], str, Diagnosis]:
+    """diagnosis.json as plain data, the page, and the findings. notes: what is to be said before all else."""
     from errpipe import __version__
     from errpipe.diagnosis import diagnose as judge
     from errpipe.reporting.diagnosis_report import Trace, render
 
     found, rows = judge(recording, progress)
+    found = found.model_copy(update={"notes": (*notes, *found.notes)})
     traces = [Trace(before=r.before, after=r.after, run=r.run, carried=r.carried, inputs=r.inputs) for r in rows]
     page = render(found, traces, machine=recording.manifest.machine, version=__version__)
     return found.document(), page, found
 
 
-def with_simulation(recording: Recording, simulation: Path | None) -> Recording:
-    """The recording beside a simulation of its own file: .csv, .json (an error model) or .fmu."""
+def with_simulation(recording: Recording, simulation: Path | None) -> tuple[Recording, tuple[str, ...]]:
+    """The recording beside a simulation of its own file, and notes: .csv, .json (an error model) or .fmu.
+
+    Tunable parameters of an FMU are set right on the recording first: what they can mend is not missing.
+    """
     from errpipe.simulation import external
     from errpipe.stages import _artefacts
 
     if simulation is None:
-        return recording
+        return recording, ()
     file = Path(simulation)
     model = _artefacts.read_model(file) if file.suffix.lower() == ".json" else None
-    return external.with_twins(recording, external.by_name(recording, file), file, model)[0]
+    read, twins, figures = external.with_twins(recording, external.by_name(recording, file), file, model)
+    notes = [f"{t.component}: {note}" for t in twins for note in t.notes]
+    notes += [
+        f"{file.name}: {told['parameter']} set right before anything was called missing: {told['start']:g} -> "
+        f"{told['value']:.4g} (allowed: {told['low']:g} to {told['high']:g})"
+        for told in figures.get("parameters", ()) if told["value"] != told["start"]
+    ]  # fmt: skip
+    return read, tuple(notes)
