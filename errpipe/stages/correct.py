@@ -104,7 +104,7 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
     def deviation(points: np.ndarray, length: float) -> np.ndarray:
         readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
         there, names = points[:, ["XYZ".index(a) for a in moving]], tuple(axes[a] for a in moving)
-        found = sum(batch.position(way, there, names, readings) for way in ways) / len(ways)
+        found = np.mean([batch.position(way, there, names, readings) for way in ways], axis=0)
         out = np.zeros_like(points)
         for number, axis, factor in outputs:
             out[:, "XYZ".index(axis)] += found[:, number] * factor

@@ -122,7 +122,8 @@ class ReadBack:
         for c in self.curves:
             if c.axis == axis:
                 total = total + c.at(positions[c.over], side)
-        for p in (*self.planes, *self.products):
+        pairs: tuple[Plane | Product, ...] = (*self.planes, *self.products)
+        for p in pairs:
             if p.axis == axis:
                 total = total + p.at(positions[p.over[0]], positions[p.over[1]])
         for line in self.lines:

@@ -97,7 +97,7 @@ def test_c_runtime(number, library):
 @pytest.mark.parametrize("number", range(6), ids=NAMES[:6])
 def test_c_runtime_in_single_precision(number, single):
     deviation, _, status = compare(number, single.stream)
-    assert np.abs(deviation).max() < 0.005
+    assert np.abs(deviation).max() < 0.001  # um: a nanometre; the largest is 0.4 nm, where a reversal meets a slope
     assert status.mean() > 0.9  # one ulp of a double beside a knot is on it in single precision
 
 
