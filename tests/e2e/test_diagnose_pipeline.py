@@ -272,6 +272,40 @@ def test_findings_that_cannot_be_told_apart_are_refused_the_less_sure_first() ->
     assert [t.term["term"] for t in model.components[0].terms] == ["offset", "backlash"]
 
 
+def test_an_effect_on_two_axes_is_compensated_on_both() -> None:
+    """A finding states a term for each axis; half of it would leave half of the error."""
+    kinds = {"x": Column(role="position", axis="X", unit="mm"), "y": Column(role="position", axis="Y", unit="mm"),
+             "vx": Column(role="velocity", axis="X", unit="mm/s"), "vy": Column(role="velocity", axis="Y", unit="mm/s"),
+             "t": Column(role="time", unit="s"), "run": Column(role="run"),
+             "E_R": Column(role="error", component="E_R", unit="um"),
+             "E_R_sim": Column(role="simulated", component="E_R", unit="um")}  # fmt: skip
+    rng = np.random.default_rng(4)
+    t = np.tile(np.arange(0.0, 12.0, 0.02), 4)
+    run = np.repeat(np.arange(4), t.size // 4)
+    way = np.where(run % 2, 1.0, -1.0)
+    angle = way * t * np.repeat([0.6, 0.6, 1.4, 1.4], t.size // 4)
+    x, y = 100 * np.cos(angle), 100 * np.sin(angle)
+    vx, vy = np.gradient(x, 0.02), np.gradient(y, 0.02)
+    known = 8e-4 * x * y
+    gap = -4 * np.sign(vx) * np.cos(angle) - 2.5 * np.sign(vy) * np.sin(angle)
+    values = [x, y, vx, vy, t + 100.0 * run, (run + 1).astype(str), known + gap + rng.normal(0, 0.4, t.size), known]
+    manifest = Manifest(recording=1, tables=("a.csv",), columns=kinds)
+    recording = Recording(manifest, pd.DataFrame(dict(zip(kinds, values, strict=True))))
+    from errpipe.diagnosis import diagnose
+
+    (response,) = diagnose(recording)[0].responses
+    two = next(f for f in response.findings if len(f.all_terms()) == 2)
+    assert {t["axis"] for t in two.all_terms()} == {"X", "Y"}
+    terms_ = _acceptance.terms_of(two)
+    assert [type(t).__name__ for t in terms_] == [type(terms_[0]).__name__] * 2
+    whole = found("backlash", **{**BACKLASH, "more_terms": ({"term": "backlash", "axis": "Y"},)})
+    spec = _acceptance.ask([_acceptance._decide(whole.responses[0].findings[0], whole.responses[0], axis(),
+                                                _acceptance.Accept())], whole, None)  # fmt: skip
+    assert [(t.term, getattr(t, "axis", "")) for t in spec.components[0].terms] == [
+        ("offset", ""), ("backlash", "X"), ("backlash", "Y")
+    ]  # fmt: skip
+
+
 # ---------------------------------------------------------------- real recordings
 
 
