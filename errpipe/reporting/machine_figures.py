@@ -348,11 +348,12 @@ def ballbar(
             r = base + deviation
             axes.plot(r * np.cos(angle), r * np.sin(angle), color=colour, linewidth=1.1, label=label)
         axes.legend(fontsize=7, loc="center", ncols=1)
-        axes.set_title(title or f"circle of {radius:g} mm", fontsize=9)
-        told = [f"{division:g} um per division", *lines]
-        step = min(0.085, 0.97 / len(told))
+        heading = {"fontsize": 9, "weight": "bold", "transform": text.transAxes, "va": "top"}
+        text.text(0.0, 0.98, title or f"circle of {radius:g} mm", **heading)
+        told = [f"{division:g} um per division, radius {radius:g} mm", *lines]
+        step = min(0.08, 0.88 / len(told))
         for i, line in enumerate(told):
-            text.text(0.0, 0.95 - step * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
+            text.text(0.0, 0.9 - step * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
         return svg.to_svg(canvas, f"Ball-bar plot {title}; largest deviation {top:.1f} um")
 
 

@@ -72,4 +72,7 @@ def _reading(test: Any) -> str:
     clear = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
     told = f"Read off the plot, largest first: {'; '.join(sure)}." if sure else "Nothing systematic shows."
     rest = f" Not told from nothing: {', '.join(clear)}." if clear else ""
-    return f"After ISO 230-4, each circle about its own centre. {told}{rest} What is left is {test.noise:.1f} um rms."
+    return (
+        f"After ISO 230-4, each circle about its own centre. {told}{rest} As it appears where "
+        f"these circles lie: angles elsewhere in the volume add to it. What is left is {test.noise:.1f} um rms."
+    )

@@ -83,4 +83,4 @@ def test_components_have_their_iso_names(measured):
 def test_a_ball_bar_plot_carries_its_reading():
     angle = np.linspace(-np.pi, np.pi, 90)
     svg = machine_figures.ballbar([("ccw", angle, 4 * np.sin(2 * angle))], 150.0, ["C0Y = 20 urad"], "XY")
-    assert {"C0Y = 20 urad", "2 um per division", "ccw", "XY"} <= words(svg)
+    assert {"C0Y = 20 urad", "2 um per division, radius 150 mm", "ccw", "XY"} <= words(svg)
