@@ -329,6 +329,8 @@ def test_the_gantry_s_bed_was_left_out(tmp_path: Path) -> None:
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert response["findings"][0]["effect"] == "thermal_drift"
     assert response["findings"][0]["drivers"] == ["bed_t"]
+    assert response["findings"][0]["confidence_of_class"] > 0.7
+    assert "gradient_bending" in response["findings"][0]["indistinguishable_from"]  # bed less frame: the same beside it
     (figures,) = read(out / "validate/validation.json")["components"]
     assert figures["rms_before"] == pytest.approx(36.9, abs=0.2)  # published: frame alone 36.9, with the bed about 4.8
     assert figures["rms_after"] < 6.0
@@ -345,6 +347,21 @@ def test_the_positioning_axis_lacks_dry_friction_which_no_table_compensates(tmp_
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     force = response["findings"][0]["parameters"][0]
     assert force["unit"] == "N" and force["value"] == pytest.approx(20.4, rel=0.1)  # published: 20.4 N
+    assert force["ci95"][0] <= 20.4 <= force["ci95"][1]
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) -> None:
+    """Published beside the recording: viscous about 161 N s/m in one direction and 236 in the other."""
+    out = real("positioning-axis-force", tmp_path)
+    (response,) = read(out / "diagnose/diagnosis.json")["responses"]
+    assert [f["effect"] for f in response["findings"]][:2] == ["coulomb_friction", "viscous_friction"]
+    told = {p["name"]: p for f in response["findings"] for p in f["parameters"]}
+    for name, published in (("damping_forward", 161.0), ("damping_backward", 236.0)):
+        assert told[name]["unit"] == "N s/m" and told[name]["ci95"][0] <= published <= told[name]["ci95"][1]
+    assert {"force_forward", "force_backward"} <= set(told)
+    assert "differs by direction" in response["says"]
 
 
 @pytest.mark.slow
@@ -358,6 +375,8 @@ def test_the_turning_centre_s_static_model_leaves_something_out_that_no_unseen_d
     told = read(out / "diagnose/acceptance.json")
     held = response["holdout"]
     if held["rms_after_um"] >= held["rms_before_um"]:
-        assert told["accepted"] == []
+        assert told["accepted"] == [] and "unproved" in response["says"]
+        names = [f for f in response["findings"] if f["effect"] not in ("recalibration", "unknown")]
+        assert all(f["confidence"] <= 0.5 for f in names)
     (figures,) = read(out / "validate/validation.json")["components"]
     assert figures["rms_after"] < figures["rms_before"]
