@@ -123,6 +123,22 @@ class Lattice:
     largest_seen: float
 
 
+def profile_bound(chain: Chain, gridding: Mapping[str, float], tip: np.ndarray | None = None) -> float:
+    """No deviation of the tool point from profiles is further off than this, um.
+
+    gridding: component -> how far its profile may be off (um, urad). Each counts with its largest arm in the volume;
+    arms are linear in each linear coordinate, so the corners hold the largest. Rotary axes are gone through in steps.
+    """
+    ends = [
+        t if chain.machine.axes[a].kind == "linear" else np.linspace(*t, 9)
+        for a, t in zip(chain.axes, chain.travel, strict=True)
+    ]
+    corners = np.stack([g.ravel() for g in np.meshgrid(*ends, indexing="ij")], axis=1)
+    arms = np.abs(synthesis.jacobian(chain, corners, tip)[:, :3]).max(axis=0)
+    off = np.array([gridding.get(n, 0.0) for n in chain.components])
+    return float(np.linalg.norm(arms @ off))
+
+
 def lattice(errors: MachineErrors, counts: tuple[int, ...], tip: np.ndarray | None = None) -> Lattice:
     """Sample the first-order deviation on a lattice over all axes. Raises ValueError for rotary axes."""
     chain = errors.chain

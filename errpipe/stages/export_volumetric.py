@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
 
 STATES = 500
+LATTICE = "lattice.csv"
 BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
 
 
@@ -24,6 +25,13 @@ class ExportVolumetric(Stage):
     kind: Literal["export_volumetric"]
     error_bound: float = Field(
         0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
+    )
+    lattice: tuple[int, ...] | None = Field(
+        None, min_length=2, max_length=3, description="Points along each linear axis: write the deviation on a lattice "
+        "too, as lattice.csv, for a controller that takes nothing else. It holds for one tool.",
+    )  # fmt: skip
+    lattice_tool: float = Field(
+        100.0, ge=0, description="Length of that tool.", json_schema_extra={"unit": "mm"}
     )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
     reads: ClassVar[Mapping[str, Need]] = {"identify": Need("identify", "identify_direct")}
@@ -48,13 +56,50 @@ class ExportVolumetric(Stage):
         ect.write(table, context.folder / _artefacts.TABLE)
         ect.write_json(table, context.folder / _artefacts.TWIN)
         worst = largest_difference(chain, errors, table, turning)
-        proof = [{"component": "tool point", "largest_difference_um": worst}]
+        proof = [{"component": "tool point", "largest_difference_um": worst, "bound_um": bound(chain, table)}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         files += write_targets(table, self.targets, context.folder)
-        facts = {"proof": proof, "files": files, "left_out": []}
-        facts["sha256"] = checksums(context.folder, files, [_artefacts.TWIN])
+        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": []}
+        if self.lattice is not None:
+            facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool)
+            context.write_text(LATTICE, text)
+        facts["sha256"] = checksums(context.folder, files, [_artefacts.TWIN, *([LATTICE] if self.lattice else [])])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
+
+
+def bound(chain: Any, table: CompensationTable) -> float:
+    """How far the table's tool point can be from the identified one anywhere, um, for a tool of 100 mm."""
+    from errpipe.kinematics import compensation
+    from errpipe.tables import bounds
+
+    off = {c.name: c.gridding for c in bounds.components(table)}
+    return compensation.profile_bound(chain, off, chain.tip(100.0, (0.0, 0.0, 0.0)))
+
+
+def lattice(chain: Any, errors: Any, counts: tuple[int, ...], length: float) -> tuple[dict[str, Any], str]:
+    """Deviations on a lattice over the linear axes for one tool, and how far straight lines between may be off.
+
+    Raises UsageError where the counts do not fit the machine.
+    """
+    import numpy as np
+
+    from errpipe.errors import UsageError
+    from errpipe.kinematics import compensation
+
+    try:
+        found = compensation.lattice(errors, counts, chain.tip(length, (0.0, 0.0, 0.0)))
+    except ValueError as err:
+        raise UsageError(f"export_volumetric: lattice: {err}") from None
+    places = np.stack([g.ravel() for g in np.meshgrid(*found.grids, indexing="ij")], axis=1)
+    rows = np.column_stack([places, found.values.reshape(-1, 3)])
+    lines = [",".join([*found.axes, "E_X", "E_Y", "E_Z"])]
+    lines += [",".join(f"{v + 0.0:.4f}" for v in row) for row in rows]
+    facts = {
+        "file": LATTICE, "axes": list(found.axes), "counts": list(counts), "tool_length_mm": length,
+        "bound_um": found.bound, "largest_seen_um": found.largest_seen, "says": "deviation in um, positions in mm",
+    }  # fmt: skip
+    return facts, "\n".join(lines) + "\n"
 
 
 def reversals(document: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]:

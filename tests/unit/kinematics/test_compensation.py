@@ -120,3 +120,15 @@ def test_a_lattice_over_rotary_axes_is_refused():
     chain = ready("five-axis-table-table")
     with pytest.raises(ValueError, match="use the synthesis"):
         compensation.lattice(MachineErrors.of(chain, {}), (3,) * 5)
+
+
+def test_profiles_that_are_off_move_the_tool_no_further_than_their_bound():
+    """Every profile off by its allowance with any sign, anywhere: within the bound; and the bound is not idle."""
+    chain = ready("vertical-centre")
+    off = {n: 0.05 for n in chain.components if n[0] == "E"}
+    bound = compensation.profile_bound(chain, off)
+    rng = np.random.default_rng(1)
+    q = rng.uniform(chain.travel[:, 0], chain.travel[:, 1], (2000, 3))
+    size = np.array([off.get(n, 0.0) for n in chain.components])
+    worst = np.linalg.norm(np.abs(synthesis.jacobian(chain, q)[:, :3]) @ size, axis=1).max()
+    assert 0.6 * bound < worst <= bound
