@@ -57,6 +57,16 @@ def regimes(
     return tuple(out)
 
 
+def between_runs(run: np.ndarray, mismatch: np.ndarray, noise: float) -> float | None:
+    """Share of the mismatch's energy beyond the noise that is one offset per run; None where nothing stands out."""
+    codes, inside, count = np.unique(run, return_inverse=True, return_counts=True)
+    total = float(np.sum((mismatch - mismatch.mean()) ** 2)) - run.size * noise**2
+    if codes.size < 3 or total <= 0.1 * run.size * noise**2:
+        return None
+    mean = np.bincount(inside, mismatch) / count - mismatch.mean()
+    return float(np.clip((np.sum(count * mean**2) - codes.size * noise**2) / total, 0.0, 1.0))
+
+
 def changes(recording: Recording, rows: np.ndarray, mismatch: np.ndarray) -> tuple[ChangePoint, ...]:
     """Where the mismatch changes its level or its size for good: binary segmentation of its block means in time.
 

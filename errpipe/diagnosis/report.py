@@ -23,6 +23,7 @@ from errpipe.terms._base import Term
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
 NEVER = ("moving_mass",)
+MOSTLY = 0.5  # share of the mismatch that is one offset per run, from which it is said
 UNPROVED = 0.5  # confidence of a name, at most, where rows that sat out are no better explained with it
 FRICTION = {"coulomb_friction", "viscous_friction"}
 
@@ -54,6 +55,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         rms_after_um=_rms(after), noise_floor_um=floor, holdout=figures, findings=tuple(findings),
         regimes=locate.regimes(case.recording, case.pair.rows, before, after, recalibrated, floor),
         changes=locate.changes(case.recording, case.pair.rows, recalibrated),
+        between_runs=locate.between_runs(case.run, recalibrated, floor),
         whiteness=whiteness.whiteness(case),
         significance=Significance(
             p=found.p, gain=found.gain, limit95=found.limit, scheme=found.scheme, effective_rows=found.rows,
@@ -288,6 +290,13 @@ def _unusual(made: model.Modelled) -> str:
     return ""
 
 
+def _set_anew(r: ResponseDiagnosis) -> str:
+    """What to say where the mismatch is mostly another offset in each run."""
+    if r.between_runs is None or r.between_runs < MOSTLY:
+        return ""
+    return f" {r.between_runs:.0%} of the mismatch is one offset per run, as a datum that is set anew each time gives."
+
+
 def in_words(r: ResponseDiagnosis) -> str:
     """The response in one sentence."""
     unit = r.unit
@@ -300,11 +309,13 @@ def in_words(r: ResponseDiagnosis) -> str:
         )
     names = [f.effect.replace("_", " ") for f in r.findings if f.effect != "recalibration"]
     what, one = " and ".join(names[:2]), len(names[:2]) == 1
+    s = "" if one else "s"
     before, after = r.holdout.rms_before_um, r.holdout.rms_after_um
     if after >= before:
         return (
-            f"{r.component}: {what} {'is' if one else 'are'} the best name found, but unproved: rows that sat out are "
-            f"no better explained with it ({before:.3g} before, {after:.3g} {unit} rms after)."
+            f"{r.component}: {what} {'is' if one else 'are'} the best name{s} found, but unproved: rows that sat out "
+            f"are no better explained with {'it' if one else 'them'} ({before:.3g} before, {after:.3g} {unit} rms after)."
+            f"{_set_anew(r)}"
         )
     if names[0] == "unknown":
         told = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]

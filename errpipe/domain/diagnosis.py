@@ -150,6 +150,9 @@ class ResponseDiagnosis(Frozen):
     findings: tuple[Finding, ...] = ()
     regimes: tuple[Regime, ...] = ()
     changes: tuple[ChangePoint, ...] = ()
+    between_runs: float | None = Field(
+        None, description="Share of the mismatch's energy beyond the noise that is one offset per run (recalibrated)."
+    )
     whiteness: Whiteness | None = None
     significance: Significance | None = None
     says: str = ""

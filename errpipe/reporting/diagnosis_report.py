@@ -72,7 +72,7 @@ def _block(r: ResponseDiagnosis, trace: Trace) -> dict[str, Any]:
         "shape": _shape(r, trace),
         "rivals": _rivals(r),
         "located": _located(r),
-        "most": _most(r),
+        "most": _most(r) + _runs(r),
         "changes": [_change(c, r.unit) for c in r.changes],
         "tests": _tests(r),
         "left": _left(r, trace),
@@ -109,6 +109,12 @@ def _most(r: ResponseDiagnosis) -> str:
         return "It is spread evenly over the recording: no part carries much more than its rows."
     share, part = f"{top.share:.0%}", f"{top.rows / total:.0%}"
     return f"Most for its size: {top.what}, with {share} of the energy beyond the noise in {part} of the rows."
+
+
+def _runs(r: ResponseDiagnosis) -> str:
+    if r.between_runs is None or r.between_runs < 0.3:
+        return ""
+    return f" {r.between_runs:.0%} of it is one offset per run."
 
 
 def _tests(r: ResponseDiagnosis) -> list[dict[str, Any]]:

@@ -373,6 +373,7 @@ def test_the_turning_centre_s_static_model_leaves_something_out_that_no_unseen_d
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert response["verdict"] in ("missing_physics", "unexplained")
     told = read(out / "diagnose/acceptance.json")
+    assert response["between_runs"] > 0.5  # each morning has its own datum, which no temperature tells
     held = response["holdout"]
     if held["rms_after_um"] >= held["rms_before_um"]:
         assert told["accepted"] == [] and "unproved" in response["says"]

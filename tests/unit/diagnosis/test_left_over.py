@@ -124,3 +124,12 @@ def test_the_share_of_the_mismatch_in_each_part_says_where_it_is(quiet):
     assert parts["upper third of x"] > 0.85 and parts["lower third of x"] < 0.05
     still = {r.what: r.share for r in locate.regimes(recording, rows, y, y, rng.standard_normal(rows.size) / 2, 0.5)}
     assert set(still.values()) == {None}  # nothing stands out of the noise
+
+
+def test_an_offset_of_each_run_is_told_from_what_happens_inside_the_runs(quiet):
+    rng = np.random.default_rng(13)
+    fresh = 0.5 * rng.standard_normal(quiet.run.size)
+    offsets = np.array([3.0, -2.0, 1.0, -3.0, 2.0, -1.0])[quiet.run]
+    assert locate.between_runs(quiet.run, offsets + fresh, 0.5) > 0.97
+    assert locate.between_runs(quiet.run, 3 * np.sin(np.arange(quiet.run.size)) + fresh, 0.5) < 0.03
+    assert locate.between_runs(quiet.run, fresh, 1.0001 * float(np.std(fresh))) is None  # nothing but noise
