@@ -312,10 +312,10 @@ def in_words(r: ResponseDiagnosis) -> str:
     s = "" if one else "s"
     before, after = r.holdout.rms_before_um, r.holdout.rms_after_um
     if after >= before:
+        verb, them = ("is", "it") if one else ("are", "them")
         return (
-            f"{r.component}: {what} {'is' if one else 'are'} the best name{s} found, but unproved: rows that sat out "
-            f"are no better explained with {'it' if one else 'them'} ({before:.3g} before, {after:.3g} {unit} rms after)."
-            f"{_set_anew(r)}"
+            f"{r.component}: {what} {verb} the best name{s} found, but unproved: rows that sat out are no better "
+            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after).{_set_anew(r)}"
         )
     if names[0] == "unknown":
         told = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]
