@@ -37,6 +37,9 @@ class SeasonOptions(Frozen):
     penalty: float = Field(
         1e-3, gt=0, description="Shrinks causes that moved less than its root.", json_schema_extra={"unit": "K2"}
     )
+    rounds: int = Field(
+        2, ge=0, le=20, description="How often runs that fitted badly are given more weight: towards the worst day."
+    )
     correction: bool = Field(True, description="Whether a data-driven part may be added where it was learnt.")
     correction_lags: tuple[float, ...] = Field(
         (900.0, 3600.0, 14400.0), description="Lags of its temperatures.", json_schema_extra={"unit": "s"}

@@ -17,6 +17,8 @@ from scipy.optimize import nnls
 
 from errpipe.fitting.solve import one_thread
 
+LEAST_MISFIT = 0.3  # um: below it a run fits as well as it is measured
+
 
 def triangles(design: np.ndarray, response: np.ndarray, groups: np.ndarray) -> dict[int, np.ndarray]:
     """R of the QR of [design, response] per group, rows scaled so that every group counts by its rows.
@@ -52,6 +54,24 @@ def signed_gains(
             found, _ = nnls(system, right)
         total[member] += found * signs[member]
     return total / max(len(members), 1)
+
+
+def reweighted(
+    weight: Mapping[int, float], parts: Mapping[int, np.ndarray], rows: Mapping[int, int], gains: np.ndarray
+) -> dict[int, float]:
+    """Weights of groups times the root of how badly each fits, mean square over rows one: half-way to the worst day.
+
+    A mean over days is ruled by the many that are alike; the next season is more like the odd ones.
+    parts: group -> triangle of [columns of the gains, ..., response]; rows: group -> rows it stands for.
+    """
+    width = gains.size
+    new = {}
+    for g, w in weight.items():
+        left = parts[g][:, -1] - parts[g][:, :width] @ gains
+        new[g] = w * max(float(np.sqrt(left @ left / rows[g])), LEAST_MISFIT) ** 0.5
+    total = sum(rows[g] for g in new)
+    scale = np.sqrt(sum(rows[g] * w**2 for g, w in new.items()) / total)
+    return {g: w / scale for g, w in new.items()}
 
 
 def networks(kinds: Sequence[str], starts: Sequence[str]) -> list[np.ndarray]:

@@ -216,15 +216,23 @@ class _Problem:
 
     def solve(self, groups: Sequence[int], corrected: bool = True) -> _Gains:
         """Gains from some of the groups. corrected: also those of the correction."""
-        triangle = thermal_network.stack(self.triangles, groups)
-        rows = sum(self.count[g] for g in groups)
-        width = len(self.causes)
-        core_part = np.column_stack([triangle[:, :width], triangle[:, -1]])
-        core = thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
+        weight = dict.fromkeys(groups, 1.0)
+        core = self._core(weight)
+        for _ in range(self.options.rounds):
+            weight = thermal_network.reweighted(weight, self.triangles, self.count, core)
+            core = self._core(weight)
         correction = self._local(groups, core) if self.further and corrected else None
         mask = self.rows & np.isin(self.group, list(groups))
         low, high = np.nanmin(self.starts[mask], axis=0), np.nanmax(self.starts[mask], axis=0)
         return _Gains(core, correction, low, high, (float(self.balance[mask].min()), float(self.balance[mask].max())))
+
+    def _core(self, weight: dict[int, float]) -> np.ndarray:
+        """Gains of the core from some groups with their weights."""
+        parts = {g: w * self.triangles[g] for g, w in weight.items()}
+        triangle = thermal_network.stack(parts, list(parts))
+        core_part = np.column_stack([triangle[:, : len(self.causes)], triangle[:, -1]])
+        rows = sum(self.count[g] for g in parts)
+        return thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
 
     def _local(self, groups: Sequence[int], core: np.ndarray) -> thermal_local.Local:
         warmth = self.warmth()

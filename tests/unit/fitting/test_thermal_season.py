@@ -133,7 +133,7 @@ def test_the_fit_never_looks_outside_its_rows():
 def test_outside_what_was_seen_nothing_jumps_and_the_limit_holds():
     model = thermal_season.fit(machine(6), "E_D")
     last = None
-    for offset in np.linspace(0.0, 30.0, 121):
+    for offset in np.linspace(0.0, 30.0, 61):
         recording = machine(1, seed=9, rows=40)
         shifted = {n: recording.array(n) + offset for n in ("T_room", "T_spindle", "T_bed")}
         hot = Recording(recording.manifest, recording.frame.assign(**shifted))
@@ -240,3 +240,16 @@ def test_a_season_left_out_of_a_real_turning_centre():
         judged = season == left_out
         model = thermal_season.fit(recording, "E_D", rows=~judged)
         assert rms((y - model.values(recording))[judged]) < min(bar, rms(y[judged]))
+
+
+def test_a_day_that_fits_badly_counts_more():
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(400, 1))
+    group = np.repeat(np.arange(4), 100)
+    y = x[:, 0] * np.where(group == 3, 2.0, 1.0)
+    parts = thermal_network.triangles(x, y, group)
+    rows = dict.fromkeys(range(4), 100)
+    gains = np.array([1.25])
+    weight = thermal_network.reweighted(dict.fromkeys(range(4), 1.0), parts, rows, gains)
+    assert weight[3] > 1.3 * weight[0]
+    assert_allclose(sum(100 * w**2 for w in weight.values()) / 400, 1.0)
