@@ -77,33 +77,17 @@ def rises(recording: Recording, lags: Sequence[float] = ()) -> np.ndarray:
     return thermal_causes.columns(recording, nodes)
 
 
-def over(recording: Recording, reference: str) -> np.ndarray:
-    """Rises over the start of the run of all temperatures less that of one of them, (rows, n), K."""
-    names = recording.names("temperature")
-    all_rises = rises(recording)
-    return np.delete(all_rises - all_rises[:, [names.index(reference)]], names.index(reference), axis=1)
+def differences(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
+    """Least squares on rises over the rise of one sensor; which one (room, bed) spans the same space."""
 
+    def columns(r: Recording) -> np.ndarray:
+        found = rises(r)
+        return found[:, 1:] - found[:, :1]
 
-def references(recording: Recording) -> dict[str, str]:
-    """What rises may count from instead of the start alone: room and bed, where there are such sensors."""
-    found = thermal_causes.sensors(recording)
-    return {word: name for word, name in (("room", found.room), ("bed", found.bed)) if name is not None}
-
-
-def over_a_reference(word: str) -> Fitter:
-    """Least squares on rises over the room or the bed; on plain rises where the recording has no such sensor."""
-
-    def columns(recording: Recording) -> np.ndarray:
-        found = references(recording)
-        return over(recording, found[word]) if word in found else rises(recording)
-
-    def fit(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
-        table, y = columns(recording), target(recording, component)
-        good = rows & np.isfinite(y) & np.isfinite(table).all(axis=1)
-        gains = np.linalg.lstsq(table[good], y[good], rcond=None)[0]
-        return _Values(lambda r: np.nan_to_num(columns(r)) @ gains)
-
-    return fit
+    table, y = columns(recording), target(recording, component)
+    good = rows & np.isfinite(y) & np.isfinite(table).all(axis=1)
+    gains = np.linalg.lstsq(table[good], y[good], rcond=None)[0]
+    return _Values(lambda r: np.nan_to_num(columns(r)) @ gains)
 
 
 def learner(make: Callable[[], Any], lags: Sequence[float]) -> Fitter:
@@ -137,8 +121,7 @@ def candidates(options: thermal_season.SeasonOptions | None = None) -> tuple[Can
         Candidate("season physics", season(core)),
         Candidate("season physics and correction", season(chosen)),
         Candidate("linear on rises", learner(LinearRegression, ())),
-        Candidate("linear on rises over the room", over_a_reference("room")),
-        Candidate("linear on rises over the bed", over_a_reference("bed")),
+        Candidate("linear on differences of rises", differences),
         Candidate("ridge on lagged rises", learner(lambda: make_pipeline(StandardScaler(), Ridge(50.0)), LAGS)),
         Candidate(
             "gradient boosting",

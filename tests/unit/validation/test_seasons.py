@@ -172,3 +172,13 @@ def test_coverage_is_judged_by_other_seasons():
     assert told[2]["coverage"] < 0.6 < 0.9 < told[0]["coverage"]
     assert conformal.cross_coverage(error[:4000], np.zeros(4000), environment[:4000]) == []
     assert conformal.coverage(np.array([1.0, 3.0]), 2.0, np.array(["x", "y"])) == {"x": 1.0, "y": 0.0}
+
+
+def test_differences_of_rises_compete(recording):
+    every = np.ones(len(recording), dtype=bool)
+    found = champion.differences(recording, "E_D", every)
+    a, b = champion.rises(recording).T
+    y = champion.target(recording, "E_D")
+    gap = b - a
+    assert_allclose(found.values(recording), gap * (gap @ y) / (gap @ gap), atol=1e-9)
+    assert "linear on differences of rises" in [c.name for c in champion.candidates()]
