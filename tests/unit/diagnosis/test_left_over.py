@@ -76,6 +76,7 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
     assert alarming[0].against in found.says and "not all noise" in found.says
 
 
+@pytest.mark.slow
 def test_on_nulls_every_p_of_the_search_is_as_likely_as_any(quiet):
     """200 nulls: of p <= 0.05, 0.2 and 0.5 about as many as that."""
     rng = np.random.default_rng(9)
