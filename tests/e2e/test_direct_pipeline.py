@@ -122,7 +122,7 @@ def test_all_components_of_a_simulated_machine(tmp_path, monkeypatch):
     assert main(["run", "pipelines/vertical-centre-direct.yaml", "--out", str(out)]) == 0
     found = json.loads((out / "identify_direct" / "identification.json").read_text())
     truth = found["simulated_truth"]
-    assert truth["before_rms_um"] > 30 and truth["after_rms_um"] < 1.2 * found["volumetric"]["standard_error_um"] < 0.6
+    assert truth["before_rms_um"] > 20 and truth["after_rms_um"] < 1.2 * found["volumetric"]["standard_error_um"] < 0.6
     assert found["unseen"] == []
     page = (out / "identify_direct" / "identification.html").read_text()
     assert "before: " in page and "after: " in page and "what compensation by the identified" in page

@@ -121,7 +121,8 @@ def test_squareness_from_two_straightness_records_and_the_square_s_own_error():
     values = metrology.smooth_machine(chain, 6)
     truth = {n: values[n] for n in ("C0Y", "A0Z", "B0Z")}
     own = {"C0Y": 5.0, "A0Z": -4.0, "B0Z": 6.0}
-    recording = played.record(chain, values, played.SetUp(noise=0.05, angle_noise=0.1, squares=own), 6)
+    setup = played.SetUp(targets=11, cycles=2, noise=0.05, angle_noise=0.1, squares=own)
+    recording = played.record(chain, values, setup, 6)
     without = tuple(n for n in chain.components if n[2:] == "S")
     model = identify.Parametrisation.of(chain, 8, without)
     found = identify.identify(model, records.observations(chain, {"": recording}, squares=own))
@@ -141,6 +142,7 @@ def test_without_a_square_the_squareness_is_named_as_unseen():
     assert {c for e in extra for c in e.resolves} == {"C0Y", "A0Z", "B0Z"}
 
 
+@pytest.mark.slow
 def test_records_and_a_ball_bar_together_give_what_neither_gives():
     """Lasers and levels for the axes, one ball-bar test for the squareness: solved as one."""
     chain = ready("cmm")
