@@ -167,6 +167,19 @@ static int is_number(ect_real x) { return x >= R(-1e15) && x <= R(1e15); }
 #endif
 static int is_positive(ect_real x) { return x > SMALLEST && x <= R(1e15); }
 
+/* A stored number that a formula of others gives. In binary64: every bit of it, so that 0 is not -0. In binary32, which
+ * cannot know them, the range that the formula has; the sign is read from the file, as a tiny number rounds to 0. */
+#ifdef ECT_SINGLE
+static int is_within(const uint8_t *p, ect_real most) { return p[7] < 0x80 && real_at(p) <= most; }
+#else
+static int is_stored(const uint8_t *p, ect_real x)
+{
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return u32_at(p) == (uint32_t)(bits & 0xFFFFFFFFu) && u32_at(p + 4) == (uint32_t)(bits >> 32);
+}
+#endif
+
 /* A parameter that stands only where its flag is set, else 8 zero bytes. */
 static int is_optional(const uint8_t *p, int has)
 {
@@ -408,10 +421,8 @@ size_t ect_work_size(const void *table, size_t size)
 
 static ect_error load_header(ect *e, const uint8_t *t)
 {
-    ect_real thermal;
     e->slow_every = u32_at(t + 24);
     e->cycle = real_at(t + 32);
-    thermal = real_at(t + 40);
     e->ramp_time = real_at(t + 48);
     e->fade_time = real_at(t + 56);
     if (e->slow_every < 1 || e->slow_every > 1000000 || u32_at(t + 28) != 0) {
@@ -421,11 +432,11 @@ static ect_error load_header(ect *e, const uint8_t *t)
         return ECT_HEADER;
     }
 #ifndef ECT_SINGLE
-    if (!is_equal(thermal, e->cycle * (ect_real)e->slow_every)) {
+    if (!is_stored(t + 40, e->cycle * (ect_real)e->slow_every)) {
         return ECT_HEADER;
     }
 #else
-    if (!is_positive(thermal)) {
+    if (!is_positive(real_at(t + 40))) {
         return ECT_HEADER;
     }
 #endif
@@ -534,9 +545,9 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
             return 0;
         }
 #ifdef ECT_SINGLE
-        return n->c >= R(0) && n->c <= R(1) && n->d >= R(0) && n->d <= R(1);
+        return is_within(r + 40, R(1)) && is_within(r + 48, R(1));
 #else
-        return is_equal(n->c, exp_of(-(dt / n->a))) && is_equal(n->d, exp_of(-(dt / n->b)));
+        return is_stored(r + 40, exp_of(-(dt / n->a))) && is_stored(r + 48, exp_of(-(dt / n->b)));
 #endif
     case POWER:
         return n->a > R(0) && n->a <= R(16);
@@ -553,9 +564,9 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
             return 0;
         }
 #ifdef ECT_SINGLE
-        return n->c > R(0) && n->c <= R(1.1e15);
+        return is_within(r + 40, R(1.1e15)) && n->c > R(0);
 #else
-        return is_equal(n->c, R(1) / n->b);
+        return is_stored(r + 40, R(1) / n->b);
 #endif
     default:
         return 1;
@@ -664,13 +675,12 @@ static ect_error load_profiles(ect *e, const sections *s)
             return ECT_PROFILE;
         }
 #ifdef ECT_SINGLE
-        if (!(p->inverse_step > R(0)) || !(p->inverse_step <= R(1.1e15)) || !(p->inverse_turn >= R(0))
-            || !(p->inverse_turn <= R(1))) {
+        if (!(p->inverse_step > R(0)) || !is_within(r + 32, R(1.1e15)) || (p->periodic && !(p->inverse_turn > R(0)))
+            || !is_within(r + 40, R(1))) {
             return ECT_PROFILE;
         }
 #else
-        if (!is_equal(p->inverse_step, R(1) / step)
-            || (p->periodic && !is_equal(p->inverse_turn, R(1) / (ect_real)p->last))) {
+        if (!is_stored(r + 32, R(1) / step) || (p->periodic && !is_stored(r + 40, R(1) / (ect_real)p->last))) {
             return ECT_PROFILE;
         }
 #endif

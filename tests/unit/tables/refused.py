@@ -30,6 +30,7 @@ def sound() -> t.CompensationTable:
         t.DirectionNode(of=(1,), threshold=0.01), t.ApproachNode(of=(1, 11), length=0.5),
         t.LookupNode(of=(3,), start=0.0, step=5.0, values=(0.0, 1.0, 3.0), slow=True),
         t.LookupNode(of=(1,), start=0.0, step=50.0, values=(1.0, 2.0)),
+        t.LagNode(of=(1,), tau_up=1e-6, tau_down=1e-6),  # so short that nothing remains: factors of 0
     )  # fmt: skip
     return t.CompensationTable(
         machine="vmc ü", title="every kind", version="1", fingerprint="ab" * 32, position_cycle_s=0.001, slow_every=100,
@@ -139,6 +140,10 @@ FIELDS: tuple[tuple[str, int, int, int, str, object], ...] = (
     ("tau_down negative", NODE, 5, 32, "d", -90.0),
     ("lag factor of a slow node, last bit", NODE, 5, 40, "bits", 1),
     ("lag factor of a fast node, last bit", NODE, 6, 48, "bits", 1),
+    ("lag factor, minus zero", NODE, 15, 40, "d", -0.0),
+    ("lag factor falling, minus zero", NODE, 15, 48, "d", -0.0),
+    ("lag factor, a negative subnormal", NODE, 15, 40, "d", -5e-324),
+    ("lag factor falling, negative and too small for single precision", NODE, 15, 48, "d", -1e-100),
     ("product with a number", NODE, 7, 24, "d", 1.0),
     ("exponent of 0", NODE, 8, 24, "d", 0.0),
     ("exponent above 16", NODE, 8, 24, "d", 16.1),
@@ -200,7 +205,7 @@ FIELDS: tuple[tuple[str, int, int, int, str, object], ...] = (
     ("reserved field of a component", COMPONENT, 0, 20, "I", 1),
     ("pair of a component that is not there", PAIR, 0, 0, "I", 2),
     ("pair of a profile that is not there", PAIR, 0, 4, "I", 3),
-    ("pair of a node that is not there", PAIR, 0, 8, "I", 15),
+    ("pair of a node that is not there", PAIR, 0, 8, "I", 16),
     ("unknown pair flag", PAIR, 0, 12, "I", 2),
     ("output without a name", OUTPUT, 0, 0, "32s", b""),
     ("two outputs of one name", OUTPUT, 1, 0, "32s", b"X"),
@@ -222,7 +227,7 @@ FIELDS: tuple[tuple[str, int, int, int, str, object], ...] = (
     ("acceleration not a number", OUTPUT, 0, 80, "d", NAN),
     ("term of a component that is not there", TERM, 0, 0, "I", 2),
     ("term with five factors", TERM, 0, 4, "I", 5),
-    ("factor that is not there", TERM, 1, 8, "I", 15),
+    ("factor that is not there", TERM, 1, 8, "I", 16),
     ("unused factor that is not FFFFFFFF", TERM, 0, 8, "I", 0),
     ("weight infinite", TERM, 0, 24, "d", INF),
 )
