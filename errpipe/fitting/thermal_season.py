@@ -200,6 +200,7 @@ class _Problem:
         design = np.column_stack([core, extra])[good]
         self.triangles = thermal_network.triangles(design, self.response[good], self.group[good])
         self.signs = np.array([c.sign for c in self.causes])
+        self.rounds = 0  # the signs show without
         self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
         self.core_centred, self.extra_centred = core, extra
 
@@ -213,12 +214,13 @@ class _Problem:
             seen = self.rows & np.isfinite(core)
             errors.append(rms((self.response - core)[seen]))
         self.signs = turned if errors[1] < errors[0] else -turned
+        self.rounds = self.options.rounds
 
     def solve(self, groups: Sequence[int], corrected: bool = True) -> _Gains:
         """Gains from some of the groups. corrected: also those of the correction."""
         weight = dict.fromkeys(groups, 1.0)
         core = self._core(weight)
-        for _ in range(self.options.rounds):
+        for _ in range(self.rounds):
             weight = thermal_network.reweighted(weight, self.triangles, self.count, core)
             core = self._core(weight)
         correction = self._local(groups, core) if self.further and corrected else None
