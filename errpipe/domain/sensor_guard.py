@@ -6,7 +6,8 @@ After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the 
     r_i = x_i - sum v_ij x_j, less its value at the start     departure from the best estimate, which also
                                                             reads first-order lags of the others
     p_i = x_i - sum w_ij x_j, less its value at the start     departure that tells sensors apart
-    slow_i  = lag(p_i, filter) / its threshold                  over minutes, so that noise says nothing
+    slow_i  = lag(p_i, filter) / its threshold                  over minutes, so that noise says nothing;
+               its size less 1 per K that the session began outside the starts learnt from
     quick_i = lag(p_i - lag(p_i, horizon), filter) / its threshold     what came in the last hour: smaller faults
 
     blamed_i = 1 for good once |quick_i| >= 1 + c_ij |quick_j| for every other j; or so for slow
@@ -40,6 +41,8 @@ from errpipe.domain.recording import Frozen
 
 WARM_UP = 3.0  # freeze times after the start before stillness means anything
 AWAKE = 4.0  # times the stillness: a frozen sensor must be that alive again to be believed
+MUTED = 1.0  # per K outside the starts learnt from: of the slow statistic
+FAR = 1e3  # K
 MARGIN = 1.2  # times what another sensor's fault makes of a departure: only what is beyond is one's own
 TIE = 1e-9
 MOST_OPERANDS = 8
@@ -73,6 +76,7 @@ class GuardedSensor(Frozen):
     residual: float = Field(ge=0, description="Standard deviation of r on groups that had no part in the weights.")
     quick: float = Field(gt=0, description="Threshold of the quick departure.")
     slow: float = Field(gt=0, description="Threshold of the slow departure.")
+    starts: tuple[float, float] = Field(description="Lowest and highest reading at the start of a session.")
     still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
 
 
@@ -140,8 +144,24 @@ def quick(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
 
 @_shared
 def slow(guard: SensorGuard, sensor: GuardedSensor) -> d.Driver:
-    """|slow_i|: 1 and more is a fault somewhere."""
-    return _size(_lag(d.Affine(weights=(1.0 / sensor.slow,), of=(apart(sensor),)), guard.filter_s))
+    """|slow_i|: 1 and more is a fault somewhere; less of it where a start is unlike those learnt from.
+
+    How sensors stand to each other over a day changes with the season, what an hour brings hardly does.
+    """
+    size = _size(_lag(d.Affine(weights=(1.0 / sensor.slow,), of=(apart(sensor),)), guard.filter_s))
+    return d.Affine(weights=(1.0, -MUTED), of=(size, unlike(guard)))
+
+
+@_shared
+def unlike(guard: SensorGuard) -> d.Driver:
+    """How far outside the starts learnt from this session began, mean over sensors, K."""
+    nodes: list[d.Driver] = []
+    for s in guard.sensors:
+        start = d.First(of=d.Input(name=s.name))
+        low, high = s.starts
+        nodes.append(d.Clip(of=d.Affine(offset=low, weights=(-1.0,), of=(start,)), low=0.0, high=FAR))
+        nodes.append(d.Clip(of=d.Affine(offset=-high, weights=(1.0,), of=(start,)), low=0.0, high=FAR))
+    return d.Affine(weights=(1.0 / len(guard.sensors),) * len(nodes), of=tuple(nodes))
 
 
 def _size(of: d.Driver) -> d.Driver:

@@ -167,6 +167,20 @@ def test_no_real_run_alarms_a_guard_learnt_from_the_others():
 @pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+@pytest.mark.parametrize("season", ["winter", "spring"])
+def test_a_season_not_learnt_from_raises_one_false_alarm_at_most(season):
+    from errpipe.formats import manifest_folder
+
+    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    judged = recording.frame["season"].to_numpy() == season
+    fresh = recording.take(judged)
+    alarms = sensor_guard.faults(sensor_guard.learn(recording.take(~judged)), fresh).any(axis=1)
+    assert np.unique(fresh.run_codes()[alarms]).size <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
 def test_on_the_real_turning_centre():
     """Six sensors, 23 days, each failed in turn in five ways, beside a ridge model of the rises fitted without the day.
 
