@@ -1,4 +1,4 @@
-"""All runtimes on the golden vectors: to the bit where the arithmetic is the same, within 5 nm in single precision."""
+"""Every runtime on the golden vectors: to the bit in double, in single precision as near as its head says."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from errpipe.domain import table as t
 from errpipe.tables import ect
 from errpipe.tables.reference import Evaluator
+from errpipe.targets import iec_st
 from tests.golden import vectors
 from tests.unit.targets.c import test_c_runtime as c
 from tests.unit.targets.st import test_iec_st as st
@@ -21,7 +23,8 @@ def golden():
     return vectors.read(vectors.FILE.read_text(encoding="utf-8"))
 
 
-NAMES = ("straight", "curves", "thermal", "reversal", "limits", "volumetric", "mixed-6", "mixed-13")
+NAMES = vectors.NAMES
+AT_RATE = 1 << t.STATUS.index("at_rate")
 every = pytest.mark.parametrize("number", range(len(NAMES)), ids=NAMES)
 needs_c = pytest.mark.skipif(not c.COMPILERS, reason="no C compiler on this machine")
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
@@ -81,7 +84,10 @@ def single(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def block(tmp_path_factory):
-    return st.Block(tmp_path_factory.mktemp("st"), translate.by_lines(st.units()))
+    rooms = [iec_st.room_for(ect.loads(data)) for _, data, *_ in golden()]
+    room = {what: max(r[what] for r in rooms) for what in rooms[0]}
+    units = [iec_st.unit(name, room) for name in st.UNITS]
+    return st.Block(tmp_path_factory.mktemp("st"), translate.by_lines(units))
 
 
 @needs_c
@@ -94,11 +100,33 @@ def test_c_runtime(number, library):
 
 @needs_c
 @pytest.mark.toolchain
-@pytest.mark.parametrize("number", range(6), ids=NAMES[:6])
+@every
 def test_c_runtime_in_single_precision(number, single):
-    deviation, _, status = compare(number, single.stream)
-    assert np.abs(deviation).max() < 0.001  # um: a nanometre; the largest is 0.4 nm, where a reversal meets a slope
-    assert status.mean() > 0.9  # one ulp of a double beside a knot is on it in single precision
+    name, data, *_, results, exact_status = golden()[number]
+    outputs = ect.loads(data).outputs
+    with np.errstate(over="ignore"):  # 1e300 is infinite in single precision
+        deviation, correction, status = compare(number, single.stream)
+    bound = vectors.single_bound(name, results[:, : len(outputs)])
+    assert np.abs(deviation).max() <= bound
+    assert status.mean() > 0.94  # one ulp of a double beside a knot is on it in single precision
+    limited = np.array([o.slew is not None or o.acceleration is not None for o in outputs])
+    factor = np.array([o.factor for o in outputs])
+    correction = np.abs(correction) / factor
+    there = status & ((exact_status & AT_RATE) == 0)
+    assert correction[:, ~limited].max(initial=0.0) <= bound and correction[there].max(initial=0.0) <= bound
+    # On its way: a part of what it moves in a cycle where it brakes a cycle late, else as exact as anything.
+    moves = np.abs(np.diff(results[:, len(outputs) :], axis=0, prepend=0.0)).max(axis=0) / factor
+    late = 0.25 * moves if name in ("limits", "mixed-13") else np.zeros_like(moves)
+    assert (correction.max(axis=0)[limited] <= np.maximum(vectors.SINGLE, late)[limited]).all()
+
+
+@needs_c
+@pytest.mark.toolchain
+@pytest.mark.parametrize("name", ["readings", "fading", "motion"])
+def test_ties_are_ties_in_single_precision(name, single):
+    with np.errstate(over="ignore"):
+        deviation, correction, status = compare(NAMES.index(name), single.stream)
+    assert not deviation.any() and not correction.any() and status.all()
 
 
 @needs_gcc
@@ -110,11 +138,11 @@ def test_function_block(number, block):
 
 
 def test_the_vectors_visit_what_matters():
-    """Every status bit but `not finite` of the hand-made tables, every operation, both ends and beyond."""
+    """Every status bit, every operation, both ends and beyond."""
     bits = 0
     operations = set()
     for _, data, _, _, _, _, status in golden():
         bits |= int(np.bitwise_or.reduce(status))
         operations |= {n.op for n in ect.loads(data).nodes}
-    assert bits & 0xFFF == 0xFFF
+    assert bits == 0x1FFF
     assert len(operations) == 12

@@ -20,6 +20,7 @@ from errpipe.domain import table as t
 from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, ect
 from errpipe.tables.reference import Evaluator
 from errpipe.terms._base import Lowered
+from tests.golden import edges
 from tests.unit.tables.made import everything, stimulus
 
 FILE = Path(__file__).parents[2] / "schemas" / "ect-1.golden.txt"
@@ -28,8 +29,22 @@ HEAD = """# Golden vectors of the compensation table, binary form, version 1 (ec
 # Each block: `table NAME`, the bytes of the file in hexadecimal, then one line per cycle from a fresh start:
 #     ENABLE  one field per input  >  one deviation per output, one correction per output, status (hexadecimal)
 # A field is - where there is no new reading, nan or inf where it failed, else a number as C's %a writes it (binary64,
-# exact). An evaluator in binary64 must give every bit of every number; one in binary32 stays within 0.005 um.
+# exact). An evaluator in binary64 must give every bit of every number; one in binary32 keeps the deviations within
+# 0.005 um or 2e-6 of the largest of the table, whichever is more (mixed-1: 3e-5, mixed-81: 5e-6); a limited correction
+# on its way may be one cycle early or late.
+#
+# straight to volumetric: machines one can check by hand. readings, fading, operations, sums, motion: each rule of
+# sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N: random tables that use everything.
 """
+NAMES = (
+    "straight", "curves", "thermal", "reversal", "limits", "volumetric", "mixed-6", "mixed-13",
+    "readings", "fading", "operations", "sums", "motion", "mixed-1", "mixed-28", "mixed-81", "mixed-174", "mixed-181",
+)  # fmt: skip
+MIXED = {6: 60, 13: 60, 1: 200, 28: 200, 81: 200, 174: 200, 181: 200}  # seed: cycles
+# What binary32 may lose of a deviation: um or urad, or a share of the table's largest, which is more where powers of
+# large numbers are multiplied.
+SINGLE = 0.005
+SINGLE_SHARE = dict.fromkeys(NAMES, 2e-6) | {"mixed-1": 3e-5, "mixed-81": 5e-6}
 
 
 @dataclass(frozen=True)
@@ -197,12 +212,15 @@ def volumetric() -> Block:
 def mixed(seed: int) -> Block:
     """A random table that uses everything."""
     table = everything(seed)
-    return Block(f"mixed-{seed}", table, *stimulus(table, 60, seed))
+    return Block(f"mixed-{seed}", table, *stimulus(table, MIXED[seed], seed))
 
 
 def blocks() -> Iterator[Block]:
     """All blocks, in the order of the file."""
     yield from (straight(), curves(), thermal(), reversal(), limits(), volumetric(), mixed(6), mixed(13))
+    for make in (edges.readings, edges.fading, edges.operations, edges.sums, edges.motion):
+        yield block(make.__name__, *make())
+    yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))
 
 
 def text() -> str:
@@ -225,6 +243,11 @@ def text() -> str:
 def number(value: float) -> str:
     """As C's %a: exact."""
     return float(value).hex()
+
+
+def single_bound(name: str, deviations: np.ndarray) -> float:
+    """What binary32 may lose of the deviations (cycles, outputs) of a table, um or urad."""
+    return max(SINGLE, SINGLE_SHARE[name] * float(np.abs(deviations).max()))
 
 
 def read(content: str) -> list[tuple[str, bytes, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
