@@ -6,16 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Data, Scene
+from errpipe.diagnosis.evidence import SIZES, Active, Data, Scene, hollow, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
 
-MOST_PARTS = 6
-COARSE = 0.01  # what textbook forms cannot reach, relative to the signal: taken for noise
-ROWS = 300.0  # what is left is no noise: it counts as this many rows
+MOST_PARTS = 5
+BEAM = 6  # states followed at once
+ALTERNATIVES = 3  # sets of effects handed on
+BEHIND = 40.0  # log evidence by which they may be behind the best
+COARSE = (0.004, 0.08)  # what textbook forms cannot reach, relative to the signal: taken for noise
+MATTERS = 20.0  # a part left over matters once a tenth of it, over all rows, stands out of the measuring noise
+ROWS = (60.0, 0.025)  # what is left is no noise: it counts as so many rows, and for each row so many more
 PRICE = 6.0  # log prior odds against each part
 NEVER = ("clock_offset", "sensor_fault")  # faults of recordings, not parts of simulations
-STRANGE = {"thermal_interaction": -6.0, "sensor_drift": -4.0, "local_wear": -3.0, "gradient_bending": -2.0}
+Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
+STRANGE = {  # log prior odds: simulations hold textbook physics, seldom wear, faults of measuring, or products
+    "thermal_interaction": -15.0, "sensor_drift": -12.0, "air_refraction": -12.0, "local_wear": -12.0,
+    "gradient_bending": -6.0, "thermal_lag": -4.0, "friction_hysteresis": -4.0, "interpolation": -4.0,
+    "coolant_effect": -2.0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,99 +48,139 @@ class Part:
 
 @dataclass(frozen=True)
 class Decomposition:
-    """parts; the rms they leave over relative to the simulated signal's; what they leave over, shape (rows,)."""
+    """parts; the rms they leave over relative to the simulated signal's; what they leave over, shape (rows,).
+
+    worth: log evidence, to be compared with other decompositions of the same signal.
+    """
 
     parts: tuple[Part, ...]
     leftover: float
     rest: np.ndarray
+    worth: float
 
 
-def decompose(simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray) -> Decomposition:
-    """Parts added, exchanged and dropped while the evidence grows; each must be worth its columns."""
-    return _Work(simulated, library, recording, rows).run()
+def decompose(
+    simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray, noise: float
+) -> list[Decomposition]:
+    """Parts added, exchanged and dropped while the evidence grows; the likeliest sets of effects, best first.
+
+    noise: rms of the measuring noise; finer than it can show, the signal need not be taken apart.
+    """
+    return _Work(simulated, library, recording, rows, noise).run()
 
 
 class _Work:
-    def __init__(self, simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray):
+    def __init__(self, simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray, noise: float):
         self.y, self.library = simulated - simulated.mean(), library
         self.recording, self.rows = recording, rows
         self.spread = float(self.y.std())
-        self.sigma = COARSE * self.spread
+        coarse = MATTERS * noise / np.sqrt(rows.size)
+        self.sigma = float(np.clip(coarse, COARSE[0] * self.spread, COARSE[1] * self.spread))
         self.still = self.spread <= 1e-9 * (1 + np.abs(simulated).max())
+        self.count = ROWS[0] + ROWS[1] * rows.size
         self.prior = np.array(
             [-1e9 if h.effect in NEVER else STRANGE.get(h.effect, 0.0) for h in library.hypotheses]
         )
+        self.freedom = [library.freedom_of(k) for k in range(len(library.hypotheses))]
 
-    def run(self) -> Decomposition:
+    def run(self) -> list[Decomposition]:
         if self.still or not self.library.hypotheses:
-            return Decomposition((), 0.0, np.zeros_like(self.y))
+            return [Decomposition((), 0.0, np.zeros_like(self.y), 0.0)]
         self.data = Data(self.library.table, self.y)
-        chosen, worth = [], self._worth([])
+        beam: list[tuple[float, Chosen]] = [(self._worth([]), [])]
+        seen: dict[tuple, float] = {(): beam[0][0]}
         for _ in range(4 * MOST_PARTS):
-            chosen, better = self._best_move(chosen, worth)
-            if better <= worth + 1e-6:
+            fresh = []
+            for _worth, state in beam:
+                fresh += self._moves(state, seen)
+            best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]
+            if [w for w, _ in best] == [w for w, _ in beam]:
                 break
-            worth = better
-        return self._result(chosen)
+            beam = best
+        return [self._result(state, worth) for worth, state in self._different(beam)]
 
-    def _best_move(self, chosen: list[int], worth: float) -> tuple[list[int], float]:
-        """The best of adding a part, exchanging one, or dropping one."""
-        moves: list[list[int]] = [chosen[:p] + chosen[p + 1 :] for p in range(len(chosen))]
+    def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
+        """The best state of each set of effects, those not far behind the best."""
+        out: dict[tuple, tuple[float, Chosen]] = {}
+        for worth, state in beam:
+            effects = tuple(sorted(self.library.hypotheses[i].effect for i, _ in state))
+            if effects not in out and worth > beam[0][0] - BEHIND:
+                out[effects] = (worth, state)
+        return list(out.values())[:ALTERNATIVES]
+
+    def _moves(self, chosen: Chosen, seen: dict[tuple, float]) -> list[tuple[float, Chosen]]:
+        """States one step away that were not seen before: a part added, exchanged, or dropped."""
+        moves: list[Chosen] = [chosen[:p] + chosen[p + 1 :] for p in range(len(chosen))]
         if len(chosen) < MOST_PARTS:
-            moves += [[*chosen, k] for k in self._candidates(chosen, 4)]
+            moves += [[*chosen, k] for k in self._candidates(chosen, 6)]
         for p in range(len(chosen)):
             others = chosen[:p] + chosen[p + 1 :]
-            moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 3) if k != chosen[p]]
-        best, best_worth = chosen, worth
+            moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 5) if k[0] != chosen[p][0]]
+        out = []
         for move in moves:
-            value = self._worth(move)
-            if value > best_worth + 1e-6:
-                best, best_worth = move, value
-        return best, best_worth
+            name = tuple(sorted(i for i, _ in move))
+            if name not in seen:
+                tuned = self._tuned(move)
+                seen[name] = self._worth(tuned)
+                out.append((seen[name], tuned))
+        return out
 
-    def _candidates(self, others: list[int], most: int) -> list[int]:
+    def _tuned(self, chosen: Chosen) -> Chosen:
+        """Sizes brought in line with what each part turns out to carry."""
+        for _ in range(2):
+            b = self._scene(chosen).coefficients()[1:]
+            out, start = [], 0
+            for i, _size in chosen:
+                cores = self.library.cores[i]
+                core = b[start : start + cores]
+                start += self.freedom[i].size
+                out.append((i, float(np.clip(np.sqrt(np.mean(core**2)) / self.sigma, SIZES[0], SIZES[-1]))))
+            chosen = out
+        return chosen
+
+    def _candidates(self, others: Chosen, most: int) -> Chosen:
         """The most promising hypotheses beside others, each effect once."""
-        gain = self._gains(others)
-        taken = {self.library.hypotheses[i].key for i in others}
-        out, seen = [], set()
+        scored = self._scene(others).score(self.library.places, self.freedom, self.count, self.library.cores)
+        gain = np.array([s.gain - hollow(s.core) for s in scored]) + self.prior
+        seen = {self.library.hypotheses[i].effect for i, _ in others}
+        out: Chosen = []
         for k in np.argsort(-gain):
-            h = self.library.hypotheses[k]
-            if h.key not in taken and h.effect not in seen:
-                seen.add(h.effect)
-                out.append(int(k))
+            effect = self.library.hypotheses[k].effect
+            if effect not in seen:
+                seen.add(effect)
+                out.append((int(k), scored[k].size))
             if len(out) == most:
                 break
         return out
 
-    def _active(self, chosen: list[int]) -> Active:
+    def _active(self, chosen: Chosen) -> Active:
         active = Active(np.array([self.library.datum]), np.array([np.inf]))
-        for i in chosen:
-            active = active.plus(self.library.indices(i), 2.0 * self.spread * self.library.freedom_of(i))
+        for i, size in chosen:
+            active = active.plus(self.library.indices(i), size * self.sigma * self.freedom[i])
         return active
 
-    def _scene(self, chosen: list[int]) -> Scene:
+    def _scene(self, chosen: Chosen) -> Scene:
         return Scene(self.data, self._active(chosen), self.sigma)
 
-    def _worth(self, chosen: list[int]) -> float:
-        kinds = [self.library.hypotheses[i].effect for i in chosen]
-        twice = 6.0 * (len(kinds) - len(set(kinds)))
-        return self._scene(chosen).evidence(ROWS) + sum(self.prior[i] - PRICE for i in chosen) - twice
+    def _worth(self, chosen: Chosen) -> float:
+        scene = self._scene(chosen)
+        b, start, price = scene.coefficients()[1:], 0, 0.0
+        for i, _ in chosen:
+            width = self.freedom[i].size
+            price += PRICE - self.prior[i] + hollow(textbook_share(b[start : start + width], self.library.cores[i]))
+            start += width
+        return scene.evidence(self.count) - price
 
-    def _gains(self, chosen: list[int]) -> np.ndarray:
-        everything = range(len(self.library.hypotheses))
-        scored = self._scene(chosen).score(self.library.places, [self.library.freedom_of(k) for k in everything], ROWS)
-        return np.array([s.gain for s in scored]) + self.prior
-
-    def _certainty(self, chosen: list[int]) -> list[float]:
+    def _certainty(self, chosen: Chosen) -> list[float]:
         worth = self._worth(chosen)
         return [worth - self._worth(chosen[:p] + chosen[p + 1 :]) for p in range(len(chosen))]
 
-    def _result(self, chosen: list[int]) -> Decomposition:
+    def _result(self, chosen: Chosen, total_worth: float) -> Decomposition:
         scene = self._scene(chosen)
         b = scene.coefficients()
         worth = self._certainty(chosen)
         parts, start, total = [], 1, np.full_like(self.y, b[0])
-        for i, certainty in zip(chosen, worth, strict=True):
+        for (i, _), certainty in zip(chosen, worth, strict=True):
             columns = self.library.block(i, self.recording, self.rows)
             weights = b[start : start + columns.shape[1]]
             start += columns.shape[1]
@@ -140,4 +189,4 @@ class _Work:
             total = total + core + slack
             parts.append(Part(self.library.hypotheses[i], i, core - core.mean(), slack - slack.mean(), certainty))
         rest = self.y - total
-        return Decomposition(tuple(parts), float(np.std(rest) / self.spread), rest)
+        return Decomposition(tuple(parts), float(np.std(rest) / self.spread), rest, total_worth)

@@ -24,6 +24,8 @@ from errpipe.kernels import noise
 MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blind trials: 5 to 12)
 SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
 AT_ONCE = 64  # columns filtered together
+LEAST_CORE = 0.25  # below this share of its textbook form an effect is not what its name says,
+HOLLOW = 60.0  # and at none it would need this log Bayes factor
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
@@ -179,10 +181,12 @@ NOTHING = Active(np.zeros(0, dtype=int), np.zeros(0))
 
 @dataclass(frozen=True)
 class Scored:
-    """A hypothesis' log Bayes factor against the active columns alone, and the size that fits best."""
+    """A hypothesis' log Bayes factor against the active columns alone, the size that fits best, and at that size the
+    textbook form's share in what it carries."""
 
     gain: float
     size: float
+    core: float = 1.0
 
 
 class Scene:
@@ -242,9 +246,11 @@ class Scene:
         return float(-price - 0.5 * (rows or self.n) * np.log(max(Q, 1e-9 * self.Q) / self.Q))
 
     def score(
-        self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None
-    ) -> list[Scored]:
-        """Score hypotheses: columns of each (slice or indices into the table) and their relative freedoms."""
+        self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None,
+        cores: list[int] | None = None,
+    ) -> list[Scored]:  # fmt: skip
+        """Score hypotheses: columns of each (slice or indices into the table), their relative freedoms, and how many
+        of the columns are the textbook form (None: all)."""
         index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
         used = np.concatenate(index) if index else np.zeros(0, dtype=int)
         half = np.linalg.solve(self.chol, self.G[np.ix_(self.active.index, used)])
@@ -261,16 +267,20 @@ class Scene:
             h = half[:, place].transpose(1, 0, 2)
             S = S - h.transpose(0, 2, 1) @ h
             D = np.stack([freedom[k] for k in members])
-            gains, best = self._log_bf(S * D[:, :, None] * D[:, None, :], D * s_all[place], rows or self.n)
-            for k, g, size in zip(members, gains, best, strict=True):
-                out[k] = Scored(float(g), float(size))
+            gains, best, b = self._log_bf(S * D[:, :, None] * D[:, None, :], D * s_all[place], rows or self.n)
+            textbook = np.array([width if cores is None else cores[k] for k in members])
+            share = textbook_share(D * b, textbook)
+            for k, g, size, core in zip(members, gains, best, share, strict=True):
+                out[k] = Scored(float(g), float(size), float(core))
         return out  # type: ignore[return-value]
 
-    def _log_bf(self, S: np.ndarray, s: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray]:
-        """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, and the best size of each."""
+    def _log_bf(self, S: np.ndarray, s: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, the best size of each and the
+        coefficients (m, k) at that size."""
         lam, U = np.linalg.eigh(S)
         lam = np.maximum(lam, 0.0)
-        z = np.einsum("mij,mi->mj", U, s) ** 2
+        turned = np.einsum("mij,mi->mj", U, s)
+        z = turned**2
         a2 = SIZES[None, :, None] ** 2
         took = (z[:, None, :] * a2 / (1.0 + a2 * lam[:, None, :])).sum(axis=2)
         left = np.maximum(self.Q - took, 1e-9 * self.Q)
@@ -278,7 +288,22 @@ class Scene:
         top = log_bf.argmax(axis=1)
         peak = log_bf.max(axis=1)
         mean = peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
-        return mean, SIZES[top]
+        at = SIZES[top][:, None] ** 2
+        b = np.einsum("mij,mj->mi", U, at / (1.0 + at * lam) * turned)
+        return mean, SIZES[top], b
+
+
+def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndarray:
+    """Share of a hypothesis' first `cores` columns in what its columns, all of unit size, carry; (..., k) to (...,)."""
+    textbook = np.arange(coefficients.shape[-1]) < np.asarray(cores)[..., None]
+    core = np.abs(coefficients * textbook).sum(axis=-1)
+    slack = np.sqrt((coefficients**2 * ~textbook).sum(axis=-1))
+    return core / np.maximum(core + slack, 1e-300)
+
+
+def hollow(share: float) -> float:
+    """Log Bayes factor that a hypothesis must bring besides, where its textbook form has so small a share."""
+    return HOLLOW * max(0.0, 1.0 - share / LEAST_CORE)
 
 
 def correlation_time(left: np.ndarray, run: np.ndarray) -> float:

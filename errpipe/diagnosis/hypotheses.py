@@ -116,7 +116,7 @@ def build(
     signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
     """
     run = recording.run_codes()[rows]
-    waves = Waves(rows, signals)
+    waves = Waves(rows, tuple(without_motion(recording, rows, signal) for signal in signals))
     every = enumerate_all(recording, component, raw or recording, waves)
     return Library(_with_columns(every, recording, rows), run, folds(run)[0])
 
@@ -206,7 +206,7 @@ class Waves:
     rows: np.ndarray
     signals: tuple[np.ndarray, ...]
 
-    def periods(self, x: np.ndarray, shortest: float = 1.5, longest: float = 60.0, most: int = 24) -> tuple[float, ...]:
+    def periods(self, x: np.ndarray, shortest: float = 0.6, longest: float = 60.0, most: int = 24) -> tuple[float, ...]:
         """Lengths of the strongest waves of each signal along x, with neighbours a quarter of a turn apart."""
         at = x[self.rows]
         span = float(at.max() - at.min())
@@ -233,6 +233,17 @@ class Waves:
                 for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
                     found.add(float(1.0 / max(frequency[k] + shift / span, 1e-6)))
         return tuple(sorted(found))
+
+
+def without_motion(recording: Recording, rows: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """A signal less what goes with the axes' speeds and accelerations, beside which waves would drown."""
+    columns = [np.ones(rows.size)]
+    for name in (*recording.names("velocity"), *recording.names("acceleration")):
+        values = recording.array(name)[rows]
+        if np.isfinite(values).all() and values.std() > 0:
+            columns += [values / values.std(), np.sign(values)]
+    block = np.column_stack(columns)
+    return signal - block @ np.linalg.lstsq(block, signal, rcond=None)[0]
 
 
 class Mass(Term):
@@ -367,6 +378,14 @@ def slacks(
     """How reality strays from a term's textbook form: (column, freedom relative to the core)."""
     name = term.term
     radial = getattr(term, "radial", False)
+    if name in ("torque_ripple", "pitch_cyclic", "interpolation") and not radial:
+        bent = np.polynomial.chebyshev.chebvander(unit(position(recording, term.axis)), 2)
+        for wave in base.T:  # stronger here than there, or a little longer than said
+            yield wave * bent[:, 1], 0.15
+            yield wave * bent[:, 2], 0.15
+    if name == "friction_hysteresis":
+        for factor in (0.3, 3.0):  # contacts give way one after the other
+            yield term.basis(recording, nl[0] * factor)[:, 0] - base[:, 0], 0.25
     if name in ("backlash", "screw_windup", "friction_hysteresis") and not radial:
         yield from wavy(base[:, 0], position(recording, term.axis))
     elif name == "scale_error" and not radial:
@@ -419,6 +438,10 @@ def slacks(
         yield recording.array(term.force), 0.4  # what gives way besides the bar
     elif name == "viscous_friction":
         yield np.abs(base[:, 0]), 0.4  # it may differ by direction
+    elif name == "inertial_deflection":
+        for tau in (0.004, 0.02):  # what is bent swings a while
+            late = responses.lag(sessions(recording), recording.time(), base[:, 0], tau, tau, True)
+            yield late - base[:, 0], 0.25
     elif name == "reversal_spike":
         # a real spike takes a moment to rise
         yield base[:, 0] - term.basis(recording, nl[0] / 3, *nl[1:])[:, 0], 0.4

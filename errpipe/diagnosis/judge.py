@@ -20,7 +20,9 @@ GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
 MISSING = 10.0  # log Bayes factor for the first finding
 MORE = 10.0  # and for each further one
 OFF = 3.0  # log Bayes factor for a recalibration
-PRESENT = -4.0  # log prior odds against an effect that the simulation already holds
+OWN_SD = 0.04  # how far the gain of what is not textbook in a part is off beside the gain of the part
+PRESENT = -8.0  # log prior odds against an effect that the simulation already holds,
+SAME = -8.0  # and again where it would be driven by the same columns
 
 Progress = Callable[[float, str], None]
 
@@ -39,6 +41,7 @@ class Case:
     nuisance: Active
     names: list[str]
     recal: np.ndarray  # the nuisances' columns before whitening
+    sizes: np.ndarray  # rms of what each of them stands for: its coefficient over this is a gain less 1
     search: Search
     explanation: Explanation
     sigma: float
@@ -92,8 +95,12 @@ def _reached(search: Search, explanation: Explanation, rough: float, share: floa
 FAINT = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
 
 
-def worth_naming(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
+MENDS = 0.2  # size beside the simulation's own part of that name and driver, below which a finding mends its form
+
+
+def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
     """The explanation without findings too faint to be physics of their own: they mend the form of something else."""
+    own = {(p.hypothesis.effect, p.hypothesis.drivers): MENDS * float(np.std(p.contribution)) for p in held.parts}
     kept = list(explanation.found)
     while kept:
         scene = search.scene([(f.index, f.size) for f in kept])
@@ -104,7 +111,9 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows) ->
             carried = block @ b[first : first + block.shape[1]]
             first += block.shape[1]
             acting = np.abs(carried) > 0.1 * np.abs(carried).max()
-            sizes.append(float(np.sqrt(np.mean(carried[acting] ** 2))) / search.sigma)
+            size = float(np.sqrt(np.mean(carried[acting] ** 2)))
+            mends = size < own.get((f.hypothesis.effect, f.hypothesis.drivers), 0.0)
+            sizes.append(0.0 if mends else size / search.sigma)
         faint = [k for k, size in enumerate(sizes) if size < FAINT[min(k, 1)]]
         if not faint:
             break
@@ -145,13 +154,13 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     simulated = conditioned.array(pair.simulated)[rows]
     library = hypotheses.build(conditioned, pair.component, rows, raw, (pair.mismatch, simulated))
     progress(0.3, f"{pair.component}: taking the simulation apart")
-    decomposition = parts.decompose(simulated, library, conditioned, rows)
-    nuisance, names, recal = recalibration(simulated, decomposition, library)
-    progress(0.5, f"{pair.component}: looking for what is missing")
-    data = Data(library.table, pair.mismatch)
-    prior = log_prior(library, decomposition)
     run = conditioned.run_codes()[rows]
     rough = first_noise(pair.mismatch, run)
+    data = Data(library.table, pair.mismatch)
+    alternatives = parts.decompose(simulated, library, conditioned, rows, rough)
+    progress(0.5, f"{pair.component}: looking for what is missing")
+    decomposition, (nuisance, names, recal, sizes) = _likeliest(alternatives, simulated, library, data, rough)
+    prior = log_prior(library, decomposition)
     loose: list[Shape] = shapes(conditioned, pair.component, rows)
     every = library.add(np.column_stack([s.columns for s in loose]))
     edges = np.cumsum([0, *[s.columns.shape[1] for s in loose]])
@@ -174,32 +183,48 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
         if search.rows and other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
             search, explanation, nuisance = other, loose_gains, wide
-    explanation = worth_naming(search, explanation, conditioned, rows)
+    explanation = worth_naming(search, explanation, conditioned, rows, decomposition)
     sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)
     search.sigma = sigma
     chosen = [(f.index, f.size) for f in explanation.found]
     rest = admit.remainder(search, library, chosen, loose, places)
-    return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal,
+    return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal, sizes,
                 search, explanation, sigma, rest, rough, loose, places)  # fmt: skip
+
+
+TRUST = 0.3  # weight of the evidence from taking the simulation apart: what it leaves over is no noise
+
+
+def _likeliest(alternatives: list[parts.Decomposition], simulated, library, data: Data, rough: float):
+    """The decomposition that makes signal and mismatch likeliest together, with its recalibration."""
+    tried = []
+    for d in alternatives:
+        nuisance, *told = recalibration(simulated, d, library)
+        worth = TRUST * d.worth
+        if len(alternatives) > 1:
+            search, e = _settled(library, data, nuisance, log_prior(library, d), rough)
+            worth += search.evidence([(f.index, f.size) for f in e.found]) - MISSING * len(e.found)
+        tried.append((worth, (d, (nuisance, *told))))
+    return max(tried, key=lambda t: t[0])[1]
 
 
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
-) -> tuple[Active, list[str], np.ndarray]:
-    """Datum, gain of the whole simulated signal, gain of each of its parts; their names and columns."""
+) -> tuple[Active, list[str], np.ndarray, np.ndarray]:
+    """Datum, gain of the whole simulated signal, gain of each of its parts; their names, columns and sizes."""
     columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
     for part in together(d.parts):
-        for what, values in (("", part.core), (", not textbook", part.slack)):
+        for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD)):
             if np.std(values) > 0.02 * np.std(simulated):
                 columns.append(values)
-                sd.append(GAIN_SD)
+                sd.append(off)
                 names.append(part.hypothesis.effect + what)
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
     index = library.add(block)
     active = Active(np.array([library.datum]), np.array([np.inf]))
     every = np.column_stack([np.ones(simulated.size), block])
-    return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names], every
+    return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names], every, np.r_[1.0, size]
 
 
 def together(found: tuple[parts.Part, ...]) -> list[parts.Part]:
@@ -219,10 +244,11 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
     """Log prior odds: what the simulation already holds is seldom what it lacks."""
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > 15.0}
+    held_by = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > 15.0}
     prior = np.array([h.prior for h in library.hypotheses])
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:
-            prior[i] += PRESENT
+            prior[i] += PRESENT + (SAME if (h.effect, h.drivers) in held_by else 0.0)
         if h.effect == "moving_mass":
             prior[i] = -1e6
     return prior
@@ -255,4 +281,4 @@ def needs_recalibration(case: Case) -> bool:
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
     scored = scene.score(sets, [np.ones(s.size) for s in sets])
-    return max(s.gain for s in scored) > OFF
+    return max(s.gain for s in scored) > OFF + np.log(len(sets))  # the best of so many

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Scene, whiten
+from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.diagnosis.judge import Case
 
@@ -60,10 +60,7 @@ def core_share(case: Case, k: int) -> float:
     b = scene.coefficients()
     first = case.nuisance.index.size + sum(case.library.indices(f.index).size for f in found[:k])
     at = case.library.indices(found[k].index)
-    weights = b[first : first + at.size]
-    cores = case.library.cores[found[k].index]
-    core, slack = float(np.abs(weights[:cores]).sum()), float(np.sqrt((weights[cores:] ** 2).sum()))
-    return core / max(core + slack, 1e-12)
+    return float(textbook_share(b[first : first + at.size], case.library.cores[found[k].index]))
 
 
 def _columns(case: Case, h: Hypothesis):
@@ -87,7 +84,7 @@ def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
     except ValueError:
         return -np.inf
     S, s = _projected(scene, block)
-    gain, _ = scene._log_bf((S * freedom[:, None] * freedom)[None], (freedom * s)[None], scene.n)
+    gain, _, _ = scene._log_bf((S * freedom[:, None] * freedom)[None], (freedom * s)[None], scene.n)
     return float(gain[0])
 
 

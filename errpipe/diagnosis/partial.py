@@ -19,10 +19,14 @@ from errpipe.domain.recording import Recording
 from errpipe.terms._base import position
 from errpipe.terms._place import axes, position_name
 
-LEADERS = 24  # hypotheses tried in part
+LEADERS = 24  # hypotheses tried in part,
+EACH = 2  # and so many of each effect
+ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 BINS = 14
-BETTER = 7.0  # log Bayes factor by which a part must beat the whole
-ALREADY_LOCAL = ("local_wear", "sensor_fault", "clock_offset", "reversal_spike", "interpolation")
+BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
+MENDING = 0.05  # and this share of what the best whole brings: a part may only mend the textbook form
+ALREADY_LOCAL = ("local_wear", "sensor_fault", "clock_offset")
+EVERYWHERE = ("reversal_spike", "interpolation")  # on a stretch; in some runs they may act alone
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,21 @@ class Groups:
         if self.kind == "runs":
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count]
+
+    def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
+        """Unions of the runs in which an effect seems strongest, one way or the other."""
+        if self.kind != "runs":
+            return []
+        order = np.argsort(rate)
+        ends = [order[:k] for k in range(3, self.count)] + [order[k:] for k in range(1, self.count - 2)]
+        return [tuple(sorted(int(g) for g in end)) for end in ends]
+
+    def price(self, members: tuple[int, ...]) -> float:
+        """Log of the number of unions of this kind that could have been chosen."""
+        neighbours = members == tuple(range(members[0], members[-1] + 1))
+        if neighbours or len(members) == 2:
+            return float(np.log(self.count * (self.count + 1) - self.count - 1))
+        return float(self.count * np.log(2.0))
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
@@ -73,32 +92,61 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
 
 
 def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> list[int]:
-    """Extend the library with hypotheses in part that beat their whole; returns their indices."""
-    library = search.library
+    """Extend the library with hypotheses in part that beat every whole; returns their indices.
+
+    Where the best of them acts, the others are tried too: within one run or stretch many effects look alike.
+    """
+    library, clock = search.library, recording.name("time")
+    tried = candidates(search, alone)
+    whole = max(float(np.max(alone - search.prior)), 0.0)
     parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
     y = search.data.y
-    clock = recording.name("time")
     for groups in partitions(recording, rows):
         order = np.argsort(groups.code, kind="stable")
         edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
-        for index in search.leaders(alone, LEADERS):
-            h = library.hypotheses[index]
-            if h.effect in ALREADY_LOCAL or h.mask or alone[index] < -1e5:
+        for index in tried:
+            if not may_act_in_part(library.hypotheses[index], groups.kind, clock):
                 continue
-            on_axis = groups.kind in h.drivers or h.terms[0].family in ("geometric", "reversal", "servo", "friction")
-            if groups.kind not in ("runs", clock) and not on_axis:
-                continue
-            W = library.table.W[:, library.indices(index)[: library.cores[index]]]
+            W = library.table.W[:, library.places[index][: library.cores[index]]]
             found = _best_part(scene, basis, y, W, groups, order, edges)
-            if found and found[0] > alone[index] - search.prior[index] + BETTER and found[0] > 12.0:
+            if found and found[0] > whole + BETTER + MENDING * whole and found[0] > 12.0:
                 parts.append((found[0], index, groups, found[1]))
     parts.sort(key=lambda p: -p[0])
-    fresh = []
-    for _gain, index, groups, members in parts[:8]:
-        fresh.append(_extend(library, search, recording, rows, index, groups.mask(members)))
-    return [i for i in fresh if i is not None]
+    fresh = [(index, groups, groups.mask(members)) for _gain, index, groups, members in parts[:8]]
+    if fresh:
+        _, groups, mask = fresh[0]
+        known = {(index, mask) for index, _, mask in fresh}
+        for index in tried:
+            if may_act_in_part(library.hypotheses[index], groups.kind, clock) and (index, mask) not in known:
+                fresh.append((index, groups, mask))
+    made = [_extend(library, search, recording, rows, index, mask) for index, _, mask in fresh]
+    return [i for i in made if i is not None]
+
+
+def candidates(search: Search, alone: np.ndarray) -> list[int]:
+    """Hypotheses tried in part: the best as a whole, and the best few of each effect."""
+    library = search.library
+    out, count = [], dict.fromkeys({h.effect for h in library.hypotheses}, 0)
+    for index in search.leaders(alone, len(library.hypotheses)):
+        h = library.hypotheses[index]
+        if h.effect in ALREADY_LOCAL or h.mask or alone[index] < -1e5:
+            continue
+        if len(out) < LEADERS or count[h.effect] < EACH:
+            out.append(index)
+            count[h.effect] += 1
+    return out
+
+
+def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
+    """Can this effect act in some groups of this kind and not in others?"""
+    if kind == "runs":
+        return True
+    if h.effect in EVERYWHERE:
+        return False
+    term = h.terms[0]
+    return kind == clock or kind in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
 def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float, tuple[int, ...]] | None:
@@ -113,15 +161,19 @@ def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float,
     choices = groups.choices()
     if not choices:
         return None
+    seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
+    rate = seen / np.maximum(S[:, 0, 0], 1e-300)
+    choices += groups.by_rate(rate)
     member = np.zeros((len(choices), groups.count))
     for c, members in enumerate(choices):
         member[c, list(members)] = 1.0
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
     sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
-    gain, _ = scene._log_bf(Sc, sc, scene.n)
+    gain, _, _ = scene._log_bf(Sc, sc, scene.n)
+    gain = gain - np.array([groups.price(c) for c in choices])
     best = int(np.argmax(gain))
-    return float(gain[best] - np.log(len(choices))), choices[best]
+    return float(gain[best]), choices[best]
 
 
 def _extend(library: Library, search: Search, recording: Recording, rows, index: int, mask: tuple) -> int | None:

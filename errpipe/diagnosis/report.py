@@ -236,10 +236,8 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     b, cov = scene.coefficients(), scene.covariance()
     parameters = []
     m = case.nuisance.index.size
-    size = np.r_[1.0, np.ones(m - 1)]
     for j, name in enumerate(case.names):
-        width = 1.0 if j == 0 else float(case.nuisance.sd[j]) / 0.10
-        value, sd = b[j] / (width * size[j]), np.sqrt(cov[j, j]) / width
+        value, sd = b[j] / case.sizes[j], np.sqrt(cov[j, j]) / case.sizes[j]
         unit = case.pair.unit if j == 0 else "1"
         label = "datum" if j == 0 else f"gain of {name} less 1"
         low, high = float(value - 2 * sd), float(value + 2 * sd)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Data, Scene, Scored
+from errpipe.diagnosis.evidence import Active, Data, Scene, Scored, hollow
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
@@ -96,7 +96,8 @@ class Search:
         scene = self.scene(chosen)
         slices = [self.library.places[k] for k in candidates]
         freedom = [self.library.freedom_of(k) for k in candidates]
-        scored = scene.score(slices, freedom, self.rows)
+        scored = scene.score(slices, freedom, self.rows, [self.library.cores[k] for k in candidates])
+        scored = [replace(s, gain=s.gain - hollow(s.core)) for s in scored]
         for place, k in enumerate(candidates):
             if self.library.hypotheses[k].effect == "clock_offset":
                 # a shift has no size of its own: the difference of the shifted signals counts once
