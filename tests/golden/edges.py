@@ -182,6 +182,7 @@ def operations() -> tuple[t.CompensationTable, list[dict]]:
     ]
     way += [1.0, 2.0, 2.0, 2.5, 2.5, 3.0, 3.0, 3.25, 3.25, 1.4142135623730951, 0.5]  # approach where nothing moved
     way += [9.0, 9.68359375, 9.68359375, 5.0, 5.68408203125, 5.0]  # 700 and 700.5 lengths
+    way += [10.484375]  # a logarithm in which the last term of the series shows
     known = [None, None, None, BAD, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0,
              0.0, 0.5, 2.0**-64, 0.0, 2.0**-65, -(2.0**-64), 0.0, 2.0, 2.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
              0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 3.0, 3.0, -3.0, 900.0, 900.0, 1.0, -900.0, 0.0, 0.0,
@@ -226,7 +227,9 @@ def motion() -> tuple[t.CompensationTable, list[dict], list[int]]:
     limits = [
         {"slew": s, "acceleration": a, "magnitude": m}
         for s in (None, 4.0 / TICK) for a in (None, 1.0 / TICK**2) for m in (None, 20.0)
-    ] + [{"acceleration": 4.0 / TICK**2}, {"slew": 1.0 / TICK, "acceleration": 0.25 / TICK**2}]  # fmt: skip
+    ]  # fmt: skip
+    limits += [{"acceleration": 4.0 / TICK**2}, {"slew": 1.0 / TICK, "acceleration": 0.25 / TICK**2}]
+    limits += [{"magnitude": 0.5}]
     table = t.CompensationTable(
         position_cycle_s=TICK, slow_every=1, ramp_s=8 * TICK, fade_s=0.0, inputs=(channel("a"),),
         nodes=(t.InputNode(input="a"),), profiles=(t.Profile(values=(1,), scale=1.0),),
