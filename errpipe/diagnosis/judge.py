@@ -21,8 +21,8 @@ MISSING = 10.0  # log Bayes factor for the first finding
 MORE = 10.0  # and for each further one
 OFF = 3.0  # log Bayes factor for a recalibration
 OWN_SD = 0.04  # how far the gain of what is not textbook in a part is off beside the gain of the part
-PRESENT = -8.0  # log prior odds against an effect that the simulation already holds,
-SAME = -8.0  # and again where it would be driven by the same columns
+PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
+SAME = -12.0  # and again where it would be driven by the same columns
 
 Progress = Callable[[float, str], None]
 

@@ -329,7 +329,7 @@ def test_the_gantry_s_bed_was_left_out(tmp_path: Path) -> None:
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert response["findings"][0]["effect"] == "thermal_drift"
     assert response["findings"][0]["drivers"] == ["bed_t"]
-    assert response["findings"][0]["confidence_of_class"] > 0.7
+    assert response["findings"][0]["confidence_of_class"] > 0.6
     assert "gradient_bending" in response["findings"][0]["indistinguishable_from"]  # bed less frame: the same beside it
     (figures,) = read(out / "validate/validation.json")["components"]
     assert figures["rms_before"] == pytest.approx(36.9, abs=0.2)  # published: frame alone 36.9, with the bed about 4.8
