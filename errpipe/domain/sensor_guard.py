@@ -13,8 +13,12 @@ After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the 
     blamed_i = 1 for good once |quick_i| >= 1 + c_ij |quick_j| for every other j; or so for slow
     frozen_i = 1 while lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than ever when healthy,
                no sooner than WARM_UP freeze times after the start
-    guarded reading = x_i, less (r_i + sum v_ij r_j over failed j) while it is blamed or frozen:
-               its estimate from what stands in for the others, set to x_i at the start
+    m_i = lag(r_i, settle) as it was when last all was calm and x_i alive: what the estimate is off by
+    swapped_ij = 1 for good once x_i, x_j read what x_j, x_i did when last all was calm, by far better than what they
+               did themselves; by less where one of the two is blamed already
+    guarded reading = x_i, less (r_i - m_i + sum v_ij (r_j - m_j) over failed j) while it is blamed or frozen:
+               its last trusted reading, carried on as its estimate from what stands in for the others;
+               x_j where it is swapped with j
 
 Two sets of weights, because the estimate that follows best cannot tell which of two close sensors failed: their
 departures are one and the same. The w give up some closeness, so that a fault of sensor j shows in p_i less than
@@ -32,6 +36,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import combinations
 from typing import Literal
 
 from pydantic import Field
@@ -43,6 +48,15 @@ WARM_UP = 3.0  # freeze times after the start before stillness means anything
 AWAKE = 4.0  # times the stillness: a frozen sensor must be that alive again to be believed
 MUTED = 1.0  # per K outside the starts learnt from: of the slow statistic
 FAR = 1e3  # K
+SUSPECT = 0.5  # of the threshold: from here what a reading is off by is no longer remembered
+CLEARED = 0.4  # of the threshold: from here down it is again
+FITS = 0.3  # share of the squared difference that two swapped readings may miss each other's by
+LATELY = 0.6  # of 1: a swap is looked for until half a horizon after all was calm,
+JUST_NOW = 0.8  # if nobody is blamed until a fifth of it
+FOREVER = 1e9  # s
+NEVER = 1e15  # s
+AT_ONCE = 1e-3  # s
+NO_SQUARE = -1e12  # K2: below any difference of squares, so that a switch stays on until the next start
 MARGIN = 1.2  # times what another sensor's fault makes of a departure: only what is beyond is one's own
 TIE = 1e-9
 MOST_OPERANDS = 8
@@ -77,6 +91,8 @@ class GuardedSensor(Frozen):
     quick: float = Field(gt=0, description="Threshold of the quick departure.")
     slow: float = Field(gt=0, description="Threshold of the slow departure.")
     starts: tuple[float, float] = Field(description="Lowest and highest reading at the start of a session.")
+    reach: float = Field(gt=0, description="Largest departure r that is remembered; twice what a healthy one had.")
+    lively: float | None = Field(None, description="Of the lagged square; a healthy one seldom is below.")
     still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
 
 
@@ -88,6 +104,9 @@ class SensorGuard(Frozen):
     filter_s: float = Field(gt=0, description="Time constant of the statistics.")
     horizon_s: float = Field(gt=0, description="Time constant of what the quick statistic forgets.")
     freeze_s: float = Field(gt=0, description="Time constant of the stillness.")
+    settle_s: float = Field(gt=0, description="Time constant of what is remembered of a departure.")
+    swap_s: float = Field(gt=0, description="Time constant of where a reading was before a swap.")
+    turns: tuple[float, ...] = Field(description="K; healthy ones this far apart never turn round; pairs in order.")
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
     hours: float = Field(description="Hours of healthy readings the thresholds come from.")
     shows_elsewhere: float = Field(description="Largest share of a fault that shows in another sensor's p.")
@@ -95,6 +114,10 @@ class SensorGuard(Frozen):
     def sensor(self, name: str) -> GuardedSensor:
         """The sensor of a name. Raises KeyError."""
         return {s.name: s for s in self.sensors}[name]
+
+    def turn(self, one: str, other: str) -> float:
+        """How far the difference of two healthy readings does not turn round, K. Raises KeyError."""
+        return dict(zip(combinations(self.names(), 2), self.turns, strict=True))[one, other]
 
     def names(self) -> tuple[str, ...]:
         """Names of the guarded sensors."""
@@ -225,24 +248,180 @@ def frozen(guard: SensorGuard, name: str) -> d.Driver:
 
 
 @_shared
-def fault(guard: SensorGuard, name: str) -> d.Driver:
-    """1 while a reading is not believed; else 0."""
+def plain_fault(guard: SensorGuard, name: str) -> d.Driver:
+    """1 while a reading is seen to have departed by itself or to stand still; else 0."""
     return _not(_all([_not(blamed(guard, name)), _not(frozen(guard, name))]))
 
 
-def reading(guard: SensorGuard, name: str) -> d.Driver:
-    """The reading while it is believed, else what stands in for it."""
-    sensor = guard.sensor(name)
-    own = departure(sensor)
-    others = tuple(_delayed(s, _failed_departure(guard, s.name)) for s in sensor.sources)
-    off = d.Product(of=(fault(guard, name), d.Affine(weights=(1.0, *sensor.estimate), of=(own, *others))))
-    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), off))
+@_shared
+def fault(guard: SensorGuard, name: str) -> d.Driver:
+    """1 while a reading is not believed; else 0."""
+    exchanged = [_not(swapped(guard, name, n)) for n in guard.names() if n != name]
+    return _not(_all([_not(plain_fault(guard, name)), *exchanged]))
 
 
 @_shared
-def _failed_departure(guard: SensorGuard, name: str) -> d.Driver:
+def calm(guard: SensorGuard) -> d.Driver:
+    """1 while no sensor is at fault and none is about to be: what is seen now may be remembered; else 0."""
+    flags = [_not(plain_fault(guard, n)) for n in guard.names()]
+    return _all([*flags, *(_not(d.Switch(of=quick(guard, s), on=SUSPECT, off=CLEARED)) for s in guard.sensors)])
+
+
+@_shared
+def _at_ease(guard: SensorGuard, name: str) -> d.Driver:
+    """1 while what a sensor is off by may be remembered; else 0."""
+    return d.Product(of=(calm(guard), _not(asleep(guard, name))))
+
+
+@_shared
+def asleep(guard: SensorGuard, name: str) -> d.Driver:
+    """1 while a reading moves less than it mostly does when healthy: it may just have got stuck; else 0."""
     sensor = guard.sensor(name)
-    return d.Product(of=(fault(guard, name), departure(sensor)))
+    if sensor.lively is None:
+        return d.Constant(value=0.0)
+    alive = d.Affine(weights=(-1.0,), of=(stillness(guard, sensor),))
+    return d.Switch(of=alive, on=-sensor.lively, off=-sensor.lively * (1.0 + TIE))
+
+
+@_shared
+def _clock(guard: SensorGuard) -> d.Driver:
+    """Rises without end, faster than anything that is remembered, K."""
+    widest = max(max(2.0 * s.reach / guard.settle_s, (s.high - s.low) / guard.swap_s) for s in guard.sensors)
+    return d.Lag(of=d.Constant(value=2.0 * widest * FOREVER), tau_up=FOREVER, tau_down=FOREVER, start="zero")
+
+
+@_shared
+def _held(of: d.Driver, gate: d.Driver) -> d.Driver:
+    """What never falls, as it was when the gate was last 1: a lag that follows upwards at once and downwards never."""
+    return d.Lag(of=d.Product(of=(gate, of)), tau_up=AT_ONCE, tau_down=NEVER, start="zero")
+
+
+def _as_it_was(guard: SensorGuard, of: d.Driver, gate: d.Driver) -> d.Driver:
+    """What `of` was when the gate was last 1.
+
+    No operation holds a value that may fall; so a clock is added that rises faster, and subtracted once both are held.
+    """
+    rising = d.Affine(weights=(1.0, 1.0), of=(of, _clock(guard)))
+    return d.Affine(weights=(1.0, -1.0), of=(_held(rising, gate), _held(_clock(guard), gate)))
+
+
+@_shared
+def remembered(guard: SensorGuard, name: str) -> d.Driver:
+    """The departure r that a sensor had while it was last believed, K: what its estimate is off by."""
+    sensor = guard.sensor(name)
+    within = d.Clip(of=departure(sensor), low=-sensor.reach, high=sensor.reach)
+    return _as_it_was(guard, _lag(within, guard.settle_s), _at_ease(guard, name))
+
+
+@_shared
+def reading(guard: SensorGuard, name: str) -> d.Driver:
+    """The reading while it is believed, else what stands in for it."""
+    sensor = guard.sensor(name)
+    others = tuple(_delayed(s, _off(guard, s.name)) for s in sensor.sources)
+    estimated = d.Affine(weights=(1.0, *sensor.estimate), of=(_gone(guard, name), *others))
+    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), _instead(guard, name, estimated)))
+
+
+@_shared
+def _gone(guard: SensorGuard, name: str) -> d.Driver:
+    """How far a reading has departed since it was last believed."""
+    return d.Affine(weights=(1.0, -1.0), of=(departure(guard.sensor(name)), remembered(guard, name)))
+
+
+@_shared
+def _off(guard: SensorGuard, name: str) -> d.Driver:
+    return _instead(guard, name, _gone(guard, name))
+
+
+def _instead(guard: SensorGuard, name: str, gone: d.Driver) -> d.Driver:
+    """What a reading is off by: where it is swapped, its difference to the other; where it failed else, `gone`."""
+    place = guard.names().index(name)
+    others = [n for n in guard.names() if n != name]
+    alone = _all([_not(swapped(guard, name, n)) for n in others])
+    exchanged = [_difference_where_swapped(guard, name, n) for n in others]
+    parts = [d.Product(of=(fault(guard, name), alone, gone)), *exchanged]
+    signs = [1.0 if guard.names().index(n) > place else -1.0 for n in others]
+    return d.Affine(weights=(1.0, *signs), of=tuple(parts))
+
+
+def _ordered(guard: SensorGuard, one: str, other: str) -> tuple[str, str]:
+    first, second = sorted((one, other), key=guard.names().index)
+    return first, second
+
+
+def swapped(guard: SensorGuard, one: str, other: str) -> d.Driver:
+    """1 once two readings are where each other was, until the next start; else 0."""
+    return _swapped(guard, *_ordered(guard, one, other))
+
+
+def _difference_where_swapped(guard: SensorGuard, one: str, other: str) -> d.Driver:
+    first, second = _ordered(guard, one, other)
+    return _difference_of_swapped(guard, first, second)
+
+
+@_shared
+def _difference_of_swapped(guard: SensorGuard, one: str, other: str) -> d.Driver:
+    return d.Product(of=(_swapped(guard, one, other), _difference(one, other)))
+
+
+@_shared
+def _difference(one: str, other: str) -> d.Driver:
+    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=one), d.Input(name=other)))
+
+
+@_shared
+def _swapped(guard: SensorGuard, one: str, other: str) -> d.Driver:
+    """Each reads what the other did when last all was calm, far better than what it did itself.
+
+    Either by as much as a fault must be, while one of the two is blamed; or by more than healthy ones ever do.
+    """
+    clear = 0.5 * FITS * guard.turn(one, other) ** 2
+    least = min(clear, 0.125 * FITS * (guard.sensor(one).quick + guard.sensor(other).quick) ** 2)
+    neither = d.Product(of=(_not(plain_fault(guard, one)), _not(plain_fault(guard, other))))
+    seen = d.Affine(offset=clear - least, weights=(1.0, least - clear), of=(exchange(guard, one, other), neither))
+    return d.Switch(of=d.Product(of=(seen, _calm_lately(guard))), on=clear, off=NO_SQUARE)
+
+
+@_shared
+def _calm_lately(guard: SensorGuard) -> d.Driver:
+    faults = tuple(plain_fault(guard, n) for n in guard.names())
+    anybody = d.Clip(of=d.Affine(weights=(1.0,) * len(faults), of=faults), low=0.0, high=1.0)
+    since = d.Affine(weights=(1.0, JUST_NOW - LATELY), of=(_since_calm(guard), anybody))
+    return d.Switch(of=since, on=JUST_NOW, off=JUST_NOW - TIE)
+
+
+@_shared
+def just_calm(guard: SensorGuard) -> d.Driver:
+    """1 while all was calm not long ago; else 0."""
+    return d.Switch(of=_since_calm(guard), on=JUST_NOW, off=JUST_NOW - TIE)
+
+
+@_shared
+def _since_calm(guard: SensorGuard) -> d.Driver:
+    """exp(-time since all was calm / horizon)."""
+    return d.Lag(of=calm(guard), tau_up=AT_ONCE, tau_down=guard.horizon_s)
+
+
+@_shared
+def exchange(guard: SensorGuard, one: str, other: str) -> d.Driver:
+    """FITS (x - y)^2 - (x - y')^2 - (y - x')^2, with x', y' when all was calm, K2: above 0, they fit if exchanged."""
+    crosswise = [
+        d.Affine(weights=(1.0, -1.0), of=(d.Input(name=a), when_calm(guard, b)))
+        for a, b in ((one, other), (other, one))
+    ]
+    return d.Affine(weights=(FITS, -1.0, -1.0), of=tuple(map(_squared, (_difference(one, other), *crosswise))))
+
+
+@_shared
+def when_calm(guard: SensorGuard, name: str) -> d.Driver:
+    """The reading, over minutes, when last all was calm."""
+    within = d.Clip(of=d.Input(name=name), low=guard.sensor(name).low, high=guard.sensor(name).high)
+    return _as_it_was(guard, _lag(within, guard.swap_s), calm(guard))
+
+
+@_shared
+def _squared(of: d.Driver) -> d.Driver:
+    return d.Product(of=(of, of))
 
 
 def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:

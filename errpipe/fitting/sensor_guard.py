@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -28,7 +29,16 @@ from errpipe.terms._base import drive, sessions
 FILTER = 300.0  # s: machines warm up over minutes and more, noise and switching heaters are quicker
 FREEZE = 300.0  # s
 HORIZON = 3600.0  # s
-LAGS = (900.0, 3600.0)  # s: heat reaches one sensor later than another; two lags made estimates 2 to 5 times closer
+SETTLE = 1800.0  # s: what is remembered of a departure
+SWAP = 300.0  # s
+SHIFT = 36000.0  # s: estimates are learnt from what changes within one
+LOOSELY = 1.5  # times the misfit that counts as a swap is looked at to know what healthy readings do
+BEYOND_TURNS = 1.5  # times the farthest that the difference of two healthy readings turned round
+LEAST_TURN = 1.0  # of the quick thresholds
+REACH = 2.0  # times the largest departure of healthy readings
+NO_TURN = 1e9  # K
+LIVELY = 0.2  # of the time a healthy reading is stiller
+LAGS = (300.0, 900.0, 3600.0, 14400.0)  # s: heat reaches one sensor later than another, some much later
 RIDGES = np.logspace(-5, 1, 25)  # times the readings' mean square; the smallest is taken that keeps faults apart
 APART = 0.8  # of a fault at most shows in another sensor's statistic, or the wrong sensor is blamed
 KINDS = 3  # of alarms: quick, slow, frozen
@@ -192,13 +202,38 @@ def learn(
                 quick=float(apart.quick[i]),
                 slow=float(apart.slow[i]),
                 starts=(float(begun[:, i].min()), float(begun[:, i].max())),
+                reach=float(max(REACH * np.max(np.abs(close.since_start[:, i])), 1e-3)),
+                lively=_lively(alive[:, i]),
                 still=_still(alive[:, i], run, t, rate, freeze_s),
             )
         )
-    return g.SensorGuard(
+    pairs = len(names) * (len(names) - 1) // 2
+    guard = g.SensorGuard(
         sensors=tuple(sensors_out), filter_s=filter_s, horizon_s=horizon_s, freeze_s=freeze_s,
+        settle_s=SETTLE, swap_s=SWAP, turns=(NO_TURN,) * pairs,
         false_alarms=false_alarms, hours=hours, shows_elsewhere=apart.elsewhere(),
     )  # fmt: skip
+    return guard.model_copy(update={"turns": _turns(guard, recording, rate)})
+
+
+def _turns(guard: g.SensorGuard, recording: Recording, rate: float) -> tuple[float, ...]:
+    """How far the difference of two healthy readings does not turn round, K, pairs in order."""
+    pairs = list(combinations(guard.names(), 2))
+    conditioned, _ = _conditioned(guard, recording)
+    kept = _drive_all([g.when_calm(guard, n) for n in guard.names()], conditioned)
+    before = dict(zip(guard.names(), kept.T, strict=True))
+    lately = _drive_all([g.just_calm(guard)], conditioned)[:, 0] > 0.5
+    run, t = sessions(recording), recording.time()
+    out = []
+    for one, other in pairs:
+        x, y = conditioned.array(one), conditioned.array(other)
+        missed = (x - before[other]) ** 2 + (y - before[one]) ** 2
+        turned = np.where(lately & (missed <= LOOSELY * g.FITS * (x - y) ** 2), np.abs(x - y), 0.0)
+        turned[~np.isfinite(turned)] = 0.0
+        level = _seldom(turned, run, t, rate / len(pairs) * len(before), lightest=1e-6)
+        quick = 0.5 * (guard.sensor(one).quick + guard.sensor(other).quick)
+        out.append(float(max(level, BEYOND_TURNS * turned.max(), LEAST_TURN * quick)))
+    return tuple(out)
 
 
 def _all_possible(x: np.ndarray, run: np.ndarray, t: np.ndarray, s: g.GuardedSensor) -> bool:
@@ -262,18 +297,47 @@ def _apart(rows: _Healthy, rate: float) -> _Apart:
 
 @dataclass(frozen=True)
 class _Close:
-    """Weights (sensors, 1 + lags, sensors) of the best estimates, and what they leave of rows left out."""
+    """Weights (sensors, 1 + lags, sensors) of the best estimates; what they leave of rows left out, (rows, sensors)."""
 
     weights: np.ndarray
     residual: np.ndarray
+    since_start: np.ndarray
 
 
 def _close(rows: _Healthy) -> _Close:
-    """With the ridge that leaves the least of groups left out."""
+    """With the ridge that leaves the least of groups left out.
+
+    Learnt from what changes within a shift, for an estimate only has to carry a reading on from where it was last
+    believed.
+    """
     values = rows.stacked
-    left = {r: _left_out(values, values, rows.group, r) for r in RIDGES[::2]}
+    shifts = _centred(values, rows.run, rows.t)
+    left = {r: _left_out(shifts, shifts, rows.group, r) for r in RIDGES[::2]}
     ridge = min(left, key=lambda r: float(np.sum(np.log(np.mean(left[r] ** 2, axis=0)))))
-    return _Close(_weights(values, ridge), left[ridge])
+    return _Close(_weights(shifts, ridge), left[ridge], _left_out(values, shifts, rows.group, ridge))
+
+
+def _centred(values: np.ndarray, run: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Values less their mean over every shift of a run."""
+    out = values.copy()
+    for rows in _spans(run, t, SHIFT):
+        out[rows] -= values[rows].mean(axis=0)
+    return out
+
+
+def _spans(run: np.ndarray, t: np.ndarray, length: float) -> list[np.ndarray]:
+    """Rows of each stretch of time within each run."""
+    first = np.r_[True, run[1:] != run[:-1]]
+    since = t - t[np.maximum.accumulate(np.where(first, np.arange(run.size), 0))]
+    key = run * 100_000 + (since // length).astype(int)
+    order = np.argsort(key, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+
+
+def _lively(alive: np.ndarray) -> float | None:
+    """The stillness that a healthy sensor is seldom below."""
+    level = float(np.quantile(alive, LIVELY))
+    return level if level > 0 else None
 
 
 def _static(others: np.ndarray, own: np.ndarray) -> tuple[tuple[float, ...], float]:

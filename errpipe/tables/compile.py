@@ -135,10 +135,11 @@ class _Nodes:
 
     def reads(self, number: int) -> set[str]:
         """Names of the inputs below a node."""
-        node = self.nodes[number]
-        if isinstance(node, t.InputNode):
-            return {node.input}
-        return set().union(*(self.reads(o) for o in node.of))
+        below = {number}
+        for n in range(number, -1, -1):  # operands come before their node: each is met once
+            if n in below:
+                below.update(self.nodes[n].of)
+        return {node.input for node in (self.nodes[n] for n in below) if isinstance(node, t.InputNode)}
 
 
 def _node(driver: d.Driver, of: tuple[int, ...], slow: bool) -> t.Node:
