@@ -141,7 +141,8 @@ def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
         top, where = max(tried)
         best = _at(best, j, where)
         inside = [v for g, v in tried if g > top - DROP]
-        gap = float(np.min(np.diff(np.unique([v for _, v in tried])))) / 2
+        apart = np.diff(np.unique([v for _, v in tried]))
+        gap = float(apart.min()) / 2 if apart.size else reach * abs(where) / 8  # no neighbour inside the bounds
         spans.append((p.name, p.unit, where, min(inside) - gap, max(inside) + gap))
     return best, spans
 
