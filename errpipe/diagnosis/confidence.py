@@ -37,15 +37,18 @@ class Signs:
     fast: int = 0
 
 
-# NAMING: fitted on 301 findings of 288 cases, half of them drawn with seeds 3001 and 3002 of tests/trials, half by a
-# second generator of the same kinds; then rounded. UNKNOWN: 270 findings, seeds 102, 103 and 201.
+# Fitted on 445 findings of 432 cases, half of them drawn with seeds 3001, 3002 and 3103 of tests/trials, half by a
+# second generator of the same kinds (not kept here), and 107 findings of 90 cases whose hidden effect was withheld from
+# the library (weight 0.35); then rounded.
 NAMING = {
-    "constant": -1.42, "gain": 0.23, "margin": 0.17, "most": -1.1, "shapes": -0.14, "others": -0.8, "core": 2.06,
-    "agreement": 0.46, "rank": -0.48, "leftover": -1.13, "fast": -0.75,
+    "constant": -1.83, "gain": 0.25, "margin": 0.16, "most": -3.26, "shapes": -0.12, "others": -0.8, "core": 2.19,
+    "agreement": 0.16, "rank": -0.27, "leftover": -0.35, "fast": -0.42,
 }  # fmt: skip
 UNKNOWN = {
-    "constant": -3.3, "most": 7.0, "share": 6.0, "shapes": 0.15, "others": 1.0, "margin": -0.25, "agreement": -1.0,
+    "constant": -0.91, "gain": -0.07, "margin": -0.09, "most": 0.92, "shapes": 0.24, "share": 3.6, "others": 0.6,
+    "core": -1.94, "agreement": 0.44, "leftover": 0.15, "fast": -0.39,
 }  # fmt: skip
+STRANGE = 0.35  # chance of a mechanism without a name from which that is said first
 
 
 def features(s: Signs) -> dict[str, float]:

@@ -213,7 +213,7 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
 def _verdict(case: Case, findings: list[Finding], strange: float) -> tuple[list[Finding], str]:
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
-    if findings and strange > 0.5:
+    if findings and strange > confidence.STRANGE:
         named = [f.model_copy(update=_no_surer(f, 1.0 - strange)) for f in findings]
         return [_unknown(case, strange), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
