@@ -93,11 +93,6 @@ class Library:
         """Column numbers of a hypothesis."""
         return self.places[i]
 
-    @property
-    def slices(self) -> list[np.ndarray]:
-        """Column numbers of every hypothesis."""
-        return self.places
-
     def freedom_of(self, i: int) -> np.ndarray:
         """Freedoms of a hypothesis' columns."""
         return self.freedoms[i]

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import SIZES
 from errpipe.diagnosis.hypotheses import Hypothesis, Library, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
@@ -188,6 +187,3 @@ def _extend(library: Library, search: Search, recording: Recording, rows, index:
     fresh = library.extend(h, *made, core.shape[1])
     search.prior = np.r_[search.prior, prior]
     return fresh
-
-
-_ = (SIZES, Hypothesis)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import direction, sessions
+from errpipe.terms._base import direction
 from errpipe.terms._place import axes, position_name
 
 TIME_WAVES = 40
@@ -50,7 +50,7 @@ def _waves(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[tuple]:
-    t, run, session = recording.time()[rows], recording.run_codes()[rows], sessions(recording)[rows]
+    run = recording.run_codes()[rows]
     clock = recording.name("time") or "row"
     place = np.arange(rows.size, dtype=float)
     yield ("time", (clock,), *_waves(place, TIME_WAVES))
@@ -106,4 +106,3 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
                 free.append(1.0 / sum(degrees) ** 0.5)
         names = tuple(position_name(recording, a) for a in found[:3])
         yield "surface", names, np.column_stack(columns), np.array(free)
-    _ = t, session
