@@ -13,6 +13,7 @@ from errpipe.domain.recording import Recording
 MOST_PARTS = 5
 BEAM = 6  # states followed at once
 ALTERNATIVES = 3  # sets of effects handed on
+MOST_MOVES = 6  # effects tried beside a state
 BEHIND = 40.0  # log evidence by which they may be behind the best
 COARSE = (0.004, 0.08)  # what textbook forms cannot reach, relative to the signal: taken for noise
 MATTERS = 20.0  # a part left over matters once a tenth of it, over all rows, stands out of the measuring noise
@@ -81,6 +82,7 @@ class _Work:
         self.prior = np.array(
             [-1e9 if h.effect in NEVER else STRANGE.get(h.effect, 0.0) for h in library.hypotheses]
         )
+        self._promising: dict[tuple, Chosen] = {}
         self.freedom = [library.freedom_of(k) for k in range(len(library.hypotheses))]
 
     def run(self) -> list[Decomposition]:
@@ -89,10 +91,13 @@ class _Work:
         self.data = Data(self.library.table, self.y)
         beam: list[tuple[float, Chosen]] = [(self._worth([]), [])]
         seen: dict[tuple, float] = {(): beam[0][0]}
+        done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
             fresh = []
             for _worth, state in beam:
-                fresh += self._moves(state, seen)
+                if tuple(state) not in done:  # moves from a state once left were all seen
+                    done.add(tuple(state))
+                    fresh += self._moves(state, seen)
             best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]
             if [w for w, _ in best] == [w for w, _ in beam]:
                 break
@@ -112,7 +117,7 @@ class _Work:
         """States one step away that were not seen before: a part added, exchanged, or dropped."""
         moves: list[Chosen] = [chosen[:p] + chosen[p + 1 :] for p in range(len(chosen))]
         if len(chosen) < MOST_PARTS:
-            moves += [[*chosen, k] for k in self._candidates(chosen, 6)]
+            moves += [[*chosen, k] for k in self._candidates(chosen, MOST_MOVES)]
         for p in range(len(chosen)):
             others = chosen[:p] + chosen[p + 1 :]
             moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 5) if k[0] != chosen[p][0]]
@@ -140,24 +145,29 @@ class _Work:
 
     def _candidates(self, others: Chosen, most: int) -> Chosen:
         """The most promising hypotheses beside others, each effect once."""
-        scored = self._scene(others).score(self.library.places, self.freedom, self.count, self.library.cores)
-        gain = np.array([s.gain - hollow(s.core) for s in scored]) + self.prior
+        name = tuple(others)
+        if name not in self._promising:
+            self._promising[name] = self._listed(others)
+        return self._promising[name][:most]
+
+    def _listed(self, others: Chosen) -> Chosen:
+        gain, size, core = self._scene(others).scores(self.library.listed, rows=self.count)
+        gain = gain - hollow(core) + self.prior
         seen = {self.library.hypotheses[i].effect for i, _ in others}
         out: Chosen = []
         for k in np.argsort(-gain):
             effect = self.library.hypotheses[k].effect
             if effect not in seen:
                 seen.add(effect)
-                out.append((int(k), scored[k].size))
-            if len(out) == most:
+                out.append((int(k), float(size[k])))
+            if len(out) == MOST_MOVES:
                 break
         return out
 
     def _active(self, chosen: Chosen) -> Active:
-        active = Active(np.array([self.library.datum]), np.array([np.inf]))
-        for i, size in chosen:
-            active = active.plus(self.library.indices(i), size * self.sigma * self.freedom[i])
-        return active
+        index = [np.array([self.library.datum]), *(self.library.indices(i) for i, _ in chosen)]
+        sd = [np.array([np.inf]), *(size * self.sigma * self.freedom[i] for i, size in chosen)]
+        return Active(np.concatenate(index), np.concatenate(sd))
 
     def _scene(self, chosen: Chosen) -> Scene:
         return Scene(self.data, self._active(chosen), self.sigma)

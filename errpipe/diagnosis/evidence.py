@@ -14,15 +14,17 @@ from __future__ import annotations
 import copy
 import hashlib
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from errpipe.kernels import noise
+from errpipe.kernels import evidence, noise
 
 MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blind trials: 5 to 12)
 SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
+ROOM = 512  # columns that products have room for besides those of the hypotheses
 AT_ONCE = 64  # columns filtered together
 LEAST_CORE = 0.25  # below this share of its textbook form an effect is not what its name says,
 HOLLOW = 60.0  # and at none it would need this log Bayes factor
@@ -64,11 +66,22 @@ class Table:
         self._seen: dict[bytes, int] = {}
         self.width = 0
         self.places = [self._put(block) for block in blocks]
-        self.parts = [np.zeros((self.width, self.width)) for _ in self.rows]
-        for first, last, f in self.stretches:
-            part = self.W[first:last]
-            self.parts[f] += part.T @ part
-        self.G = np.sum(self.parts, axis=0)
+        self._room = self.width + ROOM
+        self._products = [np.zeros((self._room, self._room)) for _ in range(len(self.rows) + 1)]
+        for part, rows in zip(self.parts, self.rows, strict=True):
+            inside = self.W[rows]
+            part += inside.T @ inside
+            self.G[:] += part
+
+    @property
+    def parts(self) -> list[np.ndarray]:
+        """Products of the columns over each fold's rows."""
+        return [p[: self.width, : self.width] for p in self._products[1:]]
+
+    @property
+    def G(self) -> np.ndarray:
+        """Products of the columns over all rows."""
+        return self._products[0][: self.width, : self.width]
 
     @property
     def W(self) -> np.ndarray:
@@ -101,15 +114,18 @@ class Table:
         """Append columns (rows, k) and form their products; returns their indices."""
         before = self.width
         self._append(columns)
-        for f, part in enumerate(self.parts):
-            grown = np.zeros((self.width, self.width))
-            grown[:before, :before] = part
-            for first, last in ((a, b) for a, b, fold in self.stretches if fold == f):
-                cross = self.W[first:last].T @ self.W[first:last, before:]
-                grown[:, before:] += cross
-                grown[before:, :before] += cross[:before].T
-            self.parts[f] = grown
-        self.G = np.sum(self.parts, axis=0)
+        if self.width > self._room:
+            self._room = self.width + ROOM
+            for f, part in enumerate(self._products):
+                self._products[f] = np.zeros((self._room, self._room))
+                self._products[f][:before, :before] = part[:before, :before]
+        whole, parts = self.G, self.parts
+        for first, last, f in self.stretches:
+            parts[f][:, before:] += self.W[first:last].T @ self.W[first:last, before:]
+        for part in parts:
+            part[before:, :before] = part[:before, before:].T
+            whole[:, before:] += part[:, before:]
+        whole[before:, :before] = whole[:before, before:].T
         return np.arange(before, self.width)
 
 
@@ -123,13 +139,14 @@ class Data:
         self.table, self.y = table, whiten(values, table.run)
         self.squares = np.array([float(self.y[r] @ self.y[r]) for r in table.rows])
         self._known = np.zeros((len(table.rows), 0))
+        self._total = np.zeros(0)
         self.without: int | None = None
         self._train: np.ndarray | None = None
 
     def hold_out(self, fold: int) -> Data:
         """The same signal, one fold taking no part."""
         other = copy.copy(self)
-        other.without, other._train = fold, None
+        other.without, other._train, other._total = fold, None, np.zeros(0)
         return other
 
     @property
@@ -160,8 +177,10 @@ class Data:
             for first, last, f in self.table.stretches:
                 fresh[f] += self.table.W[first:last, done:].T @ self.y[first:last]
             self._known = np.column_stack([self._known, fresh])
-        total = self._known.sum(axis=0)
-        return total if self.without is None else total - self._known[self.without]
+        if self._total.size != self.table.width:
+            total = self._known.sum(axis=0)
+            self._total = total if self.without is None else total - self._known[self.without]
+        return self._total
 
 
 @dataclass(frozen=True)
@@ -177,6 +196,46 @@ class Active:
 
 
 NOTHING = Active(np.zeros(0, dtype=int), np.zeros(0))
+
+
+class Listed:
+    """Hypotheses that are scored again and again: columns (indices into the table), their freedoms, and how many of the
+    columns are the textbook form."""
+
+    def __init__(self, index: Sequence[np.ndarray], freedom: Sequence[np.ndarray], cores: Sequence[int]):
+        widths = np.array([i.size for i in index], dtype=np.int64)
+        self.columns = np.concatenate([np.zeros(0, dtype=np.int64), *index])
+        self.freedom = np.concatenate([np.zeros(0), *freedom])
+        self.cores = np.array(cores, dtype=np.int64)
+        self.starts = np.r_[0, np.cumsum(widths)]
+        self.places = np.r_[0, np.cumsum(widths**2)]
+        self.every = np.arange(widths.size)
+        self._all: tuple[np.ndarray, np.ndarray] | None = None
+        self._blocks: dict[int | None, np.ndarray] = {}
+
+    def used(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns that some hypotheses have, each once, and where among them every entry of `columns` is."""
+        if which is self.every:
+            self._all = self._all or np.unique(self.columns, return_inverse=True)
+            return self._all
+        inside = np.concatenate([np.arange(self.starts[k], self.starts[k + 1]) for k in which])
+        used, at = np.unique(self.columns[inside], return_inverse=True)
+        where = np.zeros(self.columns.size, dtype=np.int64)
+        where[inside] = at
+        return used, where
+
+    def _each(self, flat: np.ndarray) -> list[np.ndarray]:
+        return np.split(flat, self.starts[1:-1])
+
+    def blocks(self, data: Data) -> np.ndarray:
+        """Products of each hypothesis' columns among themselves, times their freedoms, flat."""
+        if data.without not in self._blocks:
+            rows = [np.repeat(c, c.size) for c in self._each(self.columns)]
+            across = [np.tile(c, c.size) for c in self._each(self.columns)]
+            free = [np.outer(f, f).ravel() for f in self._each(self.freedom)]
+            products = data.G[np.concatenate(rows), np.concatenate(across)]
+            self._blocks[data.without] = products * np.concatenate(free)
+        return self._blocks[data.without]
 
 
 @dataclass(frozen=True)
@@ -252,27 +311,21 @@ class Scene:
         """Score hypotheses: columns of each (slice or indices into the table), their relative freedoms, and how many
         of the columns are the textbook form (None: all)."""
         index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
-        used = np.concatenate(index) if index else np.zeros(0, dtype=int)
-        half = np.linalg.solve(self.chol, self.G[np.ix_(self.active.index, used)])
-        s_all = self.Zy_all[used] - half.T @ self.half
-        starts = np.cumsum([0, *[i.size for i in index]])
-        out: list[Scored | None] = [None] * len(index)
-        sizes: dict[int, list[int]] = {}
-        for k, i in enumerate(index):
-            sizes.setdefault(i.size, []).append(k)
-        for width, members in sizes.items():
-            cols = np.stack([index[k] for k in members])
-            S = self.G[cols[:, :, None], cols[:, None, :]]
-            place = np.stack([np.arange(starts[k], starts[k] + width) for k in members])
-            h = half[:, place].transpose(1, 0, 2)
-            S = S - h.transpose(0, 2, 1) @ h
-            D = np.stack([freedom[k] for k in members])
-            gains, best, b = self._log_bf(S * D[:, :, None] * D[:, None, :], D * s_all[place], rows or self.n)
-            textbook = np.array([width if cores is None else cores[k] for k in members])
-            share = textbook_share(D * b, textbook)
-            for k, g, size, core in zip(members, gains, best, share, strict=True):
-                out[k] = Scored(float(g), float(size), float(core))
-        return out  # type: ignore[return-value]
+        listed = Listed(index, freedom, [i.size for i in index] if cores is None else cores)
+        return [Scored(float(g), float(a), float(c)) for g, a, c in zip(*self.scores(listed, rows=rows), strict=True)]
+
+    def scores(
+        self, listed: Listed, which: np.ndarray | None = None, rows: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `score`, for all listed hypotheses or some: their gains, sizes, and the textbook form's shares."""
+        which = listed.every if which is None else which
+        used, where = listed.used(which)
+        cross = np.ascontiguousarray(self.G[self.active.index][:, used])
+        seen = evidence.freed(self.chol, cross, self.half, self.Zy_all[used])
+        return evidence.scores(
+            which, where, listed.starts, listed.freedom, listed.cores, listed.places, listed.blocks(self.data),
+            cross, seen, self.Q, float(rows or self.n), SIZES,
+        )  # fmt: skip
 
     def _log_bf(self, S: np.ndarray, s: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, the best size of each and the
@@ -301,9 +354,9 @@ def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndar
     return core / np.maximum(core + slack, 1e-300)
 
 
-def hollow(share: float) -> float:
+def hollow(share: Any) -> Any:
     """Log Bayes factor that a hypothesis must bring besides, where its textbook form has so small a share."""
-    return HOLLOW * max(0.0, 1.0 - share / LEAST_CORE)
+    return HOLLOW * np.maximum(0.0, 1.0 - share / LEAST_CORE)
 
 
 def correlation_time(left: np.ndarray, run: np.ndarray) -> float:

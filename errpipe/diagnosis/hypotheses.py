@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Table
+from errpipe.diagnosis.evidence import Listed, Table
 from errpipe.domain.recording import Recording
 from errpipe.kernels import responses
 from errpipe.terms import TERMS as ALL_TERMS
@@ -59,9 +59,19 @@ class Library:
         self.freedoms: list[np.ndarray] = []
         self.scales: list[np.ndarray] = []
         self._families: dict[tuple, list[int]] = {}
+        self._together: Listed | None = None
+        self.is_clock = np.zeros(0, dtype=bool)  # as long as the last `listed`
         blocks = (self._listed(h, block, cores) for h, block, cores in made)
         self.table = Table(run, itertools.chain(blocks, [np.ones((run.size, 1))]), fold)
         *self.places, (self.datum,) = self.table.places
+
+    @property
+    def listed(self) -> Listed:
+        """All hypotheses, to be scored together."""
+        if self._together is None or self._together.every.size != len(self.hypotheses):
+            self._together = Listed(self.places, self.freedoms, self.cores)
+            self.is_clock = np.array([h.effect == "clock_offset" for h in self.hypotheses], dtype=bool)
+        return self._together
 
     def _listed(self, h: Hypothesis, block: Block, cores: int) -> np.ndarray:
         """Take down a hypothesis; its columns."""

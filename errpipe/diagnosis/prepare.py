@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -139,7 +140,22 @@ def condition(recording: Recording) -> Recording:
             columns[name] = hold(values, session) if stepwise else fill(t, values, session)
     columns |= motion(recording, columns)
     frame = recording.frame.assign(**columns).drop(columns=dropped)
-    return Recording(recording.manifest, frame)
+    return Conditioned(recording.manifest, frame)
+
+
+class Conditioned(Recording):
+    """A recording whose columns are read thousands of times and never change: they are kept as arrays."""
+
+    @cached_property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def array(self, name: str) -> np.ndarray:
+        """One column as float64, shape (rows,), not to be written to."""
+        if name not in self._arrays:
+            self._arrays[name] = super().array(name)
+            self._arrays[name].flags.writeable = False
+        return self._arrays[name]
 
 
 def segments(values: np.ndarray, run: np.ndarray) -> np.ndarray:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Data, Scene, Scored, hollow
+from errpipe.diagnosis.evidence import Active, Data, Scene, hollow
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
@@ -23,6 +24,13 @@ class Found:
     hypothesis: Hypothesis
     size: float
     gain: float
+
+
+class Scores(NamedTuple):
+    """Log Bayes factors of candidates, and the sizes that fit best, shape (candidates,)."""
+
+    gain: np.ndarray
+    size: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -46,16 +54,15 @@ class Search:
 
     def explain(self, starts: int = SHORTLIST) -> Explanation:
         """Forward from each of the best starts, joint re-tuning, backward pruning."""
-        everything = list(range(len(self.library.hypotheses)))
-        scored = self.score([], everything)
-        alone = np.array([s.gain for s in scored]) + self.prior if scored else np.zeros(0)
-        if not scored or alone.max() < self.threshold:
+        scored = self.score([])
+        alone = scored.gain + self.prior
+        if not alone.size or alone.max() < self.threshold:
             return Explanation((), alone, 0.0)
         best_total, best = -np.inf, []
         for first in self.leaders(alone, starts):
             if alone[first] < 0.3 * alone.max() - 5:
                 break
-            chosen, total = self._forward([(first, scored[first].size)], alone[first], everything)
+            chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
             if total > best_total + 1e-9:
                 best_total, best = total, chosen
         best = self.tune(best)
@@ -65,8 +72,7 @@ class Search:
     def rivals(self, found: tuple[Found, ...], k: int) -> list[tuple[str, float, int]]:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
         others = [(f.index, f.size) for j, f in enumerate(found) if j != k]
-        scored = self.score(others, list(range(len(self.library.hypotheses))))
-        gain = np.array([s.gain for s in scored]) + self.prior
+        gain = self.score(others).gain + self.prior
         best: dict[str, tuple[float, int]] = {}
         for i in np.argsort(-gain):
             effect = self.library.hypotheses[i].effect
@@ -91,20 +97,20 @@ class Search:
         """The response with these hypotheses in place."""
         return Scene(self.data, self.active(chosen), self.sigma)
 
-    def score(self, chosen: list[tuple[int, float]], candidates: list[int]) -> list[Scored]:
-        """What each candidate would add."""
-        scene = self.scene(chosen)
-        slices = [self.library.places[k] for k in candidates]
-        freedom = [self.library.freedom_of(k) for k in candidates]
-        scored = scene.score(slices, freedom, self.rows, [self.library.cores[k] for k in candidates])
-        scored = [replace(s, gain=s.gain - hollow(s.core)) for s in scored]
-        for place, k in enumerate(candidates):
-            if self.library.hypotheses[k].effect == "clock_offset":
-                # a shift has no size of its own: the difference of the shifted signals counts once
-                at = int(self.library.places[k][0])
-                unit = float(self.library.scales[k][0])
-                scored[place] = Scored(scene.exactly(at, unit, 0.15 * unit, self.rows), unit / self.sigma)
-        return scored
+    def score(self, chosen: list[tuple[int, float]], candidates: list[int] | None = None) -> Scores:
+        """What each candidate (None: every hypothesis) would add: gains and sizes."""
+        scene, listed = self.scene(chosen), self.library.listed
+        which = listed.every if candidates is None else np.array(candidates)
+        gain, size, core = scene.scores(listed, which, self.rows)
+        gain = gain - hollow(core)
+        for place in np.flatnonzero(self.library.is_clock[which]):
+            # a shift has no size of its own: the difference of the shifted signals counts once
+            k = int(which[place])
+            at = int(self.library.places[k][0])
+            unit = float(self.library.scales[k][0])
+            gain[place] = scene.exactly(at, unit, 0.15 * unit, self.rows)
+            size[place] = unit / self.sigma
+        return Scores(gain, size)
 
     def leaders(self, gain: np.ndarray, most: int) -> list[int]:
         """The best point of each key, best first."""
@@ -118,18 +124,18 @@ class Search:
                 break
         return out
 
-    def _forward(self, chosen, total, everything):
+    def _forward(self, chosen, total):
         chosen = list(chosen)
         while len(chosen) < self.most:
-            more = self.score(chosen, everything)
-            gain = np.array([s.gain for s in more]) + self.prior
+            more = self.score(chosen)
+            gain = more.gain + self.prior
             taken = {self.library.hypotheses[i].effect for i, _ in chosen}
             gain[[h.effect in taken for h in self.library.hypotheses]] = -np.inf
             k = int(np.argmax(gain))
             price = min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
             if gain[k] < price:
                 break
-            chosen.append((k, more[k].size))
+            chosen.append((k, float(more.size[k])))
             total += gain[k] - price
         return chosen, total
 
@@ -141,8 +147,8 @@ class Search:
             for place, (i, _) in enumerate(chosen):
                 same = self.library.family(i)
                 scored = self.score(chosen[:place] + chosen[place + 1 :], same)
-                k = int(np.argmax([s.gain for s in scored]))
-                chosen[place] = (same[k], scored[k].size)
+                k = int(np.argmax(scored.gain))
+                chosen[place] = (same[k], float(scored.size[k]))
             if [i for i, _ in chosen] == before:
                 break
         return chosen
@@ -150,6 +156,6 @@ class Search:
     def _worth(self, chosen: list[tuple[int, float]]) -> list[Found]:
         found = []
         for place, (i, _) in enumerate(chosen):
-            s = self.score(chosen[:place] + chosen[place + 1 :], [i])[0]
-            found.append(Found(i, self.library.hypotheses[i], s.size, s.gain + self.prior[i]))
+            s = self.score(chosen[:place] + chosen[place + 1 :], [i])
+            found.append(Found(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
         return found

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc, fdtrc
 
 from errpipe.diagnosis.evidence import whiten
 from errpipe.diagnosis.judge import Case, residual
@@ -89,7 +89,7 @@ class Frame:
         found = float(np.sum((u.T @ self.left) ** 2))
         rest = float(self.left @ self.left) - found
         f = (found / count) / (rest / (self.free - count))
-        p = float(stats.f.sf(f, count, self.free - count))
+        p = float(fdtrc(count, self.free - count, f))
         return WhitenessTest(against=against, how=how, statistic=f, dof=count, p=p)
 
     def in_order(self) -> WhitenessTest:
@@ -105,7 +105,7 @@ class Frame:
             q += rho**2 * n * (n + 2) / (n - lag) * (n - lag) / pairs
         return WhitenessTest(
             against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1,
-            p=float(stats.chi2.sf(q, max(most - 1, 1))),
+            p=float(chdtrc(max(most - 1, 1), q)),
         )  # fmt: skip
 
 
