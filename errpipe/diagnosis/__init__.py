@@ -5,6 +5,7 @@
     evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
     decompose   the noiseless simulated signal into its own effects (what a recalibration may change)
     search      forward, backward and in pairs: what is missing
+    left_out    how well it predicts rows, or whole starts of the machine, that sat out
     admit       what is left, and whether a name is deserved
     locate      where it acts
     model       parameters with intervals, held-out figures

@@ -48,6 +48,10 @@ UNKNOWN = {
     "constant": -0.91, "gain": -0.07, "margin": -0.09, "most": 0.92, "shapes": 0.24, "share": 3.6, "others": 0.6,
     "core": -1.94, "agreement": 0.44, "leftover": 0.15, "fast": -0.39,
 }  # fmt: skip
+# Of a class of effects that the data cannot tell apart, fitted on 119 findings that list rivals (same kinds of cases:
+# the truth was in the class in 84 % of them, where the curve for names said 75 %); cross-validated by set of cases the
+# log loss falls from 0.339 to 0.330.
+CLASS = {"constant": 0.5, "naming": 1.3}
 STRANGE = 0.55  # chance of a mechanism without a name from which that is said first (names are right far more often)
 
 
@@ -73,6 +77,16 @@ def features(s: Signs) -> dict[str, float]:
 def naming(s: Signs) -> float:
     """Chance that the name is right."""
     return _curve(NAMING, s, 0.03, 0.99)
+
+
+def of_class(s: Signs) -> float:
+    """Chance that a name or one of the effects that the data cannot tell from it is right.
+
+    s: as for the name, with its margin over the best effect outside of the class.
+    """
+    p = naming(s)
+    z = CLASS["constant"] + CLASS["naming"] * np.log(p / (1 - p))
+    return float(np.clip(1.0 / (1.0 + np.exp(-z)), 0.03, 0.99))
 
 
 def unknown(s: Signs) -> float:

@@ -51,13 +51,15 @@ class Part:
 class Decomposition:
     """parts; the rms they leave over relative to the simulated signal's; what they leave over, shape (rows,).
 
-    worth: log evidence, to be compared with other decompositions of the same signal.
+    worth: log evidence, to be compared with other decompositions of the same signal; plain: the signal is a constant
+    gain on each sensor, so that each of these gains may be off, those near nothing as much as the others.
     """
 
     parts: tuple[Part, ...]
     leftover: float
     rest: np.ndarray
     worth: float
+    plain: bool = False
 
 
 def decompose(
@@ -68,6 +70,49 @@ def decompose(
     noise: rms of the measuring noise; finer than it can show, the signal need not be taken apart.
     """
     return _Work(simulated, library, recording, rows, noise).run()
+
+
+PLAIN = 1e-4  # rms, relative to the signal's, that a sum of plain readings may leave: a simulation has no noise
+
+
+def static(
+    simulated: np.ndarray, library: Library, raw: Recording, recording: Recording, rows: np.ndarray
+) -> Decomposition | None:
+    """The decomposition of a signal that is plainly a constant gain on each of several sensors' readings, or None.
+
+    A search part by part would take such a model of many sensors that resemble each other for fewer, other parts.
+    raw: the recording as it was read, from which the simulation was made; recording: with sensors smoothed.
+    """
+    own = {h.drivers[0]: i for i, h in enumerate(library.hypotheses) if h.effect == "thermal_drift" and not h.mask}
+    read = {name: raw.array(name)[rows] for name in own}
+    known = np.all([np.isfinite(v) for v in read.values()], axis=0) & np.ones(rows.size, dtype=bool)
+    spread = float(np.std(simulated))
+    if known.sum() < max(0.5 * rows.size, 10 * len(own)) or spread <= 0:
+        return None
+    for name in tuple(own):  # those that it does not need are not its own
+        others = [read[n][known] for n in own if n != name]
+        if others and _gains(others, simulated[known])[1] < PLAIN * spread:
+            del own[name]
+    gains, left = _gains([read[n][known] for n in own], simulated[known]) if len(own) > 1 else ([], np.inf)
+    if left > PLAIN * spread:
+        return None
+    parts = []
+    for (name, index), gain in zip(own.items(), gains, strict=True):
+        reading = recording.array(name)[rows]
+        without = _gains([read[n][known] for n in own if n != name], simulated[known])[1]
+        certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(left, 1e-6 * spread))
+        core = gain * (reading - reading.mean())
+        parts.append(Part(library.hypotheses[index], index, core, np.zeros_like(core), float(certainty)))
+    rest = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
+    return Decomposition(tuple(parts), left / spread, rest, 0.0, plain=True)
+
+
+def _gains(columns: list[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Least-squares gains of centred columns, and the rms that they leave."""
+    centred = np.column_stack([c - c.mean() for c in columns])
+    target = values - values.mean()
+    gains = np.linalg.lstsq(centred, target, rcond=None)[0]
+    return gains, float(np.std(target - centred @ gains))
 
 
 class _Work:

@@ -10,7 +10,7 @@ a trace tell the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from errpipe.terms import ViscousFriction
 SHARPNESS = (0.0, 0.3, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # mm/s
 BLOCKS = 40
 BETTER = 0.97  # rms on blocks that sat out, over that of one law both ways, below which the ways differ
+NEAR = 1.02  # rms on blocks that sat out, over that of the best sharpness, up to which another one may be true
 DOUBT = 4.0  # standard errors by which a parameter must differ between the ways
 WIDER = 1.25  # as for all parameters: see model.py
 
@@ -94,17 +95,25 @@ def by_direction(case: Case) -> ByDirection | None:
     ahead, back = (v > 0).astype(float), (v < 0).astype(float)
     if min(ahead.sum(), back.sum()) < 10 * BLOCKS:
         return None
-    best = None
+    best, laws = None, []
     for sharpness in SHARPNESS:
         dry = np.sign(v) if sharpness == 0 else np.tanh(v / sharpness)
         mass, drag = 1e-3 * a, 1e-3 * v
         law = fitted(np.column_stack([mass, drag * ahead, drag * back, dry * ahead, dry * back]), force)
+        laws.append(law)
         if best is None or law.held_out < best.law.held_out:
             alike = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
             best = ByDirection(axis, velocity, sharpness, law, alike)
     assert best is not None
+    best = replace(best, law=widened(best.law, laws))
     apart = best.law.differ(1, 2) or best.law.differ(3, 4)
     return best if apart and best.law.held_out < BETTER * best.alike.held_out else None
+
+
+def widened(law: Fitted, others: list[Fitted]) -> Fitted:
+    """A law whose intervals know that friction may as well turn round a little more or less sharply than was found."""
+    apart = np.stack([o.value - law.value for o in others if o.held_out < NEAR * law.held_out])
+    return replace(law, covariance=law.covariance + apart.T @ apart / len(apart))
 
 
 def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
@@ -131,7 +140,10 @@ def told_by_direction(findings: list[Finding], law: ByDirection) -> list[Finding
         if f.effect == "coulomb_friction":
             f = f.model_copy(update={"parameters": (*f.parameters, *law.force()), "says": f"{f.says} {law.says()}"})
         elif f.effect == "viscous_friction":
-            f = f.model_copy(update={"parameters": (*f.parameters, *law.damping()), "says": f"{f.says} {law.says()}"})
+            # where the simulation holds damping, its gain stands for one damping both ways: what is left may be neither
+            told = tuple(p for p in f.parameters if p.ci95[0] * p.ci95[1] > 0)
+            says = f"{f.says} {law.says()}" if told else law.says()
+            f = f.model_copy(update={"parameters": (*told, *law.damping()), "says": says})
         elif f.effect == "stribeck_friction" and mends(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.diagnosis import admit
-from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.judge import Case
+from errpipe.diagnosis.left_out import ZEROED, LeftOut, spoken_for
 from errpipe.diagnosis.search import Search
+from errpipe.terms._base import sessions
 
 
 @dataclass(frozen=True)
@@ -24,12 +25,17 @@ class HeldOut:
 
 
 def held_out(case: Case) -> HeldOut:
-    """Repeat search and fit without each fold, predict the fold."""
+    """Repeat search and fit without each fold, predict the fold.
+
+    Whether shapes without a name predict anything is asked of the rows that take part, fold by fold.
+    """
     search, library = case.search, case.library
-    _, scheme = folds(case.run)
+    _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
+    judged = LeftOut(library, case.recording, case.pair.rows, case.y, case.recal, case.session, case.loose)
+    if judged.session is not None:
+        scheme += f"; the datum of each from its first {ZEROED} rows, which do not count"
     first = case.explanation.found[0].hypothesis.effect if case.explanation.found else None
-    before, after, same, tried = [], [], 0, 0
-    blocks: dict[int, np.ndarray] = {}
+    before, after, same, shaped = [], [], [], 0
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
@@ -37,25 +43,22 @@ def held_out(case: Case) -> HeldOut:
                       search.threshold, search.threshold_more, search.rows)  # fmt: skip
         if any(found.hypothesis.mask for found in case.explanation.found):
             chosen = part.tune(case.chosen())  # where a partial effect acts cannot be found without its runs
-            effects = [library.hypotheses[i].effect for i, _ in chosen]
         else:
-            found = part.explain(starts=2).found if first else ()
-            chosen = [(x.index, x.size) for x in found]
-            effects = [x.hypothesis.effect for x in found]
+            chosen = [(x.index, x.size) for x in part.explain(starts=2).found] if first else []
+            chosen = spoken_for(part, chosen, judged)
+        names = [i for i, _ in chosen]
         rest = admit.remainder(part, library, chosen, case.loose, case.places)
-        b = Scene(part.data, rest.active, part.sigma).coefficients()
-        for i, _ in chosen:
-            if i not in blocks:
-                blocks[i] = library.block(i, case.recording, case.pair.rows)
-        shaped = [case.loose[k].columns[test] for k in rest.taken]
-        columns = np.column_stack([case.recal[test], *[blocks[i][test] for i, _ in chosen], *shaped])
-        left = case.y[test] - columns @ b
-        before.append(case.y[test])
-        after.append(left)
-        tried += 1
-        same += first is None or first in effects[:1]
+        ways = [(part.active(chosen), judged.columns(names))]
+        if rest.taken:
+            ways.append((rest.active, judged.columns(names, rest.taken)))
+        known = [judged.mean_square(part.data, active, part.sigma, columns) for active, columns in ways]
+        way = int(np.argmin(known))
+        shaped += way
+        before.append(judged.zeroed(case.y[test], test))
+        after.append(judged.left(part.data, ways[way][0], part.sigma, ways[way][1], f))
+        same.append(first is None or first in [library.hypotheses[i].effect for i in names[:1]])
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
-    if case.remainder.shapes:
+    if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
-    return HeldOut(scheme, rms(before), rms(after), same / max(tried, 1))
+    return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)))

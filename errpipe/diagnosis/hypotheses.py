@@ -123,7 +123,7 @@ def build(
     run = recording.run_codes()[rows]
     waves = Waves(rows, tuple(without_motion(recording, rows, signal) for signal in signals))
     every = enumerate_all(recording, component, raw or recording, waves)
-    return Library(_with_columns(every, recording, rows), run, folds(run)[0])
+    return Library(_with_columns(every, recording, rows), run, folds(run, sessions(recording)[rows])[0])
 
 
 def _with_columns(
@@ -139,14 +139,20 @@ def _with_columns(
 
 FOLDS = 5
 BLOCKS = 8  # stretches of the recording that make up one fold
+STARTS = FOLDS  # sessions (starts of the machine) from which whole ones sit out, and each may have its datum
 
 
-def folds(run: np.ndarray) -> tuple[np.ndarray, str]:
+def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarray, str]:
     """Which rows sit out together, shape (rows,), and the scheme's name.
 
-    The recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, dealt out in turn, so that each fold
+    Where the machine was started anew often enough (session of each row: see `terms.sessions`), whole sessions sit out.
+    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, dealt out in turn, so that each fold
     sees every run and thermal state, and no row is judged beside its own neighbours alone.
     """
+    if session is not None:
+        codes, inside = np.unique(session, return_inverse=True)
+        if codes.size >= STARTS:
+            return inside % FOLDS, f"{codes.size} whole runs in {FOLDS} groups"
     count = min(FOLDS * BLOCKS, max(run.size // 4, FOLDS))
     block = np.arange(run.size) * count // max(run.size, 1)
     return block % FOLDS, f"{count} blocks of neighbouring rows in {FOLDS} groups"
@@ -274,7 +280,7 @@ GRIDS: dict[str, tuple[float, ...]] = {
     "friction_hysteresis.length": (0.01, 0.03, 0.08, 0.2, 0.5, 1.5, 5.0),
     "reversal_spike.tau": (0.004, 0.008, 0.015, 0.03, 0.06, 0.12),
     "reversal_spike.power": (0.0, 0.5, 1.0),
-    "coulomb_friction.sharpness": (0.0, 0.3, 1.0),
+    "coulomb_friction.sharpness": (0.0, 0.3, 1.0, 3.0),
     "stribeck_friction.v_s": (0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0),
 }
 
@@ -369,12 +375,21 @@ def wavy(column: np.ndarray, x: np.ndarray, first: int = 1) -> Iterator[tuple[np
 
 
 def decays(recording: Recording, tau: float, first: float, later: float) -> Iterator[tuple[np.ndarray, float]]:
-    """What is left of an unknown state at the start of each session."""
+    """What is left of an unknown state at the start of each session.
+
+    Of many starts only what they have in common: a state for each would pass for whatever differs from start to start.
+    """
     session, t = sessions(recording), recording.time()
-    for k, s in enumerate(np.unique(session)):
+    made = []
+    for s in np.unique(session):
         inside = session == s
         since = np.where(inside, t - t[inside][0], 0.0)
-        yield np.where(inside, np.exp(-np.maximum(since, 0.0) / tau), 0.0), first if k == 0 else later
+        made.append(np.where(inside, np.exp(-np.maximum(since, 0.0) / tau), 0.0))
+    if len(made) >= STARTS:
+        yield np.sum(made, axis=0), 1.0
+        return
+    for k, column in enumerate(made):
+        yield column, first if k == 0 else later
 
 
 def slacks(

@@ -11,10 +11,12 @@ import numpy as np
 from errpipe.diagnosis import admit, hypotheses, partial
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.evidence import Active, Data, Scene, correlation_time
+from errpipe.diagnosis.left_out import LeftOut, carries, datums, spoken_for
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MOST, Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
+from errpipe.terms._base import sessions
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
 MISSING = 10.0  # log Bayes factor for the first finding
@@ -49,6 +51,7 @@ class Case:
     rough: float  # noise from second differences
     loose: list[Shape]  # shapes without a name
     places: list[np.ndarray]  # their columns in the library's table
+    session: np.ndarray | None = None  # of each row, where each session has its own datum
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
@@ -157,10 +160,19 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     run = conditioned.run_codes()[rows]
     rough = first_noise(pair.mismatch, run)
     data = Data(library.table, pair.mismatch)
-    alternatives = parts.decompose(simulated, library, conditioned, rows, rough)
+    plain = parts.static(simulated, library, raw, conditioned, rows)
+    alternatives = [plain] if plain else parts.decompose(simulated, library, conditioned, rows, rough)
     progress(0.5, f"{pair.component}: looking for what is missing")
     decomposition, (nuisance, names, recal, sizes) = _likeliest(alternatives, simulated, library, data, rough)
     prior = log_prior(library, decomposition)
+    session = sessions(conditioned)[rows]
+    anew = datums(conditioned, rows, session, library, pair.mismatch)
+    if anew is not None and asked_for(anew[0], nuisance, library, data, prior, rough, run):
+        nuisance = nuisance.plus(anew[0].index, anew[0].sd)
+        recal, names = np.column_stack([recal, anew[1]]), [*names, *anew[2]]
+        sizes = np.r_[sizes, np.ones(len(anew[2]))]
+    else:
+        session = None
     loose: list[Shape] = shapes(conditioned, pair.component, rows)
     every = library.add(np.column_stack([s.columns for s in loose]))
     edges = np.cumsum([0, *[s.columns.shape[1] for s in loose]])
@@ -178,18 +190,43 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         if not (_reached(search, explanation, rough) and not _reached(single, one, rough, 0.75)):
             worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
             search, explanation = _settled(library, data, nuisance, search.prior, rough, worth)
-        wide = Active(nuisance.index, nuisance.sd * np.r_[1.0, np.full(nuisance.sd.size - 1, WIDE)])
+        wide = Active(nuisance.index, nuisance.sd * np.where([n.startswith("datum") for n in names], 1.0, WIDE))
         other, loose_gains = _settled(library, data, wide, search.prior, rough, worth)
         chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
         if search.rows and other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
             search, explanation, nuisance = other, loose_gains, wide
     explanation = worth_naming(search, explanation, conditioned, rows, decomposition)
+    judged = LeftOut(library, conditioned, rows, pair.mismatch, recal, session, loose)
+    kept = spoken_for(search, [(f.index, f.size) for f in explanation.found], judged)
+    if len(kept) < len(explanation.found):
+        explanation = replace(explanation, found=search.found(kept))
     sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)
     search.sigma = sigma
     chosen = [(f.index, f.size) for f in explanation.found]
     rest = admit.remainder(search, library, chosen, loose, places)
+    if session is not None and not carries(search, chosen, rest, judged):
+        rest = admit.remainder(search, library, chosen, [], [])
     return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal, sizes,
-                search, explanation, sigma, rest, rough, loose, places)  # fmt: skip
+                search, explanation, sigma, rest, rough, loose, places, session)  # fmt: skip
+
+
+ANEW_PRICE = 10.0  # log Bayes factor from which it is believed
+
+
+def asked_for(anew: Active, nuisance: Active, library, data: Data, prior, rough: float, run: np.ndarray) -> bool:
+    """Is the best explanation likelier with a datum for each session than the best one with a single datum?
+
+    Each datum pays for its freedom. Rows count for less where what is left beside all datums still goes together.
+    """
+    tried = [nuisance.plus(anew.index, anew.sd), nuisance]
+    settled = [_settled(library, data, n, prior, rough) for n in tried]
+    left = [s.scene([(f.index, f.size) for f in e.found]) for s, e in settled]
+    worth = max(run.size / correlation_time(left[0].residual(), run), 30.0)
+    with_each, with_one = (
+        scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.found)
+        for scene, (_, e) in zip(left, settled, strict=True)
+    )
+    return with_each > with_one + ANEW_PRICE
 
 
 TRUST = 0.3  # weight of the evidence from taking the simulation apart: what it leaves over is no noise
@@ -213,12 +250,17 @@ def recalibration(
 ) -> tuple[Active, list[str], np.ndarray, np.ndarray]:
     """Datum, gain of the whole simulated signal, gain of each of its parts; their names, columns and sizes."""
     columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
-    for part in together(d.parts):
+    whole = together(d.parts)
+    least = float(np.sqrt(np.mean([np.var(p.contribution) for p in whole]))) if d.plain else 0.0
+    effects = [part.hypothesis.effect for part in whole]
+    for part in whole:
+        effect = part.hypothesis.effect
+        of = effect if effects.count(effect) == 1 else f"{effect} on {' and '.join(part.hypothesis.drivers)}"
         for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD)):
-            if np.std(values) > 0.02 * np.std(simulated):
+            if np.std(values) > (0.0 if d.plain else 0.02) * np.std(simulated):
                 columns.append(values)
-                sd.append(off)
-                names.append(part.hypothesis.effect + what)
+                sd.append(off * max(least / float(np.std(values)), 1.0))
+                names.append(of + what)
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
     index = library.add(block)
@@ -271,13 +313,22 @@ def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.nd
     return case.y - np.column_stack([case.recal, *blocks]) @ scene.coefficients()
 
 
+def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:
+    """What the datums of single runs carry beside these hypotheses, on the judged rows; None where one is for all."""
+    own = [j for j, name in enumerate(case.names) if name.startswith("datum of")]
+    if not own:
+        return None
+    return case.recal[:, own] @ case.search.scene(chosen).coefficients()[own]
+
+
 def needs_recalibration(case: Case) -> bool:
     """Are datum or gains off beyond doubt?"""
     full = case.search.active(case.chosen())
     m = case.nuisance.index.size
     without = Active(full.index[m:], full.sd[m:])
     scene = Scene(case.search.data, without, case.sigma)
-    datum, gains = case.nuisance.index[:1], case.nuisance.index[1:]
+    own = np.array([name.startswith("datum") for name in case.names])
+    datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
     scored = scene.score(sets, [np.ones(s.size) for s in sets])

@@ -84,7 +84,8 @@ def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
     except ValueError:
         return -np.inf
     S, s = _projected(scene, block)
-    gain, _, _ = scene._log_bf((S * freedom[:, None] * freedom)[None], (freedom * s)[None], scene.n)
+    rows = case.search.rows or scene.n  # rows that go together tell no more than they are worth
+    gain, _, _ = scene._log_bf((S * freedom[:, None] * freedom)[None], (freedom * s)[None], rows)
     return float(gain[0])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from errpipe.diagnosis import confidence, friction, holdout, locate, model, separate, significance, whiteness
 from errpipe.diagnosis.evidence import Scene
-from errpipe.diagnosis.judge import Case, needs_recalibration, residual
+from errpipe.diagnosis.judge import Case, needs_recalibration, own_datums, residual
 from errpipe.domain.diagnosis import (
     Finding,
     FoundParameter,
@@ -42,6 +42,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         carried["unknown"], after = _with_shape(case)
     floor = float(min(case.sigma, case.rough) if signs or strange > 0.5 else case.sigma)
     recalibrated = residual(case, [])
+    datums = own_datums(case, [])
     found = significance.chance(case)
     findings = [f.model_copy(update=_beyond_chance(case, f)) for f in findings]
     if held.after >= held.before:
@@ -55,14 +56,14 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         rms_after_um=_rms(after), noise_floor_um=floor, holdout=figures, findings=tuple(findings),
         regimes=locate.regimes(case.recording, case.pair.rows, before, after, recalibrated, floor),
         changes=locate.changes(case.recording, case.pair.rows, recalibrated),
-        between_runs=locate.between_runs(case.run, recalibrated, floor),
+        between_runs=locate.between_runs(case.run, recalibrated if datums is None else recalibrated + datums, floor),
         whiteness=whiteness.whiteness(case),
         significance=Significance(
             p=found.p, gain=found.gain, limit95=found.limit, scheme=found.scheme, effective_rows=found.rows,
             rows=int(case.run.size),
         ),
     )  # fmt: skip
-    says = in_words(out) + (f" {law.briefly()}" if law else "")
+    says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     return out.model_copy(update={"says": says}), carried, after
 
 
@@ -73,6 +74,17 @@ def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
     b = Scene(case.search.data, case.remainder.active, case.search.sigma).coefficients()
     carried = shapes @ b[-shapes.shape[1] :]
     return carried, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - carried
+
+
+def _datums(case: Case) -> str:
+    """That each run was given its own datum, and how far these are apart."""
+    values = own_datums(case, case.chosen())
+    if values is None:
+        return ""
+    return (
+        f" Each run starts with a datum of its own, {_rms(values):.3g} {case.pair.unit} rms from run to run, as an "
+        "instrument has that is zeroed anew; it is set right first and no part of what is named."
+    )
 
 
 def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
@@ -149,7 +161,8 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
     every = [r for r in rivals if r[0] not in own and (r[1] < CLOSE or _alike(case, made, r[2]))]
     close = every[:4]
     beyond = min((r[1] for r in rivals if r[0] not in own and r not in every), default=50.0)
-    sure = confidence.naming(replace(signs[k], margin=max(beyond, signs[k].margin)))
+    sure = confidence.of_class(replace(signs[k], margin=max(beyond, signs[k].margin)))
+    sure = max(sure, confidence.naming(signs[k]))
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
@@ -238,8 +251,9 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     m = case.nuisance.index.size
     for j, name in enumerate(case.names):
         value, sd = b[j] / case.sizes[j], np.sqrt(cov[j, j]) / case.sizes[j]
-        unit = case.pair.unit if j == 0 else "1"
-        label = "datum" if j == 0 else f"gain of {name} less 1"
+        is_datum = name.startswith("datum")
+        unit = case.pair.unit if is_datum else "1"
+        label = name if is_datum else f"gain of {name} less 1"
         low, high = float(value - 2 * sd), float(value + 2 * sd)
         parameters.append(FoundParameter(name=label, value=float(value), unit=unit, ci95=(low, high)))
     moved = float(np.std(case.recal @ b[:m]))

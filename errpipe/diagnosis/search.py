@@ -66,8 +66,11 @@ class Search:
             if total > best_total + 1e-9:
                 best_total, best = total, chosen
         best = self.tune(best)
-        found = sorted(self._worth(best), key=lambda f: -f.gain)
-        return Explanation(tuple(found), alone, float(best_total))
+        return Explanation(self.found(best), alone, float(best_total))
+
+    def found(self, chosen: list[tuple[int, float]]) -> tuple[Found, ...]:
+        """Findings of a set of hypotheses, strongest first."""
+        return tuple(sorted(self._worth(chosen), key=lambda f: -f.gain))
 
     def rivals(self, found: tuple[Found, ...], k: int) -> list[tuple[str, float, int]]:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""

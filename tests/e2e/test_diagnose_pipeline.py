@@ -329,7 +329,8 @@ def test_the_gantry_s_bed_was_left_out(tmp_path: Path) -> None:
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert response["findings"][0]["effect"] == "thermal_drift"
     assert response["findings"][0]["drivers"] == ["bed_t"]
-    assert response["findings"][0]["confidence_of_class"] > 0.6
+    assert response["findings"][0]["confidence_of_class"] > 0.8  # the bed's heat, however it is told
+    assert response["holdout"]["rms_after_um"] < 6.0
     assert "gradient_bending" in response["findings"][0]["indistinguishable_from"]  # bed less frame: the same beside it
     (figures,) = read(out / "validate/validation.json")["components"]
     assert figures["rms_before"] == pytest.approx(36.9, abs=0.2)  # published: frame alone 36.9, with the bed about 4.8
@@ -342,10 +343,13 @@ def test_the_gantry_s_bed_was_left_out(tmp_path: Path) -> None:
 def test_the_positioning_axis_lacks_dry_friction_which_no_table_compensates(tmp_path: Path) -> None:
     out = real("positioning-axis-force", tmp_path)
     assert effects(out)[0] == "coulomb_friction"
-    told = read(out / "diagnose/acceptance.json")
-    assert told["accepted"] == [] and "feed-forward" in told["refused"][0]["reason"]
+    decided = read(out / "diagnose/acceptance.json")
+    assert decided["accepted"] == [] and "feed-forward" in decided["refused"][0]["reason"]
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
-    force = response["findings"][0]["parameters"][0]
+    told = {p["name"]: p for p in response["findings"][0]["parameters"]}
+    force, sharpness = told["force"], told["sharpness"]
+    assert 1.5 < sharpness["ci95"][0] < sharpness["value"] < sharpness["ci95"][1] < 4.5  # mm/s; a sign would be 0
+    assert response["holdout"]["rms_after_um"] < 2.4
     assert force["unit"] == "N" and force["value"] == pytest.approx(20.4, rel=0.1)  # published: 20.4 N
     assert force["ci95"][0] <= 20.4 <= force["ci95"][1]
 
@@ -358,26 +362,31 @@ def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) ->
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert [f["effect"] for f in response["findings"]][:2] == ["coulomb_friction", "viscous_friction"]
     told = {p["name"]: p for f in response["findings"] for p in f["parameters"]}
-    for name, published in (("damping_forward", 161.0), ("damping_backward", 236.0)):
-        assert told[name]["unit"] == "N s/m" and told[name]["ci95"][0] <= published <= told[name]["ci95"][1]
+    published = [("damping_forward", 157.0), ("damping_forward", 161.0), ("damping_backward", 233.0),
+                 ("damping_backward", 236.0)]  # fmt: skip
+    for name, value in published:  # it depends on how sharply dry friction is taken to turn round
+        low, high = told[name]["ci95"]
+        assert told[name]["unit"] == "N s/m" and low <= value <= high and high - low < 20
+    assert "damping" not in told  # one for both ways says nothing beside these
     assert {"force_forward", "force_backward"} <= set(told)
     assert "differs by direction" in response["says"]
 
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_the_turning_centre_s_static_model_leaves_something_out_that_no_unseen_day_may_contradict(
-    tmp_path: Path,
-) -> None:
+def test_the_turning_centre_s_static_model_lacks_the_lag_of_its_slow_parts(tmp_path: Path) -> None:
+    """Each morning has its own datum; behind it: a part late by half an hour to 8 h, as examples/seasons found it."""
     out = real("turning-centre-diagnose", tmp_path)
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
-    assert response["verdict"] in ("missing_physics", "unexplained")
-    told = read(out / "diagnose/acceptance.json")
-    assert response["between_runs"] > 0.5  # each morning has its own datum, which no temperature tells
+    assert response["between_runs"] > 0.5 and "datum of its own" in response["says"]
+    assert response["verdict"] == "missing_physics"
+    named = [f for f in response["findings"] if f["effect"] != "recalibration"]
+    assert named[0]["effect"] == "thermal_lag" and named[0]["drivers"] == ["T_spindle_rear"]
+    (tau,) = (p for p in named[0]["parameters"] if p["name"] == "tau")
+    assert tau["unit"] == "s" and 900 < tau["ci95"][0] < tau["ci95"][1] < 8 * 3600
+    assert all(f["effect"] in ("thermal_lag", "ambient_drift", "spindle_growth") for f in named)  # nothing but lags
     held = response["holdout"]
-    if held["rms_after_um"] >= held["rms_before_um"]:
-        assert told["accepted"] == [] and "unproved" in response["says"]
-        names = [f for f in response["findings"] if f["effect"] not in ("recalibration", "unknown")]
-        assert all(f["confidence"] <= 0.5 for f in names)
+    assert held["scheme"].startswith("23 whole runs")
+    assert held["rms_after_um"] < 0.7 * held["rms_before_um"]
     (figures,) = read(out / "validate/validation.json")["components"]
-    assert figures["rms_after"] < figures["rms_before"]
+    assert figures["rms_after"] < 8.3  # the static model alone, on the same days left out: 8.60

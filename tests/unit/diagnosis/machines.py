@@ -88,3 +88,36 @@ def trace(seed: int = 0, hidden=None, noise: float = 2.0) -> Recording:
         "F_X_sim": {"role": "simulated", "component": "F_X", "unit": "N"},
     }  # fmt: skip
     return recording(columns, kinds)
+
+
+def mornings(seed: int = 0, hidden=None, days: int = 10, noise: float = 0.3, pause: float = 57600.0) -> Recording:
+    """A machine started on several days from cold; the simulation is a static model of two temperatures.
+
+    hidden(columns) is what it lacks; columns holds `day` besides what is recorded. pause: seconds between days.
+    """
+    rng = np.random.default_rng(seed)
+    rows = 110
+    clock = np.arange(rows) * 150.0
+    day = np.repeat(np.arange(days), rows)
+    t = np.tile(clock, days) + day * (clock[-1] + pause)
+    morning = np.repeat(rng.uniform(17, 23, days), rows)
+    room = morning + np.tile(2 * (1 - np.exp(-clock / 9000)), days)
+    works = np.tile(np.where((clock > 1500) & ((clock < 7000) | (clock > 9500)), 1.0, 0.0), days)
+    works *= np.repeat(rng.uniform(0.6, 1.4, days), rows)
+    bearing, warm = np.empty(t.size), 0.0
+    for k in range(t.size):
+        warm = 0.0 if k % rows == 0 else warm + 150.0 / 1800.0 * (9 * works[k] - warm)
+        bearing[k] = room[k] + warm
+    sim = 1.5 * (room - 20) + 2.0 * (bearing - 20)
+    columns = {"t": t, "T_room": room, "T_bearing": bearing}
+    extra = hidden({**columns, "day": day}) if hidden else 0.0
+    columns = {"run": [f"d{d}" for d in day], **columns}
+    columns |= {"E_Z": sim + extra + noise * rng.standard_normal(t.size), "E_Z_sim": sim}
+    kinds = {
+        "run": {"role": "run"}, "t": {"role": "time", "unit": "s"},
+        "T_room": {"role": "temperature", "unit": "degC", "location": "room"},
+        "T_bearing": {"role": "temperature", "unit": "degC", "location": "spindle bearing"},
+        "E_Z": {"role": "error", "component": "E_Z", "unit": "um"},
+        "E_Z_sim": {"role": "simulated", "component": "E_Z", "unit": "um"},
+    }  # fmt: skip
+    return recording(columns, kinds)

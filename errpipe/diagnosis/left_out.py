@@ -1,0 +1,124 @@
+"""How well an explanation, fitted without some folds, predicts their rows; and what of it these rows speak for.
+
+Where each session has a datum of its own, a session that sat out tells its datum by its first rows, which do not count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from errpipe.diagnosis.admit import Remainder
+from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.hypotheses import STARTS, Library
+from errpipe.diagnosis.search import Search
+from errpipe.diagnosis.shapes import Shape
+from errpipe.domain.recording import Recording
+
+ZEROED = 5  # rows of a session that sat out which tell its datum
+
+
+@dataclass
+class LeftOut:
+    """A response's columns before whitening, and how rows that sat out are judged.
+
+    recal: columns of the nuisances (rows, k); session: of each row, where each session has its own datum, else None.
+    """
+
+    library: Library
+    recording: Recording
+    rows: np.ndarray
+    y: np.ndarray
+    recal: np.ndarray
+    session: np.ndarray | None
+    loose: list[Shape]
+    _blocks: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def columns(self, chosen: list[int], shapes: tuple[int, ...] = ()) -> np.ndarray:
+        """Columns of nuisances, hypotheses and shapes, in the order of their active columns, shape (rows, k)."""
+        for i in chosen:
+            if i not in self._blocks:
+                self._blocks[i] = self.library.block(i, self.recording, self.rows)
+        return np.column_stack(
+            [self.recal, *[self._blocks[i] for i in chosen], *[self.loose[k].columns for k in shapes]]
+        )
+
+    def zeroed(self, values: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """Values of the rows `test`, those that count, less the datum of their session."""
+        if self.session is None:
+            return values
+        session, out = self.session[test], []
+        for s in np.unique(session):
+            inside = values[session == s]
+            out.append(inside[ZEROED:] - inside[:ZEROED].mean())
+        return np.concatenate(out)
+
+    def left(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
+        """What a fit to `data` without this fold leaves of its rows."""
+        test = self.library.table.rows[fold]
+        b = coefficients(data, active, sigma, fold if fold != data.without else None)
+        return self.zeroed(self.y[test] - columns[test] @ b, test)
+
+    def mean_square(self, data: Data, active: Active, sigma: float, columns: np.ndarray) -> float:
+        """Of the folds that take part in `data`, each predicted without itself."""
+        folds = [f for f, rows in enumerate(self.library.table.rows) if f != data.without and rows.size]
+        left = [self.left(data, active, sigma, columns, f) for f in folds]
+        return float(np.mean(np.concatenate(left) ** 2))
+
+
+def coefficients(data: Data, active: Active, sigma: float, without: int | None) -> np.ndarray:
+    """Posterior mean of the active columns' coefficients, one more fold taking no part."""
+    table, i = data.table, active.index
+    G, s = data.G[np.ix_(i, i)], data.products()[i]
+    if without is not None:
+        rows = table.rows[without]
+        W = table.W[np.ix_(rows, i)]
+        G, s = G - W.T @ W, s - W.T @ data.y[rows]
+    prior = np.where(np.isinf(active.sd), 0.0, sigma**2 / np.maximum(active.sd, 1e-300) ** 2)
+    return np.linalg.solve(G + np.diag(prior + 1e-11 * np.diag(G) + 1e-300), s)
+
+
+def datums(
+    recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray
+) -> tuple[Active, np.ndarray, list[str]] | None:
+    """A datum for each session, as an instrument has that is zeroed whenever the machine is started: columns in the
+    library with their freedom, the same before whitening, names. None where there are too few starts.
+
+    session: of each row; y: the mismatch, whose spread between sessions sets the freedom.
+
+    Runs that follow each other without a long pause share a datum: what steps between them is physics.
+    """
+    codes, first, inside, count = np.unique(session, return_index=True, return_inverse=True, return_counts=True)
+    if codes.size < STARTS:
+        return None
+    level = np.bincount(inside, y) / count
+    columns = (session[:, None] == codes).astype(float)
+    columns -= columns.mean(axis=0)
+    labels = recording.run_labels()
+    run = recording.run_codes()[rows]
+    index = library.add(columns)
+    sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
+    return Active(index, sd), columns, [f"datum of run {labels[run[k]]}" for k in first]
+
+
+def spoken_for(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
+    """Of findings, strongest first, as many as predict sessions that sit out best; the first one always stays.
+
+    Only where sessions have their own datums: what is much alike within a session, and not between them, is then many
+    rows that say the same, and a further finding may only bend the first one to them.
+    """
+    if judged.session is None or len(chosen) < 2:
+        return chosen
+    ways = [chosen[:k] for k in range(1, len(chosen) + 1)]
+    squares = [
+        judged.mean_square(search.data, search.active(w), search.sigma, judged.columns([i for i, _ in w])) for w in ways
+    ]
+    return ways[int(np.argmin(squares))]
+
+
+def carries(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
+    """Do shapes without a name predict rows that sit out? What differs from start to start is no mechanism's shape."""
+    names = [i for i, _ in chosen]
+    without = judged.mean_square(search.data, search.active(chosen), search.sigma, judged.columns(names))
+    return judged.mean_square(search.data, rest.active, search.sigma, judged.columns(names, rest.taken)) < without
