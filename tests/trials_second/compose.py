@@ -117,7 +117,8 @@ def limit(rng: Rng, scene: Scene, part: Part) -> Part:
     if (mask & rows).sum() < 40 or (~mask & rows).sum() < 40:
         raise Unfit("no room for a part")
     values = np.where(mask, part.values, 0.0)
-    return replace(part, values=values, acting=mask, where=where)
+    again = (lambda x: np.where(mask, part.again(x), 0.0)) if part.again else None
+    return replace(part, values=values, acting=mask, where=where, again=again)
 
 
 def fair(mix: Mix, rows: np.ndarray, tier: str) -> None:
@@ -175,7 +176,7 @@ def _balance(rng: Rng, mix: Mix, rows: np.ndarray, tier: str) -> None:
         part = mix.hidden[0]
         goal = size_of(part, rows)
         share = rng.uniform(0.5, 1.0)
-        part = part.scaled(faint(rng, 1.2, 3.0) * mix.noise / goal)
+        part = part.scaled(faint(rng, 1.1, 2.8) * mix.noise / goal)
         need = size_of(part, rows) / share
         mix.gains = shrink_gains(mix.gains, need / max(rest, 1e-12))
         rest = gain_part(mix, rows)

@@ -34,7 +34,7 @@ SHARES = {
     "volumetric grid": 0.11,
     "cutting series": 0.13,
 }
-CLOCKED = {"spindle drift", "feedback trace"}
+CLOCKED = {"spindle drift": 1.0, "feedback trace": 0.25}
 
 
 def tier_list(rng: Rng, cases: int, tiers: list[str]) -> list[str]:
@@ -95,7 +95,7 @@ def hide(rng: Rng, response, tier: str, dealer: Dealer, protocol: str) -> list[s
     names = [e for e in response.makers if e not in response.always]
     if tier == "novel":
         return [str(rng.choice(list(response.novel)))]
-    if tier == "plain" and protocol in CLOCKED:
+    if tier == "plain" and rng.random() < CLOCKED.get(protocol, 0.0):
         names.append("clock_offset")
     if tier == "partial":
         names = [n for n in names if n not in ("local_wear", "sensor_fault", "reversal_spike", "sensor_drift")]

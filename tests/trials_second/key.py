@@ -157,6 +157,7 @@ def oracle(mix: Mix, recorded: np.ndarray, simulated_parts: list[Part], rows: np
 def finish(rng: Rng, scene: Scene, mix: Mix, tier: str, book: Book | None) -> Case:
     """Noise, display, and the key of one response."""
     rows = scene.measured()
+    _settle(scene, mix)
     unit = measuring_noise(rng, scene.rows)
     step = display_step(rng, mix.response.step, mix.noise)
     sim = np.round(mix.simulated(), 2 if mix.response.unit == "N" else 3)
@@ -183,13 +184,29 @@ def finish(rng: Rng, scene: Scene, mix: Mix, tier: str, book: Book | None) -> Ca
         "in_the_simulation": {p.effect: round(float(g), 4) for p, g in zip(mix.included, mix.gains, strict=True)},
     }
     cells = {}
-    if scene.protocol == "feedback trace" and mix.response.component == "EXX":
-        cells["x"] = scene.columns["x_cmd"].values + clean / 1000
+    if follows(scene, mix):
+        scene.columns["x"].values = scene.columns["x_cmd"].values + clean / 1000
     for part in mix.hidden:
         _key_of(key, book, mix, part, tame, tier)
         cells |= part.cells
     needs = [d for p in mix.hidden + mix.included for d in p.drivers]
     return Case(mix.response.component, recorded, sim, key, cells, needs)
+
+
+def follows(scene: Scene, mix: Mix) -> bool:
+    """Whether the deviation is the axis' own: then its position shows it."""
+    return scene.protocol == "feedback trace" and mix.response.component == "EXX"
+
+
+def _settle(scene: Scene, mix: Mix) -> None:
+    """Periods as short as the deviations are periods of where the axis is, not of where it was told to be."""
+    if not follows(scene, mix):
+        return
+    others = sum(p.values for p in mix.hidden + mix.included if p.again is None)
+    x = scene.columns["x_cmd"].values + others / 1000
+    for part in mix.hidden + mix.included:
+        if part.again is not None:
+            part.values = part.again(x)
 
 
 def _key_of(key: dict, book: Book, mix: Mix, part: Part, rows: np.ndarray, tier: str) -> None:

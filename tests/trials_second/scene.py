@@ -17,7 +17,8 @@ class Part:
 
     `params` are the sizes that the key states, name -> (value, unit); those in `fixed` do not grow with the size.
     `acting` marks the rows that size it; `cells` replaces displayed columns (a sensor that failed). With `in_sim` it is
-    the simulation that goes wrong (by minus the values); `along` is physics that must then be included.
+    the simulation that goes wrong (by minus the values); `along` is physics that must then be included. `again` gives
+    the values anew where the axis is not where it was told to be (a period of micrometres).
     """
 
     effect: str
@@ -30,12 +31,15 @@ class Part:
     cells: dict[str, np.ndarray] = field(default_factory=dict)
     truth: str = ""
     in_sim: bool = False
+    again: Callable[[np.ndarray], np.ndarray] | None = None
     along: list[Part] = field(default_factory=list)
 
     def scaled(self, factor: float) -> Part:
         """The same mechanism, `factor` times as large."""
         params = {k: (v if k in self.fixed else v * abs(factor), u) for k, (v, u) in self.params.items()}
-        return replace(self, values=self.values * factor, params=params, along=[a.scaled(factor) for a in self.along])
+        again = (lambda x, anew=self.again: factor * anew(x)) if self.again else None
+        along = [a.scaled(factor) for a in self.along]
+        return replace(self, values=self.values * factor, params=params, along=along, again=again)
 
 
 Maker = Callable[[np.random.Generator], "Part | None"]

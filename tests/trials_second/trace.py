@@ -191,14 +191,14 @@ def _periodic(path: Motion) -> dict[str, Maker]:
         return Part("pitch_cyclic", value, ["x"], {"pitch_cyclic.period": (period, "mm")}, ("pitch_cyclic.period",))
 
     def signal(rng: Rng) -> Part:
-        u = 2 * np.pi * path.x / path.encoder + rng.uniform(0, 6.28)
-        return Part(
-            "interpolation",
-            rng.uniform(0.2, 1.5) * (np.sin(u) + 0.15 * np.sin(2 * u)),
-            ["x"],
-            {"interpolation.period": (path.encoder, "mm")},
-            ("interpolation.period",),
-        )
+        size, phase = rng.uniform(0.2, 1.5), rng.uniform(0, 6.28)
+
+        def at(x: np.ndarray) -> np.ndarray:
+            u = 2 * np.pi * x / path.encoder + phase
+            return size * (np.sin(u) + 0.15 * np.sin(2 * u))
+
+        period = {"interpolation.period": (path.encoder, "mm")}
+        return Part("interpolation", at(path.x), ["x"], period, ("interpolation.period",), again=at)
 
     def scale(rng: Rng) -> Part:
         k = sign(rng) * rng.uniform(5, 50)
