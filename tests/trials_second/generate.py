@@ -34,6 +34,7 @@ SHARES = {
     "volumetric grid": 0.11,
     "cutting series": 0.13,
 }
+PATIENCE = 60  # draws before another protocol may take a case
 CLOCKED = {"spindle drift": 1.0, "feedback trace": 0.25}
 
 
@@ -72,13 +73,13 @@ class Dealer:
             self.seen[n] = self.seen.get(n, 0) + 1
 
 
-def draw(rng: Rng, tier: str, dealer: Dealer) -> tuple[Scene, list[Case], list[str]]:
+def draw(rng: Rng, tier: str, dealer: Dealer, protocol: str) -> tuple[Scene, list[Case], list[str]]:
     """One case of a tier; Unfit when the draw breaks a rule."""
-    protocol = dealer.protocol()
     scene = SCENES[protocol](rng)
     if tier == "null":
         return scene, null_case(rng, scene), []
-    main = int(rng.integers(len(scene.responses)))
+    last = len(scene.responses) - 1  # E_Z, which knows most mechanisms
+    main = last if rng.random() < 0.3 else int(rng.integers(last + 1))
     response = scene.responses[main]
     hidden = hide(rng, response, tier, dealer, protocol)
     if hidden == ["clock_offset"]:
@@ -123,10 +124,13 @@ def cases(
     root = np.random.default_rng([seed, 20261121])
     dealer = Dealer(root, protocols or list(SCENES), effects)
     for number, tier in enumerate(tier_list(root, count, tiers)):
+        protocol = dealer.protocol()
         for attempt in range(400):
+            if attempt >= PATIENCE or effects:
+                protocol = dealer.protocol()
             rng = np.random.default_rng([seed, number, attempt])
             try:
-                scene, found, hidden = draw(rng, tier, dealer)
+                scene, found, hidden = draw(rng, tier, dealer, protocol)
             except Unfit:
                 continue
             dealer.count(hidden)
