@@ -157,10 +157,11 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
     found = case.explanation.found
     h = found[k].hypothesis
     rivals = sorted((r for r in case.search.rivals(found, k) if r[0] not in NEVER), key=lambda r: r[1])
-    own = {f.hypothesis.effect for f in found}
-    every = [r for r in rivals if r[0] not in own and (r[1] < CLOSE or _alike(case, made, r[2]))]
+    own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in found}  # the same effect by other columns is a rival
+    other = [r for r in rivals if r[0] != h.effect and (r[0], case.library.hypotheses[r[2]].drivers) not in own]
+    every = [r for r in other if r[1] < CLOSE or _alike(case, made, r[2])]
     close = every[:4]
-    beyond = min((r[1] for r in rivals if r[0] not in own and r not in every), default=50.0)
+    beyond = min((r[1] for r in other if r not in every), default=50.0)
     sure = confidence.of_class(replace(signs[k], margin=max(beyond, signs[k].margin)))
     sure = max(sure, confidence.naming(signs[k]))
     sentence = ""
