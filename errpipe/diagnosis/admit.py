@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active
+from errpipe.diagnosis.evidence import Active, Listed
 from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
@@ -39,23 +39,23 @@ def remainder(search: Search, library: Library, chosen: list[tuple[int, float]],
     taken, gains = [], []
     active = search.active(chosen)
     scene = named
+    listed = Listed(index, [s.freedom for s in shapes], [i.size for i in index])
     for _ in range(MOST):
-        scored = scene.score(index, [s.freedom for s in shapes])
-        gain = np.array([s.gain for s in scored])
+        gain, size, _core = scene.scores(listed)
         gain[taken] = -np.inf
         k = int(np.argmax(gain)) if gain.size else -1
         if k < 0 or gain[k] < ENOUGH:
             break
         taken.append(k)
         gains.append(float(gain[k]))
-        sd = 2.0 * max(scored[k].size, 1.0) * search.sigma * shapes[k].freedom
+        sd = 2.0 * max(size[k], 1.0) * search.sigma * shapes[k].freedom
         active = active.plus(index[k], sd)
         scene = type(named)(search.data, active, search.sigma)
-    alone = base.score(index, [s.freedom for s in shapes])
+    alone = base.scores(listed)[0]
     everything = max(base.rms() ** 2 - scene.rms() ** 2, 1e-12)
     share = (named.rms() ** 2 - scene.rms() ** 2) / everything
     return Remainder(
         tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)), scene.rms(), float(np.clip(share, 0, 1)),
-        max((s.gain for s in alone), default=0.0), active, tuple(taken),
+        float(max(alone, default=0.0)), active, tuple(taken),
     )  # fmt: skip
 

@@ -224,17 +224,16 @@ class Listed:
         where[inside] = at
         return used, where
 
-    def _each(self, flat: np.ndarray) -> list[np.ndarray]:
-        return np.split(flat, self.starts[1:-1])
-
     def blocks(self, data: Data) -> np.ndarray:
         """Products of each hypothesis' columns among themselves, times their freedoms, flat."""
         if data.without not in self._blocks:
-            rows = [np.repeat(c, c.size) for c in self._each(self.columns)]
-            across = [np.tile(c, c.size) for c in self._each(self.columns)]
-            free = [np.outer(f, f).ravel() for f in self._each(self.freedom)]
-            products = data.G[np.concatenate(rows), np.concatenate(across)]
-            self._blocks[data.without] = products * np.concatenate(free)
+            widths = np.diff(self.starts)
+            wide = np.repeat(widths, widths**2)
+            place = np.arange(wide.size) - np.repeat(self.places[:-1], widths**2)
+            first = np.repeat(self.starts[:-1], widths**2)
+            i, j = first + place // wide, first + place % wide
+            free = self.freedom[i] * self.freedom[j]
+            self._blocks[data.without] = data.G[self.columns[i], self.columns[j]] * free
         return self._blocks[data.without]
 
 
@@ -258,16 +257,16 @@ class Scene:
         self.G = data.G
         i = active.index
         self.Zy_all = data.products()
-        G = self.G[np.ix_(i, i)]
-        prior = np.where(np.isinf(active.sd), 0.0, sigma**2 / np.maximum(active.sd, 1e-300) ** 2)
-        self.M = G + np.diag(prior + 1e-11 * np.diag(G) + 1e-300)
+        self.M = self.G[i[:, None], i]
+        prior = (sigma / np.maximum(active.sd, 1e-300)) ** 2  # none for a free column, whose sd is infinite
+        self.M.flat[:: i.size + 1] += prior + 1e-11 * np.diag(self.M) + 1e-300
         self.chol = np.linalg.cholesky(self.M)
-        self.half = np.linalg.solve(self.chol, self.Zy_all[i])
+        self.half = evidence.forward(self.chol, self.Zy_all[i])
         self.Q = max(data.yy - float(self.half @ self.half), 1e-12 * data.yy + 1e-300)
 
     def coefficients(self) -> np.ndarray:
         """Posterior mean of the active columns' coefficients."""
-        return np.linalg.solve(self.chol.T, self.half)
+        return evidence.backward(self.chol, self.half)
 
     def residual(self) -> np.ndarray:
         """What is left, whitened, shape (rows,)."""
@@ -294,15 +293,17 @@ class Scene:
         prior = 2 * np.log(np.maximum(self.active.sd[finite], 1e-300) / self.sigma).sum()
         return -0.5 * (logdet + prior) - 0.5 * (rows or self.n) * np.log(self.Q)
 
-    def exactly(self, index: int, value: float, sd: float, rows: float | None = None) -> float:
-        """Log Bayes factor of one column with a coefficient known to be `value` within `sd`."""
-        half = np.linalg.solve(self.chol, self.G[self.active.index, index])
-        S = self.G[index, index] - half @ half
-        s = self.Zy_all[index] - half @ self.half
+    def exactly(
+        self, index: np.ndarray, value: np.ndarray, sd: np.ndarray, rows: float | None = None
+    ) -> np.ndarray:  # fmt: skip
+        """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd`."""
+        cross = np.ascontiguousarray(self.G[self.active.index][:, index])
+        s = evidence.freed(self.chol, cross, self.half, self.Zy_all[index])
+        S = self.G[index, index] - np.sum(cross**2, axis=0)
         rest = s - value * S  # what the column still sees once `value` of it is taken away
         Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
         price = 0.5 * np.log1p(S * sd**2 / self.sigma**2)
-        return float(-price - 0.5 * (rows or self.n) * np.log(max(Q, 1e-9 * self.Q) / self.Q))
+        return -price - 0.5 * (rows or self.n) * np.log(np.maximum(Q, 1e-9 * self.Q) / self.Q)
 
     def score(
         self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -50,6 +51,19 @@ class Groups:
         if self.kind == "runs":
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count]
+
+    @cached_property
+    def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
+        """Unions tried, which groups are in each (unions, groups), and their prices."""
+        choices = self.choices()
+        return choices, self.members(choices), np.array([self.price(c) for c in choices])
+
+    def members(self, choices: list[tuple[int, ...]]) -> np.ndarray:
+        """1 where a group is in a union, shape (unions, groups)."""
+        out = np.zeros((len(choices), self.count))
+        for c, members in enumerate(choices):
+            out[c, list(members)] = 1.0
+        return out
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
         """Unions of the runs in which an effect seems strongest, one way or the other."""
@@ -157,20 +171,21 @@ def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float,
     for g in range(groups.count):
         r = order[edges[g] : edges[g + 1]]
         S[g], B[g], s[g] = W[r].T @ W[r], basis[:, r] @ W[r], W[r].T @ y[r]
-    choices = groups.choices()
+    choices, member, price = groups.priced
     if not choices:
         return None
     seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
     rate = seen / np.maximum(S[:, 0, 0], 1e-300)
-    choices += groups.by_rate(rate)
-    member = np.zeros((len(choices), groups.count))
-    for c, members in enumerate(choices):
-        member[c, list(members)] = 1.0
+    more = groups.by_rate(rate)
+    if more:
+        choices = choices + more
+        member = np.concatenate([member, groups.members(more)])
+        price = np.r_[price, [groups.price(c) for c in more]]
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
     sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
     gain, _, _ = scene._log_bf(Sc, sc, scene.n)
-    gain = gain - np.array([groups.price(c) for c in choices])
+    gain = gain - price
     best = int(np.argmax(gain))
     return float(gain[best]), choices[best]
 

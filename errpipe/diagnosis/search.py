@@ -106,13 +106,13 @@ class Search:
         which = listed.every if candidates is None else np.array(candidates)
         gain, size, core = scene.scores(listed, which, self.rows)
         gain = gain - hollow(core)
-        for place in np.flatnonzero(self.library.is_clock[which]):
+        clocks = np.flatnonzero(self.library.is_clock[which])
+        if clocks.size:
             # a shift has no size of its own: the difference of the shifted signals counts once
-            k = int(which[place])
-            at = int(self.library.places[k][0])
-            unit = float(self.library.scales[k][0])
-            gain[place] = scene.exactly(at, unit, 0.15 * unit, self.rows)
-            size[place] = unit / self.sigma
+            at = np.array([self.library.places[k][0] for k in which[clocks]])
+            unit = np.array([self.library.scales[k][0] for k in which[clocks]])
+            gain[clocks] = scene.exactly(at, unit, 0.15 * unit, self.rows)
+            size[clocks] = unit / self.sigma
         return Scores(gain, size)
 
     def leaders(self, gain: np.ndarray, most: int) -> list[int]:

@@ -162,7 +162,8 @@ def levels(u: np.ndarray) -> np.ndarray:
 def structured(found: Whiteness) -> list[WhitenessTest]:
     """Tests that alone would raise the alarm, the strongest first; inputs before the mere order of the rows."""
     alarming = [t for t in found.tests if t.p * len(found.tests) < ALARM]
-    return sorted(alarming, key=lambda t: (t.against == ORDER, t.p))
+    # inputs that say the same have the same p up to rounding: the one asked first is then named
+    return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
 
 
 def _small(p: float) -> str:

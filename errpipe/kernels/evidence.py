@@ -32,6 +32,29 @@ def freed(chol, cross, half, products):
 
 
 @kernel
+def forward(chol, b):
+    """chol^-1 b for a lower triangle (m, m)."""
+    x = np.empty(b.size)
+    for i in range(b.size):
+        total = b[i]
+        for j in range(i):
+            total -= chol[i, j] * x[j]
+        x[i] = total / chol[i, i]
+    return x
+
+
+@kernel
+def backward(chol, b):
+    """chol'^-1 b for a lower triangle (m, m)."""
+    x = b.copy()
+    for i in range(b.size - 1, -1, -1):
+        x[i] /= chol[i, i]
+        for j in range(i):
+            x[j] -= chol[i, j] * x[i]
+    return x
+
+
+@kernel
 def scores(which, where, starts, freedom, cores, places, blocks, half, seen, spare, rows, sizes):
     """Log Bayes factor over sizes, the size that fits best, and the textbook form's share at it, of hypotheses.
 

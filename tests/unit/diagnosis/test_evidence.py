@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from errpipe.diagnosis.evidence import Active, Data, Scene, Table, correlation_time, whiten
+from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, correlation_time, textbook_share, whiten
 
 
 def table(rng, n=400, k=6):
@@ -26,6 +26,34 @@ def test_the_true_column_wins_and_noise_pays():
     assert np.argmax(gains) == 2
     assert gains[2] > 30
     assert max(g for i, g in enumerate(gains) if i != 2) < 3
+
+
+def test_hypotheses_of_all_widths_at_once_have_the_evidence_of_each():
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((400, 40)) @ np.diag(np.geomspace(0.1, 10, 40))
+    columns[:, 7] = columns[:, 3] - columns[:, 5]  # what two others say already
+    made = Table(np.zeros(400, dtype=int), [columns, np.ones((400, 1))], np.arange(400) * 5 // 400)
+    y = columns[:, 3] + columns[:, 30:] @ rng.standard_normal(10) + rng.standard_normal(400)
+    beside = Scene(Data(made, y), Active(np.array([40, 30, 31]), np.array([np.inf, 2.0, 0.5])), 1.1)
+    index = [np.arange(3, 3 + w) for w in (1, 2, 3, 6, 37)]
+    freedom = [rng.uniform(0.05, 1.0, i.size) for i in index]
+    gain, size, core = beside.scores(Listed(index, freedom, [1, 1, 2, 4, 20]), rows=300.0)
+    for k, i in enumerate(index):
+        half = np.linalg.solve(beside.chol, beside.G[np.ix_(beside.active.index, i)])
+        S, s = beside.G[np.ix_(i, i)] - half.T @ half, beside.Zy_all[i] - half.T @ beside.half
+        told, at, b = beside._log_bf((S * freedom[k][:, None] * freedom[k])[None], (freedom[k] * s)[None], 300.0)
+        assert_allclose([gain[k], size[k]], [told[0], at[0]], rtol=1e-6)
+        assert_allclose(core[k], textbook_share(freedom[k] * b[0], [1, 1, 2, 4, 20][k]), rtol=1e-6)
+
+
+def test_columns_added_later_have_the_same_products():
+    rng = np.random.default_rng(6)
+    _, made = table(rng)
+    more = rng.standard_normal((400, 600))  # more than there is room for
+    made.add(more[:, :5])
+    made.add(more[:, 5:])
+    assert_allclose(made.G, made.W.T @ made.W, rtol=1e-9, atol=1e-9)
+    assert_allclose(made.parts[2], made.W[made.rows[2]].T @ made.W[made.rows[2]], rtol=1e-9, atol=1e-9)
 
 
 def test_on_noise_alone_no_column_gains():
