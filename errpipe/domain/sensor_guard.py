@@ -13,12 +13,19 @@ After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the 
     blamed_i = 1 for good once |quick_i| >= 1 + c_ij |quick_j| for every other j; or so for slow
     frozen_i = 1 while lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than ever when healthy,
                no sooner than WARM_UP freeze times after the start
-    m_i = lag(r_i, settle) as it was when last all was calm and x_i alive: what the estimate is off by
-    swapped_ij = 1 for good once x_i, x_j read what x_j, x_i did when last all was calm, by far better than what they
-               did themselves; by less where one of the two is blamed already
-    guarded reading = x_i, less (r_i - m_i + sum v_ij (r_j - m_j) over failed j) while it is blamed or frozen:
+    m_i = lag(r_i - e_i, settle) as it was when last all was calm and x_i alive: what the estimate is off by
+    swapped_ij = 1 for good once x_i, x_j read what x_j, x_i did when last nothing had jumped, by far better than what
+               they did themselves, and are further apart than the difference of healthy ones ever turns round
+               within minutes; by no less than a fault must be where a sensor is blamed already
+    e_i = how far x_i has moved, over hours, beyond what *both* its witnesses allow (disjoint sets of other sensors):
+               the lesser of the two excesses where they agree in sign, else 0; 0 once any sensor is found at fault.
+               Only for sensors that have witnesses
+    guarded reading = x_i - e_i, less (r_i - m_i + sum v_ij (r_j - m_j) over failed j) while it is blamed or frozen:
                its last trusted reading, carried on as its estimate from what stands in for the others;
                x_j where it is swapped with j
+
+e_i bounds what a fault does before it is found: nobody has to know which sensor lies, because one witness that
+lies is outvoted by the reading and the other witness. Half the harm of slow drifts is done before any alarm.
 
 Two sets of weights, because the estimate that follows best cannot tell which of two close sensors failed: their
 departures are one and the same. The w give up some closeness, so that a fault of sensor j shows in p_i less than
@@ -50,9 +57,13 @@ MUTED = 1.0  # per K outside the starts learnt from: of the slow statistic
 FAR = 1e3  # K
 SUSPECT = 0.5  # of the threshold: from here what a reading is off by is no longer remembered
 CLEARED = 0.4  # of the threshold: from here down it is again
+STIRRED = 0.8  # of the threshold: from here where readings were before a swap is no longer followed
+SETTLED = 0.7  # of the threshold: from here down it is again
 FITS = 0.3  # share of the squared difference that two swapped readings may miss each other's by
+BESIDE = 0.18  # of FITS and the squared sum of two quick thresholds: what a swap must reach once a sensor is blamed
 LATELY = 0.6  # of 1: a swap is looked for until half a horizon after all was calm,
-JUST_NOW = 0.8  # if nobody is blamed until a fifth of it
+JUST_NOW = 0.9  # if nobody is blamed until a fifth of it
+RATE = 3.0  # times the fastest change seen: no healthy reading is faster
 FOREVER = 1e9  # s
 NEVER = 1e15  # s
 AT_ONCE = 1e-3  # s
@@ -74,6 +85,14 @@ class Source(Frozen):
     lag_s: float | None = Field(None, gt=0)
 
 
+class Witness(Frozen):
+    """A few other sensors that tell how one should move: sum of weights x sources."""
+
+    sources: tuple[Source, ...]
+    weights: tuple[float, ...]
+    within: float = Field(gt=0, description="K; a healthy reading mostly departs less within hours.")
+
+
 class GuardedSensor(Frozen):
     """One sensor. Units: the sensor's own (degC; differences K), s."""
 
@@ -92,6 +111,7 @@ class GuardedSensor(Frozen):
     slow: float = Field(gt=0, description="Threshold of the slow departure.")
     starts: tuple[float, float] = Field(description="Lowest and highest reading at the start of a session.")
     reach: float = Field(gt=0, description="Largest departure r that is remembered; twice what a healthy one had.")
+    witnesses: tuple[Witness, ...] = Field((), description="Disjoint sets of others that a reading is held between.")
     lively: float | None = Field(None, description="Of the lagged square; a healthy one seldom is below.")
     still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
 
@@ -106,6 +126,7 @@ class SensorGuard(Frozen):
     freeze_s: float = Field(gt=0, description="Time constant of the stillness.")
     settle_s: float = Field(gt=0, description="Time constant of what is remembered of a departure.")
     swap_s: float = Field(gt=0, description="Time constant of where a reading was before a swap.")
+    corridor_s: float = Field(14400.0, gt=0, description="Time constant of what a witness forgets.")
     turns: tuple[float, ...] = Field(description="K; healthy ones this far apart never turn round; pairs in order.")
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
     hours: float = Field(description="Hours of healthy readings the thresholds come from.")
@@ -250,21 +271,49 @@ def frozen(guard: SensorGuard, name: str) -> d.Driver:
 @_shared
 def plain_fault(guard: SensorGuard, name: str) -> d.Driver:
     """1 while a reading is seen to have departed by itself or to stand still; else 0."""
-    return _not(_all([_not(blamed(guard, name)), _not(frozen(guard, name))]))
+    return _any_of(blamed(guard, name), frozen(guard, name))
 
 
 @_shared
 def fault(guard: SensorGuard, name: str) -> d.Driver:
     """1 while a reading is not believed; else 0."""
-    exchanged = [_not(swapped(guard, name, n)) for n in guard.names() if n != name]
-    return _not(_all([_not(plain_fault(guard, name)), *exchanged]))
+    flags = (plain_fault(guard, name), *(swapped(guard, name, n) for n in guard.names() if n != name))
+    return _any_of(*flags)
 
 
 @_shared
 def calm(guard: SensorGuard) -> d.Driver:
     """1 while no sensor is at fault and none is about to be: what is seen now may be remembered; else 0."""
-    flags = [_not(plain_fault(guard, n)) for n in guard.names()]
-    return _all([*flags, *(_not(d.Switch(of=quick(guard, s), on=SUSPECT, off=CLEARED)) for s in guard.sensors)])
+    return _none_of(_anybody(guard), *_stirred(guard, SUSPECT, CLEARED))
+
+
+def _stirred(guard: SensorGuard, on: float, off: float) -> tuple[d.Driver, ...]:
+    return tuple(d.Switch(of=quick(guard, s), on=on, off=off) for s in guard.sensors)
+
+
+def _none_of(*flags: d.Driver) -> d.Driver:
+    """1 while every flag is 0; else 0."""
+    return d.Clip(of=d.Affine(offset=1.0, weights=(-1.0,) * len(flags), of=flags), low=0.0, high=1.0)
+
+
+def _any_of(*flags: d.Driver) -> d.Driver:
+    """1 while a flag is 1; else 0."""
+    return d.Clip(of=d.Affine(weights=(1.0,) * len(flags), of=flags), low=0.0, high=1.0)
+
+
+@_shared
+def settled(guard: SensorGuard) -> d.Driver:
+    """1 while no sensor is at fault or near to it, nor has just jumped: the readings are where they belong; else 0.
+
+    A jump is a change within minutes that no healthy sensor kept up; one of two that are swapped may show it long
+    before the other, whose input holds what races.
+    """
+    jumps = []
+    for s in guard.sensors:
+        gone = _squared(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=s.name), _minutes_ago(guard, s.name))))
+        level = (s.max_rate / RATE * guard.swap_s) ** 2
+        jumps.append(d.Switch(of=gone, on=level, off=SETTLED * level))
+    return _none_of(_anybody(guard), *_stirred(guard, STIRRED, SETTLED), *jumps)
 
 
 @_shared
@@ -290,7 +339,6 @@ def _clock(guard: SensorGuard) -> d.Driver:
     return d.Lag(of=d.Constant(value=2.0 * widest * FOREVER), tau_up=FOREVER, tau_down=FOREVER, start="zero")
 
 
-@_shared
 def _held(of: d.Driver, gate: d.Driver) -> d.Driver:
     """What never falls, as it was when the gate was last 1: a lag that follows upwards at once and downwards never."""
     return d.Lag(of=d.Product(of=(gate, of)), tau_up=AT_ONCE, tau_down=NEVER, start="zero")
@@ -309,7 +357,11 @@ def _as_it_was(guard: SensorGuard, of: d.Driver, gate: d.Driver) -> d.Driver:
 def remembered(guard: SensorGuard, name: str) -> d.Driver:
     """The departure r that a sensor had while it was last believed, K: what its estimate is off by."""
     sensor = guard.sensor(name)
-    within = d.Clip(of=departure(sensor), low=-sensor.reach, high=sensor.reach)
+    believed = departure(sensor)
+    beyond = excess(guard, name)
+    if beyond is not None:
+        believed = d.Affine(weights=(1.0, -1.0), of=(believed, beyond))
+    within = d.Clip(of=believed, low=-sensor.reach, high=sensor.reach)
     return _as_it_was(guard, _lag(within, guard.settle_s), _at_ease(guard, name))
 
 
@@ -319,7 +371,44 @@ def reading(guard: SensorGuard, name: str) -> d.Driver:
     sensor = guard.sensor(name)
     others = tuple(_delayed(s, _off(guard, s.name)) for s in sensor.sources)
     estimated = d.Affine(weights=(1.0, *sensor.estimate), of=(_gone(guard, name), *others))
-    return d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), _instead(guard, name, estimated)))
+    parts: tuple[d.Driver, ...] = (d.Input(name=name), _instead(guard, name, estimated))
+    beyond = excess(guard, name)
+    if beyond is not None:
+        parts = (*parts, beyond)
+    return d.Affine(weights=(1.0, *(-1.0,) * (len(parts) - 1)), of=parts)
+
+
+@_shared
+def excess(guard: SensorGuard, name: str) -> d.Driver | None:
+    """How far a reading is beyond what both of its witnesses allow, K; 0 once a sensor is known to have failed.
+
+    So much of a fault that nobody has seen yet is kept away; and one witness that fails itself changes nothing.
+    None where a sensor has no witnesses.
+    """
+    sensor = guard.sensor(name)
+    if not sensor.witnesses:
+        return None
+    over, under = [], []
+    for witness in sensor.witnesses:
+        sources = tuple(_delayed(s, d.Input(name=s.name)) for s in witness.sources)
+        departed = _less(d.Input(name=name), sources, witness.weights)
+        usual = _lag(departed, guard.corridor_s)
+        for side, sign in ((over, -1.0), (under, 1.0)):
+            beyond = d.Affine(offset=sign * witness.within, weights=(1.0, -1.0), of=(departed, usual))
+            side.append(d.Clip(of=beyond, low=0.0 if sign < 0 else -FAR, high=FAR if sign < 0 else 0.0))
+    parts, weights = [over[0], under[0]], [1.0, 1.0]
+    for one, other in zip((over[0], under[0]), (over[1:], under[1:]), strict=True):
+        low, high = (0.0, FAR) if one is over[0] else (-FAR, 0.0)
+        for two in other:
+            parts.append(d.Clip(of=d.Affine(weights=(1.0, -1.0), of=(one, two)), low=low, high=high))
+            weights.append(-1.0)
+    return d.Product(of=(_not(_found(guard)), d.Affine(weights=tuple(weights), of=tuple(parts))))
+
+
+@_shared
+def _found(guard: SensorGuard) -> d.Driver:
+    """1 while any sensor is at fault; else 0."""
+    return _any_of(_anybody(guard), *(_swapped(guard, *pair) for pair in combinations(guard.names(), 2)))
 
 
 @_shared
@@ -337,7 +426,7 @@ def _instead(guard: SensorGuard, name: str, gone: d.Driver) -> d.Driver:
     """What a reading is off by: where it is swapped, its difference to the other; where it failed else, `gone`."""
     place = guard.names().index(name)
     others = [n for n in guard.names() if n != name]
-    alone = _all([_not(swapped(guard, name, n)) for n in others])
+    alone = _none_of(*(swapped(guard, name, n) for n in others))
     exchanged = [_difference_where_swapped(guard, name, n) for n in others]
     parts = [d.Product(of=(fault(guard, name), alone, gone)), *exchanged]
     signs = [1.0 if guard.names().index(n) > place else -1.0 for n in others]
@@ -371,55 +460,60 @@ def _difference(one: str, other: str) -> d.Driver:
 
 @_shared
 def _swapped(guard: SensorGuard, one: str, other: str) -> d.Driver:
-    """Each reads what the other did when last all was calm, far better than what it did itself.
+    """Each reads what the other did when last nothing had jumped, far better than what it did itself.
 
-    Either by as much as a fault must be, while one of the two is blamed; or by more than healthy ones ever do.
+    By as much as a fault must be, while a sensor is blamed; else by more than healthy ones ever turn round.
     """
-    clear = 0.5 * FITS * guard.turn(one, other) ** 2
-    least = min(clear, 0.125 * FITS * (guard.sensor(one).quick + guard.sensor(other).quick) ** 2)
-    neither = d.Product(of=(_not(plain_fault(guard, one)), _not(plain_fault(guard, other))))
-    seen = d.Affine(offset=clear - least, weights=(1.0, least - clear), of=(exchange(guard, one, other), neither))
-    return d.Switch(of=d.Product(of=(seen, _calm_lately(guard))), on=clear, off=NO_SQUARE)
+    alone = FITS * guard.turn(one, other) ** 2
+    beside = BESIDE * FITS * (guard.sensor(one).quick + guard.sensor(other).quick) ** 2
+    most = FITS * max(guard.sensor(n).high - guard.sensor(m).low for n, m in ((one, other), (other, one))) ** 2
+    seen = d.Affine(
+        offset=-most,
+        weights=(most, FITS, -1.0, -1.0, alone - beside),
+        of=(_settled_lately(guard), *_squares(guard, one, other), _anybody(guard)),
+    )
+    return d.Switch(of=seen, on=alone, off=NO_SQUARE)
 
 
 @_shared
-def _calm_lately(guard: SensorGuard) -> d.Driver:
-    faults = tuple(plain_fault(guard, n) for n in guard.names())
-    anybody = d.Clip(of=d.Affine(weights=(1.0,) * len(faults), of=faults), low=0.0, high=1.0)
-    since = d.Affine(weights=(1.0, JUST_NOW - LATELY), of=(_since_calm(guard), anybody))
+def _settled_lately(guard: SensorGuard) -> d.Driver:
+    since = d.Affine(weights=(1.0, JUST_NOW - LATELY), of=(_since_settled(guard), _anybody(guard)))
     return d.Switch(of=since, on=JUST_NOW, off=JUST_NOW - TIE)
 
 
 @_shared
-def just_calm(guard: SensorGuard) -> d.Driver:
-    """1 while all was calm not long ago; else 0."""
-    return d.Switch(of=_since_calm(guard), on=JUST_NOW, off=JUST_NOW - TIE)
+def _anybody(guard: SensorGuard) -> d.Driver:
+    """1 while any sensor has departed or stands still; else 0."""
+    return _any_of(*(plain_fault(guard, n) for n in guard.names()))
 
 
 @_shared
-def _since_calm(guard: SensorGuard) -> d.Driver:
-    """exp(-time since all was calm / horizon)."""
-    return d.Lag(of=calm(guard), tau_up=AT_ONCE, tau_down=guard.horizon_s)
+def _since_settled(guard: SensorGuard) -> d.Driver:
+    """exp(-time since all was settled / horizon)."""
+    return d.Lag(of=settled(guard), tau_up=AT_ONCE, tau_down=guard.horizon_s)
 
 
-@_shared
-def exchange(guard: SensorGuard, one: str, other: str) -> d.Driver:
-    """FITS (x - y)^2 - (x - y')^2 - (y - x')^2, with x', y' when all was calm, K2: above 0, they fit if exchanged."""
+def _squares(guard: SensorGuard, one: str, other: str) -> tuple[d.Driver, ...]:
+    """(x - y)^2, (x - y')^2, (y - x')^2, with x', y' when all was settled, K2."""
     crosswise = [
-        d.Affine(weights=(1.0, -1.0), of=(d.Input(name=a), when_calm(guard, b)))
+        d.Affine(weights=(1.0, -1.0), of=(d.Input(name=a), when_settled(guard, b)))
         for a, b in ((one, other), (other, one))
     ]
-    return d.Affine(weights=(FITS, -1.0, -1.0), of=tuple(map(_squared, (_difference(one, other), *crosswise))))
+    return tuple(map(_squared, (_difference(one, other), *crosswise)))
 
 
 @_shared
-def when_calm(guard: SensorGuard, name: str) -> d.Driver:
-    """The reading, over minutes, when last all was calm."""
+def when_settled(guard: SensorGuard, name: str) -> d.Driver:
+    """The reading, over minutes, when last all was settled."""
+    return _as_it_was(guard, _minutes_ago(guard, name), settled(guard))
+
+
+@_shared
+def _minutes_ago(guard: SensorGuard, name: str) -> d.Driver:
     within = d.Clip(of=d.Input(name=name), low=guard.sensor(name).low, high=guard.sensor(name).high)
-    return _as_it_was(guard, _lag(within, guard.swap_s), calm(guard))
+    return _lag(within, guard.swap_s)
 
 
-@_shared
 def _squared(of: d.Driver) -> d.Driver:
     return d.Product(of=(of, of))
 

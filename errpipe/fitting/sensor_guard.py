@@ -24,6 +24,7 @@ from errpipe.domain import driver as d
 from errpipe.domain import sensor_guard as g
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.fitting import sensor_witness
 from errpipe.terms._base import drive, sessions
 
 FILTER = 300.0  # s: machines warm up over minutes and more, noise and switching heaters are quicker
@@ -31,12 +32,11 @@ FREEZE = 300.0  # s
 HORIZON = 3600.0  # s
 SETTLE = 1800.0  # s: what is remembered of a departure
 SWAP = 300.0  # s
+CORRIDOR = 14400.0  # s: a reading is held to what its witnesses say of the last hours
+MOST_HELD = 5  # sensors with witnesses: a table has room for no more beside a thermal model
 SHIFT = 36000.0  # s: estimates are learnt from what changes within one
-LOOSELY = 1.5  # times the misfit that counts as a swap is looked at to know what healthy readings do
-BEYOND_TURNS = 1.5  # times the farthest that the difference of two healthy readings turned round
-LEAST_TURN = 1.0  # of the quick thresholds
+BEYOND_TURNS = 2.0  # times the farthest that the difference of two healthy readings turns round within minutes
 REACH = 2.0  # times the largest departure of healthy readings
-NO_TURN = 1e9  # K
 LIVELY = 0.2  # of the time a healthy reading is stiller
 LAGS = (300.0, 900.0, 3600.0, 14400.0)  # s: heat reaches one sensor later than another, some much later
 RIDGES = np.logspace(-5, 1, 25)  # times the readings' mean square; the smallest is taken that keeps faults apart
@@ -46,7 +46,6 @@ BLOCK = 7200.0  # s: largest values are taken per two hours, beyond which residu
 LIGHTEST = 0.25  # shape of the law of largest values: lighter is not believed of few hours
 FAINTEST = 1e-8  # of the usual liveliness: below, a sensor that is frozen would be told after days
 LEAST_NOISE = 3.0  # times the readings' own noise: no threshold lies below
-RATE = 3.0  # times the fastest change seen: no healthy reading is faster
 BEYOND = 0.5  # of the range seen, on either side, and RANGE_MARGIN: readings outside are impossible
 RANGE_MARGIN = 10.0  # K
 
@@ -191,7 +190,7 @@ def learn(
                 name=name,
                 low=float(low - margin),
                 high=float(high + margin),
-                max_rate=float(RATE * _fastest(x[:, i], run, t)),
+                max_rate=float(g.RATE * _fastest(x[:, i], run, t)),
                 others=tuple(names[j] for j in others),
                 weights=tuple(float(apart.weights[i, 0, j]) for j in others),
                 sources=tuple(g.Source(name=names[j], lag_s=lag) for lag in (None, *LAGS) for j in others),
@@ -207,33 +206,77 @@ def learn(
                 still=_still(alive[:, i], run, t, rate, freeze_s),
             )
         )
-    pairs = len(names) * (len(names) - 1) // 2
-    guard = g.SensorGuard(
+    return g.SensorGuard(
         sensors=tuple(sensors_out), filter_s=filter_s, horizon_s=horizon_s, freeze_s=freeze_s,
-        settle_s=SETTLE, swap_s=SWAP, turns=(NO_TURN,) * pairs,
+        settle_s=SETTLE, swap_s=SWAP, corridor_s=CORRIDOR, turns=_turns(rows, SWAP, rate),
         false_alarms=false_alarms, hours=hours, shows_elsewhere=apart.elsewhere(),
     )  # fmt: skip
-    return guard.model_copy(update={"turns": _turns(guard, recording, rate)})
 
 
-def _turns(guard: g.SensorGuard, recording: Recording, rate: float) -> tuple[float, ...]:
-    """How far the difference of two healthy readings does not turn round, K, pairs in order."""
-    pairs = list(combinations(guard.names(), 2))
-    conditioned, _ = _conditioned(guard, recording)
-    kept = _drive_all([g.when_calm(guard, n) for n in guard.names()], conditioned)
-    before = dict(zip(guard.names(), kept.T, strict=True))
-    lately = _drive_all([g.just_calm(guard)], conditioned)[:, 0] > 0.5
+def hold(
+    guard: g.SensorGuard,
+    recording: Recording,
+    drivers: Sequence[d.Driver],
+    *,
+    group: str | None = None,
+    most: int = MOST_HELD,
+) -> g.SensorGuard:
+    """The guard with witnesses for the sensors whose unseen faults these drivers follow most, at most so many.
+
+    recording: the healthy one that the guard was learnt from. A sensor that no driver follows gets none.
+    """
+    cost = _cost_of_unseen(guard, recording, drivers)
+    held = [n for n in sorted(cost, key=lambda n: -cost[n])[:most] if cost[n] > 0]
+    names = guard.names()
+    x, run, t, groups = _rows(recording, names, group)
+    rows = _Healthy(x, run, t, groups, guard.filter_s, guard.horizon_s)
+    shifts = _centred(rows.stacked, run, t)
+    seen = sensor_witness.Rows(names, shifts, rows.stacked, groups, (None, *LAGS), rows.lagged, guard.corridor_s)
+    sensors = [
+        s.model_copy(update={"witnesses": sensor_witness.witnesses(seen, s.name) if s.name in held else ()})
+        for s in guard.sensors
+    ]
+    return guard.model_copy(update={"sensors": tuple(sensors)})
+
+
+def _cost_of_unseen(guard: g.SensorGuard, recording: Recording, drivers: Sequence[d.Driver]) -> dict[str, float]:
+    """What the fastest drift that the quick statistic never sees makes of the drivers, mean square in their own.
+
+    A steady drift reads there as what it grows by in a horizon. It begins half-way through every session.
+    """
     run, t = sessions(recording), recording.time()
+    since = np.zeros(t.size)
+    for code in np.unique(run):
+        mine = run == code
+        since[mine] = t[mine] - (t[mine].min() + t[mine].max()) / 2
+    grown = np.maximum(since / guard.horizon_s, 0.0)
+    before = [drive(node, recording) for node in drivers]
+    cost = {}
+    for s in guard.sensors:
+        spoilt = recording.frame.assign(**{s.name: recording.array(s.name) + s.quick * grown})
+        moved = [drive(n, Recording(recording.manifest, spoilt)) - was for n, was in zip(drivers, before, strict=True)]
+        share = [np.nanmean(m**2) / max(float(np.nanmean(b**2)), 1e-30) for m, b in zip(moved, before, strict=True)]
+        cost[s.name] = float(np.nansum(share))
+    return cost
+
+
+def _turns(rows: _Healthy, swap_s: float, rate: float) -> tuple[float, ...]:
+    """How far apart two readings must be for an exchange within minutes to be none that healthy ones make, K.
+
+    The difference of two that are exchanged turns round, as far as it was; that of healthy ones crosses zero now and
+    then, and hardly gets anywhere within minutes. Pairs in order; none is believed to turn round less than
+    most.
+    """
+    before = rows.lagged(rows.x, swap_s)
+    noise = np.std(np.diff(rows.x, axis=0)[np.diff(rows.run) == 0], axis=0)
     out = []
-    for one, other in pairs:
-        x, y = conditioned.array(one), conditioned.array(other)
-        missed = (x - before[other]) ** 2 + (y - before[one]) ** 2
-        turned = np.where(lately & (missed <= LOOSELY * g.FITS * (x - y) ** 2), np.abs(x - y), 0.0)
-        turned[~np.isfinite(turned)] = 0.0
-        level = _seldom(turned, run, t, rate / len(pairs) * len(before), lightest=1e-6)
-        quick = 0.5 * (guard.sensor(one).quick + guard.sensor(other).quick)
-        out.append(float(max(level, BEYOND_TURNS * turned.max(), LEAST_TURN * quick)))
-    return tuple(out)
+    for i, j in combinations(range(rows.x.shape[1]), 2):
+        now, then = rows.x[:, i] - rows.x[:, j], before[:, i] - before[:, j]
+        turned = np.where(now * then < 0, np.minimum(np.abs(now), np.abs(then)), 0.0)
+        level = _seldom(turned, rows.run, rows.t, 2.0 * rate / (rows.x.shape[1] - 1), lightest=1e-6)
+        out.append(max(BEYOND_TURNS * level, LEAST_NOISE * float(noise[i] + noise[j]), 1e-6))
+    typical = float(np.median(out))
+    return tuple(max(turn, typical) for turn in out)
 
 
 def _all_possible(x: np.ndarray, run: np.ndarray, t: np.ndarray, s: g.GuardedSensor) -> bool:

@@ -65,7 +65,7 @@ class Export(Stage):
         if self.gate != "none" and validation is not None:
             model, left_out = better_than_nothing(model, validation / "validation.json")
         recording = _artefacts.recording_in(context.needed("recording"))
-        guard = _guard(context, recording) if self.guard else None
+        guard = _guard(context, recording, model) if self.guard else None
         context.progress(0.2, "compiling")
         table = compile_model(model, self, guard)
         context.progress(0.5, "comparing table and model")
@@ -96,12 +96,14 @@ def better_than_nothing(model: ErrorModel, path: Path) -> tuple[ErrorModel, list
     return model.model_copy(update={"components": kept}), sorted(worse)
 
 
-def _guard(context: Context, recording: Recording) -> SensorGuard:
+def _guard(context: Context, recording: Recording, model: ErrorModel) -> SensorGuard:
     """What the sensors say of each other, learnt on the recording; kept beside the table."""
     from errpipe.fitting import sensor_guard
+    from errpipe.fitting.lowering import lower
 
     context.progress(0.1, "learning what the sensors say of each other")
-    guard = sensor_guard.learn(recording)
+    drivers = [pair.driver for pairs in lower(model).values() for pair in pairs]
+    guard = sensor_guard.hold(sensor_guard.learn(recording), recording, drivers)
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
 

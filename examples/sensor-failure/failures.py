@@ -32,17 +32,22 @@ def folds(recording: Recording, scheme: str) -> Iterator[tuple[np.ndarray, np.nd
     yield from ((run != code, run == code) for code in np.unique(run))
 
 
+def _with(rows: Recording, names: tuple[str, ...], readings: np.ndarray) -> Recording:
+    return Recording(rows.manifest, rows.frame.assign(**dict(zip(names, readings.T, strict=True))))
+
+
 def judge(recording: Recording, component: str, scheme: str) -> tuple[dict, dict]:
     """Sums over the runs of each season: healthy squares, and per sensor and way what failing it makes of them.
 
-    Result: season -> [runs, runs with an alarm, squares, rows]; (season, sensor, way) -> [detected, rows to
-    detection, runs in which another sensor was blamed, squares unguarded, squares guarded].
+    Result: season -> [runs, runs with an alarm, squares, rows, squares guarded]; (season, sensor, way) -> [detected,
+    rows to detection, runs in which another sensor was blamed, squares unguarded, squares guarded].
     """
     healthy: dict = {}
     failed: dict = {}
     for train, test in folds(recording, scheme):
         model = thermal_season.fit(recording, component, rows=train)
-        guard = sensor_guard.learn(recording.take(train))
+        learnt_from = recording.take(train)
+        guard = sensor_guard.hold(sensor_guard.learn(learnt_from), learnt_from, [n for _, n in model.terms])
         rows = recording.take(test)
         truth = champion.target(rows, component)
         run = rows.run_codes()
@@ -51,24 +56,26 @@ def judge(recording: Recording, component: str, scheme: str) -> tuple[dict, dict
         begun = np.array([np.flatnonzero(run == code)[0] for code in run])
         count = np.array([np.count_nonzero(run == code) for code in run])
         late = np.arange(len(rows)) - begun >= (sensor_faults.START * count).astype(int)
-        alarms = sensor_guard.faults(guard, rows)
+        healthily = sensor_guard.watch(guard, rows)
+        alarms = healthily.fault
         left = truth - model.values(rows)
+        names = guard.names()
+        held = truth - model.values(_with(rows, names, healthily.reading))
         for code, label in labels.items():
             mine = late & (run == code) & np.isfinite(left)
-            total = healthy.setdefault(label, [0, 0, 0.0, 0])
+            total = healthy.setdefault(label, [0, 0, 0.0, 0, 0.0])
             total[0] += 1
             total[1] += bool(alarms[run == code].any())
             total[2] += float(np.sum(left[mine] ** 2))
             total[3] += int(np.count_nonzero(mine))
-        names = guard.names()
+            total[4] += float(np.nansum(held[late & (run == code)] ** 2))
         for i, name in enumerate(names):
             for way in sensor_faults.WAYS:
                 guilty = [i, (i + 1) % len(names)] if way == "swap" else [i]
                 spoilt = sensor_faults.fail(rows, name, way, beside=names[guilty[-1]])
                 seen = sensor_guard.watch(guard, spoilt)
-                mended = {n: seen.reading[:, k] for k, n in enumerate(names)}
                 bare = truth - model.values(spoilt)
-                guarded = truth - model.values(Recording(rows.manifest, rows.frame.assign(**mended)))
+                guarded = truth - model.values(_with(rows, names, seen.reading))
                 for code, label in labels.items():
                     mine = late & (run == code)
                     told = np.flatnonzero(seen.fault[mine][:, guilty].any(axis=1))
@@ -83,9 +90,13 @@ def judge(recording: Recording, component: str, scheme: str) -> tuple[dict, dict
 
 def show(healthy: dict, failed: dict, scheme: str) -> None:
     """The table: detected runs @ median rows to detection, ratio to healthy unguarded > guarded."""
-    for label, (runs, alarmed, squares, rows) in healthy.items():
+    for label, (runs, alarmed, squares, rows, held) in healthy.items():
         base = float(np.sqrt(squares / rows))
-        print(f"-- {scheme} left out: {label}: healthy {base:.2f} um; false alarms in {alarmed} of {runs} runs")
+        beside = float(np.sqrt(held / rows))
+        print(
+            f"-- {scheme} left out: {label}: healthy {base:.2f} um, guarded {beside:.2f};"
+            f" false alarms in {alarmed} of {runs} runs"
+        )
         worst = 0.0
         for name in dict.fromkeys(n for _, n, _ in failed):
             cells = []
