@@ -18,6 +18,7 @@ BEHIND = 40.0  # log evidence by which they may be behind the best
 COARSE = (0.004, 0.08)  # what textbook forms cannot reach, relative to the signal: taken for noise
 MATTERS = 20.0  # a part left over matters once a tenth of it, over all rows, stands out of the measuring noise
 ROWS = (60.0, 0.025)  # what is left is no noise: it counts as so many rows, and for each row so many more
+DOUBTS = 2  # directions of doubt kept of each part
 PRICE = 6.0  # log prior odds against each part
 NEVER = ("clock_offset", "sensor_fault")  # faults of recordings, not parts of simulations
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
@@ -32,7 +33,8 @@ STRANGE = {  # log prior odds: simulations hold textbook physics, seldom wear, f
 class Part:
     """One effect found in the simulated signal: what its core and its slack contribute on the judged rows.
 
-    certainty: log Bayes factor that it brings beside the other parts.
+    certainty: log Bayes factor that it brings beside the other parts; doubt: what it may as well hold more or less of,
+    because the other parts would make up for it, shape (rows, directions), one standard deviation each.
     """
 
     hypothesis: Hypothesis
@@ -40,6 +42,7 @@ class Part:
     core: np.ndarray
     slack: np.ndarray
     certainty: float
+    doubt: np.ndarray
 
     @property
     def contribution(self) -> np.ndarray:
@@ -102,7 +105,8 @@ def static(
         without = _gains([read[n][known] for n in own if n != name], simulated[known])[1]
         certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(left, 1e-6 * spread))
         core = gain * (reading - reading.mean())
-        parts.append(Part(library.hypotheses[index], index, core, np.zeros_like(core), float(certainty)))
+        sure = np.zeros((core.size, 0))
+        parts.append(Part(library.hypotheses[index], index, core, np.zeros_like(core), float(certainty), sure))
     rest = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
     return Decomposition(tuple(parts), left / spread, rest, 0.0, plain=True)
 
@@ -234,14 +238,25 @@ class _Work:
         scene = self._scene(chosen)
         b = scene.coefficients()
         worth = self._certainty(chosen)
+        spread = scene.covariance() * self.y.size / self.count  # what is left is no noise: it counts as fewer rows
         parts, start, total = [], 1, np.full_like(self.y, b[0])
         for (i, _), certainty in zip(chosen, worth, strict=True):
             columns = self.library.block(i, self.recording, self.rows)
-            weights = b[start : start + columns.shape[1]]
-            start += columns.shape[1]
+            mine = slice(start, start + columns.shape[1])
+            weights, start = b[mine], mine.stop
             cores = self.library.cores[i]
             core, slack = columns[:, :cores] @ weights[:cores], columns[:, cores:] @ weights[cores:]
             total = total + core + slack
-            parts.append(Part(self.library.hypotheses[i], i, core - core.mean(), slack - slack.mean(), certainty))
+            doubt = _doubt(columns, spread[mine, mine])
+            centred = core - core.mean(), slack - slack.mean()
+            parts.append(Part(self.library.hypotheses[i], i, *centred, certainty, doubt))
         rest = self.y - total
         return Decomposition(tuple(parts), float(np.std(rest) / self.spread), rest, total_worth)
+
+
+def _doubt(columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The few directions in which a part's contribution is least certain, shape (rows, directions)."""
+    lam, U = np.linalg.eigh(0.5 * (spread + spread.T))
+    ways = columns @ (U * np.sqrt(np.maximum(lam, 0.0)))
+    ways = ways - ways.mean(axis=0)
+    return ways[:, np.argsort(-ways.std(axis=0))[:DOUBTS]]

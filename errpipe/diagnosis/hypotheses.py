@@ -8,6 +8,7 @@ relative to the core's size; all columns are scaled to unit rms over the judged 
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -16,10 +17,11 @@ from functools import cached_property
 import numpy as np
 
 from errpipe.diagnosis.evidence import Listed, Table
+from errpipe.domain.driver import Input, Lag
 from errpipe.domain.recording import Recording
 from errpipe.kernels import responses
 from errpipe.terms import TERMS as ALL_TERMS
-from errpipe.terms._base import Term, position, sessions
+from errpipe.terms._base import Term, direction, drive, position, sessions
 from errpipe.terms._place import share
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
@@ -183,8 +185,8 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, waves: W
         if kind.reports_as == "thermal_interaction":
             bound = [t.model_copy(update={"reference": None}) for t in bound]
         groups = [(t,) for t in bound]
-        if component == "E_R" and len(bound) == 2 and bound[0].term != "pitch_cyclic":
-            groups.append(tuple(bound))
+        if component == "E_R" and kind.reports_as != "pitch_cyclic":
+            groups += [tuple(bound)] if len(bound) == 2 else both_axes(bound)
         for group in groups:
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
             points = grid(group[0], recording, waves)
@@ -196,6 +198,12 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, waves: W
     if component.startswith("F_"):
         for column in recording.names("acceleration", axis=component[2:]):
             yield Hypothesis("moving_mass", (Mass(column=column),), ((),), (column,))
+
+
+def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:
+    """Bindings to the one and the other axis of a circle that are alike otherwise."""
+    pairs = itertools.combinations([t for t in bound if hasattr(t, "axis")], 2)
+    return [(a, b) for a, b in pairs if a.axis != b.axis and a.model_copy(update={"axis": b.axis}) == b]
 
 
 def worth_trying(term: Term, recording: Recording) -> bool:
@@ -278,7 +286,7 @@ GRIDS: dict[str, tuple[float, ...]] = {
     "cutting_compliance.exponent": (1.0, 2.0, 3.0),
     "gravity_sag.exponent": (2.0, 2.5, 3.0),
     "friction_hysteresis.length": (0.01, 0.03, 0.08, 0.2, 0.5, 1.5, 5.0),
-    "reversal_spike.tau": (0.004, 0.008, 0.015, 0.03, 0.06, 0.12),
+    "reversal_spike.tau": (0.004, 0.008, 0.015, 0.03, 0.06, 0.12, 0.24),
     "reversal_spike.power": (0.0, 0.5, 1.0),
     "coulomb_friction.sharpness": (0.0, 0.3, 1.0, 3.0),
     "stribeck_friction.v_s": (0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0),
@@ -374,6 +382,21 @@ def wavy(column: np.ndarray, x: np.ndarray, first: int = 1) -> Iterator[tuple[np
             yield column * turns[:, k], WAVY
 
 
+def cooled_growth(flow: str, tau: float, recording: Recording) -> Iterator[np.ndarray]:
+    """What coolant takes away from a spindle that has run: the warmer it is, the more."""
+    on = recording.array(flow)
+    for name in recording.names("spindle_speed"):
+        speed = recording.array(name)
+        warm = drive(Lag(of=Input(name=name), tau_up=1500.0, tau_down=1500.0, start="zero"), recording)
+        if speed.max() > 0:
+            yield responses.lag(sessions(recording), recording.time(), on * warm / speed.max(), tau, tau, False)
+
+
+def other_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """How a column differs from another of its size: what it adds leaves the size to the other."""
+    return column / max(float(np.std(column)), 1e-12) - base / max(float(np.std(base)), 1e-12)
+
+
 def decays(recording: Recording, tau: float, first: float, later: float) -> Iterator[tuple[np.ndarray, float]]:
     """What is left of an unknown state at the start of each session.
 
@@ -406,6 +429,12 @@ def slacks(
     if name == "friction_hysteresis":
         for factor in (0.3, 3.0):  # contacts give way one after the other
             yield term.basis(recording, nl[0] * factor)[:, 0] - base[:, 0], 0.25
+    if name in ("backlash", "screw_windup") and recording.name("direction", axis=term.axis) is None:
+        # no contact changes sides at once
+        side, x = direction(recording, term.axis), position(recording, term.axis)
+        for length in (0.005, 0.02, 0.08):
+            late = responses.approach(sessions(recording), x, side, length) - side
+            yield base[:, 0] * side * late, 0.6
     if name in ("backlash", "screw_windup", "friction_hysteresis") and not radial:
         yield from wavy(base[:, 0], position(recording, term.axis))
     elif name == "scale_error" and not radial:
@@ -435,19 +464,38 @@ def slacks(
     elif name == "straightness":
         turns = np.polynomial.chebyshev.chebvander(unit(position(recording, term.axis)), 8)
         across = share(recording, term.across, True) if term.across else 1.0
+        yield turns[:, 1] * across, 0.4  # whichever line it is counted from
         for k in range(term.order + 1, 9):
             yield turns[:, k] * across, 0.3
+    elif name == "angular_abbe":
+        turns = np.polynomial.chebyshev.chebvander(unit(position(recording, term.axis)), 6)
+        for k in range(term.order + 1, 7):
+            yield turns[:, k] * recording.array(term.lever), 0.2
+        for k in range(1, term.order + 1):
+            yield turns[:, k], 0.2  # wherever the lever is counted from
     elif name == "ambient_drift":
         yield from decays(recording, nl[0], 1.0, 1.0)
+        for factor in (0.3, 3.0):  # walls and beds are thick: one after the other takes the room's temperature
+            yield other_shape(term.basis(recording, nl[0] * factor)[:, 0], base[:, 0]), 0.2
     elif name == "spindle_growth":
         yield from decays(recording, nl[0], 0.1, 0.7)
         for factor in (0.3, 3.0):
             yield term.basis(recording, nl[0] * factor, nl[1])[:, 0], 0.25
+        if recording.name("cut_length") is not None:  # or the spindle ran on between the parts
+            ran_on = dataclasses.replace(recording, between="held")
+            yield term.basis(ran_on, *nl)[:, 0] - base[:, 0], 0.3
+        for factor, power in itertools.product((1.0, 0.3), (1.0 / 1.5, 1.5)):  # each body has its own friction
+            yield other_shape(term.basis(recording, nl[0] * factor, nl[1] * power)[:, 0], base[:, 0]), 0.15
     elif name == "thermal_interaction":
         for sensor in dict.fromkeys((term.first, term.second)):
             yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.12
     elif name == "coolant_effect":
         yield from decays(recording, nl[0], 0.2, 0.2)
+        for factor in (0.3, 3.0):
+            yield term.basis(recording, nl[0] * factor)[:, 0], 0.25
+        if term.sensor:
+            yield term.model_copy(update={"sensor": None, "other": None}).basis(recording, *nl)[:, 0], 0.25
+        yield from ((column, 0.25) for column in cooled_growth(term.flow, nl[0], recording))
     elif name == "air_refraction":
         yield position(recording, term.axis), 0.3  # counted from the weather of an unknown day
     elif name == "local_wear" and not radial:
@@ -463,8 +511,10 @@ def slacks(
             late = responses.lag(sessions(recording), recording.time(), base[:, 0], tau, tau, True)
             yield late - base[:, 0], 0.25
     elif name == "reversal_spike":
-        # a real spike takes a moment to rise
-        yield base[:, 0] - term.basis(recording, nl[0] / 3, *nl[1:])[:, 0], 0.4
+        # a real spike takes a moment to rise, and the loop swings before it is gone: Laguerre's shapes
+        since = np.minimum(term.since_turn(recording) / nl[0], 1e3)
+        for k in (1, 2, 3):
+            yield base[:, 0] * since**k, 0.4
     elif name == "thermal_drift":
         rise = recording.array(term.sensor)
         yield responses.lag(sessions(recording), recording.time(), rise, 300.0, 300.0, True) - rise, 0.2

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from errpipe.diagnosis import admit, hypotheses, partial
+from errpipe.diagnosis import admit, gains, hypotheses, partial
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.evidence import Active, Data, Scene, correlation_time
 from errpipe.diagnosis.left_out import LeftOut, carries, datums, spoken_for
@@ -25,6 +25,7 @@ OFF = 3.0  # log Bayes factor for a recalibration
 OWN_SD = 0.04  # how far the gain of what is not textbook in a part is off beside the gain of the part
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
+SURE = 15.0  # log Bayes factor from which a part of the simulation is sure to be there
 
 Progress = Callable[[float, str], None]
 
@@ -195,6 +196,8 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
         if search.rows and other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
             search, explanation, nuisance = other, loose_gains, wide
+    if search.rows is None:  # else the simulation lacks so much that its gains may be anything
+        search, explanation = _within_limits(search, explanation, decomposition, names, recal, sizes, rough)
     explanation = worth_naming(search, explanation, conditioned, rows, decomposition)
     judged = LeftOut(library, conditioned, rows, pair.mismatch, recal, session, loose)
     kept = spoken_for(search, [(f.index, f.size) for f in explanation.found], judged)
@@ -229,6 +232,49 @@ def asked_for(anew: Active, nuisance: Active, library, data: Data, prior, rough:
     return with_each > with_one + ANEW_PRICE
 
 
+ABSURD = 60.0  # log evidence that absurd gains can cost at most: the signal may have been taken apart wrongly
+CLAMPED = 0.03  # freedom of a gain that was absurd, while another explanation is looked for
+
+
+def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
+    """Log evidence less what findings and absurd gains cost."""
+    chosen = [(f.index, f.size) for f in explanation.found]
+    absurd, _ = gains.excess(search.scene(chosen), rows, search.rows)
+    return search.evidence(chosen) - MISSING * len(chosen) - min(absurd, ABSURD)
+
+
+def _within_limits(search, explanation, d: parts.Decomposition, names, recal, sizes, rough):
+    """The explanation, or a likelier one without the absurd gains that it needs."""
+    labels, rows = gains.totals(names, sizes)
+    absurd, beyond = gains.excess(search.scene([(f.index, f.size) for f in explanation.found]), rows, search.rows)
+    if absurd < OFF or beyond is None or d.plain:  # a static model of sensors may hold any gains
+        return search, explanation
+    absurdly = {name for name, out in zip(labels, beyond, strict=False) if out}
+    theirs = [j for j, name in enumerate(names) if name.split(",")[0] in absurdly]
+    spurious = {name.split(" on ")[0] for name in absurdly}
+    rest = recal[:, 1] * sizes[1] - recal[:, theirs] @ sizes[theirs]
+    size = max(float(np.std(rest)), 1e-12)
+    index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
+    index[1], sd[1] = search.library.add((rest / size)[:, None])[0], GAIN_SD * size
+    sd[theirs] = np.minimum(sd[theirs], CLAMPED * sizes[theirs])
+    prior = search.prior.copy()
+    held = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
+    for i, h in enumerate(search.library.hypotheses):
+        if h.effect in spurious and (h.effect, h.drivers) in held:
+            prior[i] -= SAME
+    other, clamped = _settled(search.library, search.data, Active(index, sd), prior, rough, search.rows)
+    free = Search(search.library, search.data, search.nuisance, other.sigma, prior, MISSING, MORE, search.rows)
+    found = free.found(free.tune([(f.index, f.size) for f in clamped.found]))
+    second = replace(clamped, found=found)
+    fair = Search(search.library, search.data, search.nuisance, search.sigma, prior, MISSING, MORE, search.rows)
+    nothing = replace(clamped, found=())
+    if found and _worth(fair, second, rows) > _worth(fair, explanation, rows) + OFF:
+        spared = _worth(fair, second, rows) + MISSING * len(found) - _worth(fair, nothing, rows)
+        first = replace(found[0], gain=max(found[0].gain, spared if len(found) == 1 else found[0].gain))
+        return free, replace(second, found=(first, *found[1:]))
+    return search, explanation
+
+
 TRUST = 0.3  # weight of the evidence from taking the simulation apart: what it leaves over is no noise
 
 
@@ -240,7 +286,7 @@ def _likeliest(alternatives: list[parts.Decomposition], simulated, library, data
         worth = TRUST * d.worth
         if len(alternatives) > 1:
             search, e = _settled(library, data, nuisance, log_prior(library, d), rough)
-            worth += search.evidence([(f.index, f.size) for f in e.found]) - MISSING * len(e.found)
+            worth += _worth(search, e, gains.totals(told[0], told[2])[1])
         tried.append((worth, (d, (nuisance, *told))))
     return max(tried, key=lambda t: t[0])[1]
 
@@ -256,7 +302,8 @@ def recalibration(
     for part in whole:
         effect = part.hypothesis.effect
         of = effect if effects.count(effect) == 1 else f"{effect} on {' and '.join(part.hypothesis.drivers)}"
-        for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD)):
+        doubts = [(", in doubt", values, GAIN_SD) for values in part.doubt.T]
+        for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD), *doubts):
             if np.std(values) > (0.0 if d.plain else 0.02) * np.std(simulated):
                 columns.append(values)
                 sd.append(off * max(least / float(np.std(values)), 1.0))
@@ -285,8 +332,8 @@ def together(found: tuple[parts.Part, ...]) -> list[parts.Part]:
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
     """Log prior odds: what the simulation already holds is seldom what it lacks."""
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
-    present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > 15.0}
-    held_by = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > 15.0}
+    present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
+    held_by = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
     prior = np.array([h.prior for h in library.hypotheses])
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:

@@ -23,6 +23,7 @@ LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 BINS = 14
+FEW = 4  # columns up to which a part is tried with all that reality may add to its textbook form
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
 MENDING = 0.05  # and this share of what the best whole brings: a part may only mend the textbook form
 ALREADY_LOCAL = ("local_wear", "sensor_fault", "clock_offset")
@@ -122,7 +123,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
         for index in tried:
             if not may_act_in_part(library.hypotheses[index], groups.kind, clock):
                 continue
-            W = library.table.W[:, library.places[index][: library.cores[index]]]
+            W = library.table.W[:, library.places[index]] * library.freedom_of(index)
+            W = W if W.shape[1] <= FEW else W[:, : library.cores[index]]
             found = _best_part(scene, basis, y, W, groups, order, edges)
             if found and found[0] > whole + BETTER + MENDING * whole and found[0] > 12.0:
                 parts.append((found[0], index, groups, found[1]))
@@ -159,6 +161,8 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
     if h.effect in EVERYWHERE:
         return False
     term = h.terms[0]
+    if getattr(term, "radial", False) and term.family == "reversal":
+        return False  # a step close to where the axis turns is a spike
     return kind == clock or kind in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 

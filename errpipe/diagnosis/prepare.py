@@ -140,7 +140,7 @@ def condition(recording: Recording) -> Recording:
             columns[name] = hold(values, session) if stepwise else fill(t, values, session)
     columns |= motion(recording, columns)
     frame = recording.frame.assign(**columns).drop(columns=dropped)
-    return Conditioned(recording.manifest, frame)
+    return Conditioned(recording.manifest, frame, between="inferred")
 
 
 class Conditioned(Recording):

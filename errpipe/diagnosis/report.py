@@ -251,6 +251,8 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     parameters = []
     m = case.nuisance.index.size
     for j, name in enumerate(case.names):
+        if name.endswith("in doubt"):
+            continue
         value, sd = b[j] / case.sizes[j], np.sqrt(cov[j, j]) / case.sizes[j]
         is_datum = name.startswith("datum")
         unit = case.pair.unit if is_datum else "1"

@@ -14,6 +14,8 @@ MOST = 2  # findings looked for; a third would mostly mend the textbook form of 
 SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason,
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
+EXCHANGES = 4  # effects tried in the place of each finding
+FINALISTS, NEAR = 4, 25.0  # explanations judged as a whole at the end, and how far behind the best they may be
 
 
 @dataclass(frozen=True)
@@ -58,15 +60,48 @@ class Search:
         alone = scored.gain + self.prior
         if not alone.size or alone.max() < self.threshold:
             return Explanation((), alone, 0.0)
-        best_total, best = -np.inf, []
+        tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
         for first in self.leaders(alone, starts):
             if alone[first] < 0.3 * alone.max() - 5:
                 break
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
-            if total > best_total + 1e-9:
-                best_total, best = total, chosen
-        best = self.tune(best)
+            keys = tuple(sorted((self.library.hypotheses[i].key for i, _ in chosen), key=str))
+            if keys not in tried or total > tried[keys][0]:
+                tried[keys] = (total, chosen)
+        ranked = sorted(tried.values(), key=lambda t: -t[0])
+        best_total = ranked[0][0]
+        best = max((self.tune(c) for total, c in ranked[:FINALISTS] if total > best_total - NEAR), key=self.joint)
+        best = self._exchanged(best)
         return Explanation(self.found(best), alone, float(best_total))
+
+    def _exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
+        """One finding after the other gives way to another effect, while the whole grows likelier."""
+        worth = self.joint(chosen)
+        for _ in range(2):
+            before = worth
+            for place in range(len(chosen)):
+                others = chosen[:place] + chosen[place + 1 :]
+                for i, size in self._instead(others, chosen[place][0]):
+                    other = self.tune([*others[:place], (i, size), *others[place:]])
+                    if self.joint(other) > worth + 0.1:
+                        chosen, worth = other, self.joint(other)
+            if worth == before:
+                break
+        return chosen
+
+    def _instead(self, others: list[tuple[int, float]], given_up: int) -> list[tuple[int, float]]:
+        """The best hypotheses beside the others, each effect once, but the one given up."""
+        scored = self.score(others)
+        gain = scored.gain + self.prior
+        seen = {self.library.hypotheses[i].effect for i, _ in others} | {self.library.hypotheses[given_up].effect}
+        out: list[tuple[int, float]] = []
+        for i in np.argsort(-gain):
+            if self.library.hypotheses[i].effect not in seen:
+                seen.add(self.library.hypotheses[i].effect)
+                out.append((int(i), float(scored.size[i])))
+            if len(out) == EXCHANGES:
+                break
+        return out
 
     def found(self, chosen: list[tuple[int, float]]) -> tuple[Found, ...]:
         """Findings of a set of hypotheses, strongest first."""
@@ -87,6 +122,22 @@ class Search:
     def evidence(self, chosen: list[tuple[int, float]]) -> float:
         """Log evidence of the nuisances' priors with these hypotheses in place, up to a constant."""
         return self.scene(chosen).evidence(self.rows) + sum(float(self.prior[i]) for i, _ in chosen)
+
+    def joint(self, chosen: list[tuple[int, float]]) -> float:
+        """Log Bayes factor of a whole explanation less what findings cost, whichever of them is taken first."""
+        orders = [chosen, chosen[::-1]] if len(chosen) > 1 else [chosen]
+        return float(np.mean([self._in_order(order) for order in orders]))
+
+    def _in_order(self, chosen: list[tuple[int, float]]) -> float:
+        total = 0.0
+        for place, (i, _) in enumerate(chosen):
+            gain = float(self.score(chosen[:place], [i]).gain[0] + self.prior[i])
+            total += gain - (self._price(total) if place else self.threshold)
+        return total
+
+    def _price(self, total: float) -> float:
+        """What a further finding must bring beside findings that bring `total`."""
+        return min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
 
     def active(self, chosen: list[tuple[int, float]]) -> Active:
         """Nuisances and chosen hypotheses with their sizes."""
@@ -135,7 +186,7 @@ class Search:
             taken = {self.library.hypotheses[i].effect for i, _ in chosen}
             gain[[h.effect in taken for h in self.library.hypotheses]] = -np.inf
             k = int(np.argmax(gain))
-            price = min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
+            price = self._price(total)
             if gain[k] < price:
                 break
             chosen.append((k, float(more.size[k])))

@@ -151,10 +151,14 @@ class Recording:
 
     frame: one pandas column per manifest column that is not `ignore`; numbers are float64 (missing = NaN),
     labels (run, group) are strings.
+    between: what drives a slow effect from one row to the next. `held`: the row's value, as a control that reads it at
+    a fixed rate has it. `inferred`: temperatures and pressures run straight to the next row, and in the pauses of a
+    series of parts the rest (spindle, coolant) is at 0.
     """
 
     manifest: Manifest
     frame: pd.DataFrame
+    between: Literal["held", "inferred"] = "held"
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -205,9 +209,9 @@ class Recording:
     def take(self, rows: Any) -> Recording:
         """The recording with only the rows of a boolean mask or an index array."""
         frame = self.frame[rows] if getattr(rows, "dtype", None) == "bool" else self.frame.iloc[rows]
-        return Recording(self.manifest, frame.reset_index(drop=True))
+        return Recording(self.manifest, frame.reset_index(drop=True), self.between)
 
     def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:
         """The recording with further columns (arrays) of the given kinds."""
         manifest = self.manifest.model_copy(update={"columns": {**self.manifest.columns, **kinds}})
-        return Recording(manifest, self.frame.assign(**columns))
+        return Recording(manifest, self.frame.assign(**columns), self.between)

@@ -76,6 +76,8 @@ def faults(guard: g.SensorGuard, recording: Recording) -> np.ndarray:
 class _Values(dict[str, np.ndarray]):
     """Columns by name, beside the runs and times of a recording: as much of one as `drive` looks at."""
 
+    between = "held"  # a control knows no more than its last reading
+
     def __init__(self, recording: Recording):
         super().__init__()
         self.recording = recording

@@ -48,6 +48,46 @@ def lag(run, t, u, tau_up, tau_down, start_at_input):
 
 
 @kernel
+def lag_straight(run, t, u, tau_up, tau_down, start_at_input):
+    """First-order lag, exact for u that runs straight from row to row; u must not miss."""
+    y = np.empty(u.size)
+    state = 0.0
+    for i in range(u.size):
+        if i == 0 or run[i] != run[i - 1]:
+            state = u[i] if start_at_input else 0.0
+        elif t[i] > t[i - 1]:
+            dt = t[i] - t[i - 1]
+            tau = tau_up if 0.5 * (u[i] + u[i - 1]) >= state else tau_down
+            behind = (u[i] - u[i - 1]) / dt * tau
+            state = u[i] - behind + (state - u[i - 1] + behind) * np.exp(-dt / tau)
+        y[i] = state
+    return y
+
+
+@kernel
+def lag_paused(run, t, u, tau_up, tau_down, start_at_input, pause, usual):
+    """First-order lag of what rests at 0 while nothing is made; u must not miss.
+
+    u[i] is held over the step to row i, which is the part just made; of a step longer than `pause` only the last
+    `usual` seconds, the time before it at rest.
+    """
+    y = np.empty(u.size)
+    state = 0.0
+    for i in range(u.size):
+        if i == 0 or run[i] != run[i - 1]:
+            state = u[i] if start_at_input else 0.0
+        else:
+            busy = t[i] - t[i - 1]
+            if busy > pause:
+                state *= np.exp(-(busy - usual) / tau_down)
+                busy = usual
+            tau = tau_up if u[i] >= state else tau_down
+            state = u[i] + (state - u[i]) * np.exp(-busy / tau)
+        y[i] = state
+    return y
+
+
+@kernel
 def lag_tau_derivative(run, t, u, tau):
     """d(lag)/d(tau) of a symmetric lag started at its input, same shape as u."""
     d = np.empty(u.size)

@@ -181,10 +181,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
             return responses.first_value(sessions(recording), drive(driver.of, recording))
         case d.Lag():
             source = drive(driver.of, recording)
-            at_input = driver.start == "input"
-            return responses.lag(
-                sessions(recording), recording.time(), source, driver.tau_up, driver.tau_down, at_input
-            )
+            return _late(driver, source, recording)
         case d.Product():
             return np.prod([drive(of, recording) for of in driver.of], axis=0)
         case d.Power():
@@ -203,6 +200,28 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
             values = np.asarray(driver.values)
             return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)
     raise TypeError(f"unknown driver {driver!r}")
+
+
+PAUSE = 4.0  # times the usual step between rows, from which a series of parts has paused
+
+
+def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray:
+    """A lag's answer, by what the recording says of the time between its rows."""
+    session, t, at_input = sessions(recording), recording.time(), driver.start == "input"
+    taus = (driver.tau_up, driver.tau_down)
+    if recording.between == "inferred" and _runs_on(driver.of, recording):
+        return responses.lag_straight(session, t, source, *taus, at_input)
+    if recording.between == "inferred" and recording.name("cut_length") is not None and len(recording) > 1:
+        usual = float(np.median(np.diff(t)))
+        return responses.lag_paused(session, t, source, *taus, at_input, PAUSE * usual, usual)
+    return responses.lag(session, t, source, *taus, at_input)
+
+
+def _runs_on(driver: d.Driver, recording: Recording) -> bool:
+    """Does a driver depend on nothing but temperatures and pressures, which do not jump between rows?"""
+    names = d.inputs(driver)
+    roles = {recording.manifest.columns[n].role for n in names}
+    return bool(names) and roles <= {"temperature", "pressure"}
 
 
 def direction_column(recording: Recording, axis: str) -> str:

@@ -45,10 +45,11 @@ class GravitySag(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[GravitySag]:
         pointing = direction_of(component)
-        if pointing is None:
+        places = [position_name(recording, a) for a in axes(recording)] if pointing else []
+        if pointing is None and component != "E_D":
             return
         own = own_axis(component)
-        for name in [position_name(recording, a) for a in axes(recording)] + list(recording.names("overhang")):
+        for name in [*places, *recording.names("overhang")]:
             axis = recording.manifest.columns[name].axis
             if (axis is not None and axis == pointing) or (own is not None and axis not in (own, None)):
                 continue

@@ -15,6 +15,8 @@ from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial, share
 
+AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
+
 
 class ReversalSpike(Term):
     """When an axis turns round the drive sticks for an instant: a short spike that dies away.
@@ -30,6 +32,7 @@ class ReversalSpike(Term):
     axis: Axis
     feed: str | None = Field(None, description="Column of the feed that the spike's size follows.")
     radial: Radial = False
+    from_start: bool = Field(False, description="Do runs that begin where the axis turns begin with a spike?")
     reports_as = "reversal_spike"
     family = "reversal"
 
@@ -50,16 +53,32 @@ class ReversalSpike(Term):
             if recording.names("velocity", axis=axis):
                 feed = recording.name("feed")
                 varies = feed is not None and recording.frame[feed].nunique() > 1
-                yield cls(axis=axis, feed=feed if varies else None, radial=is_radial(component))
+                term = cls(axis=axis, feed=feed if varies else None, radial=is_radial(component))
+                yield term
+                if term.radial and term._begun(recording):
+                    yield term.model_copy(update={"from_start": True})
 
     @classmethod
     def example(cls) -> Example:
         return first_binding(cls, rows(step=0.002))  # gone within 0.1 s
 
+    def since_turn(self, recording: Recording) -> np.ndarray:
+        """Time since the last reversal in s, shape (rows,), infinite before the first."""
+        t = recording.time()
+        since = since_turn(sessions(recording), t, direction(recording, self.axis))
+        for begun in self._begun(recording) if self.from_start else ():
+            since[begun] = np.minimum(since[begun], t[begun] - t[begun[0]])
+        return since
+
+    def _begun(self, recording: Recording) -> list[np.ndarray]:
+        """Rows of each run that begins where this axis turns."""
+        run = recording.run_codes()
+        speed = np.abs(recording.array(str(recording.name("velocity", axis=self.axis))))
+        every = [np.flatnonzero(run == code) for code in np.unique(run)]
+        return [these for these in every if speed[these[0]] < AT_REST * np.nanmax(speed[these])]
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        side = direction(recording, self.axis)
-        since = since_turn(sessions(recording), recording.time(), side)
-        size = side * np.exp(-since / nonlinear[0])
+        size = direction(recording, self.axis) * np.exp(-self.since_turn(recording) / nonlinear[0])
         if self.feed:
             size = size * (recording.array(self.feed) / 1000.0) ** nonlinear[1]
         return (-size * share(recording, self.axis, self.radial))[:, None]

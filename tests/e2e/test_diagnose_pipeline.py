@@ -384,9 +384,9 @@ def test_the_turning_centre_s_static_model_lacks_the_lag_of_its_slow_parts(tmp_p
     assert named[0]["effect"] == "thermal_lag" and named[0]["drivers"] == ["T_spindle_rear"]
     (tau,) = (p for p in named[0]["parameters"] if p["name"] == "tau")
     assert tau["unit"] == "s" and 900 < tau["ci95"][0] < tau["ci95"][1] < 8 * 3600
-    assert all(f["effect"] in ("thermal_lag", "ambient_drift", "spindle_growth") for f in named)  # nothing but lags
+    assert all(f["confidence"] < 0.3 for f in named[1:])  # what goes with the room stays in doubt
     held = response["holdout"]
     assert held["scheme"].startswith("23 whole runs")
-    assert held["rms_after_um"] < 0.7 * held["rms_before_um"]
+    assert held["rms_after_um"] < 0.5 * held["rms_before_um"]
     (figures,) = read(out / "validate/validation.json")["components"]
-    assert figures["rms_after"] < 8.3  # the static model alone, on the same days left out: 8.60
+    assert figures["rms_after"] < 8.5  # the static model alone, on the same days left out: 8.60

@@ -42,7 +42,7 @@ def plan(rng: np.random.Generator) -> dict[str, Array]:
             length += stretch * rng.uniform(0.96, 1.04)
             for k, v in zip(rows, (tool, depth, rpm, rpm * feed, overhang, wet, length, now), strict=True):
                 rows[k].append(v)
-        now += change
+        now += change + (rng.random() < 0.5) * rng.uniform(600, 3600)  # a break now and then
     return {k: np.array(v, float) for k, v in rows.items()}
 
 
@@ -53,8 +53,12 @@ def make(rng: np.random.Generator) -> Bench:
     cells = int(t[-1] / DT) + 2
     clock = np.arange(cells) * DT
 
+    step = np.diff(t, prepend=t[0] - np.median(np.diff(t)))
+    busy = np.minimum(step, 2 * np.median(step))  # between the tools, and in breaks, spindle and coolant stand
+
     def held(v: Array) -> Array:
-        return v[np.minimum(np.searchsorted(t, clock), n - 1)]
+        part = np.minimum(np.searchsorted(t, clock), n - 1)
+        return np.where(clock >= t[part] - busy[part], v[part], 0.0)
 
     room = bodies.room(rng, cells, DT, rng.uniform(0.8, 3.0), rng.uniform(0.1, 0.5), rng.uniform(0, 24))
     level = held(p["rpm"]) / 3200.0

@@ -1,0 +1,49 @@
+"""Gains of a simulation stay within limits: where only an absurd one explains, something else does.
+
+The simulated signal is taken apart into parts, each with a gain of its own beside that of the whole. A Gaussian prior
+lets enough rows push a gain anywhere; here an explanation pays for what the limits would cost it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.diagnosis.evidence import Scene
+
+LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a little for parts that were not told apart well)
+
+
+def totals(names: list[str], sizes: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Parts, and the rows that turn the nuisances' coefficients into their gains less 1, shape (parts, nuisances)."""
+    parts = [j for j, name in enumerate(names) if j > 1 and "," not in name and not name.startswith("datum")]
+    rows = np.zeros((max(len(parts), 1), len(names)))
+    rows[:, 1] = 1.0 / sizes[1]
+    for k, j in enumerate(parts):
+        rows[k, j] = 1.0 / sizes[j]
+    return [names[j] for j in parts], rows
+
+
+def excess(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tuple[float, np.ndarray]:
+    """Log evidence that a scene would lose were its gains held within the limits, and which gains are beyond them.
+
+    The scene's first active columns are the nuisances that `rows` belong to.
+    """
+    b = scene.coefficients()
+    A = np.zeros((rows.shape[0], b.size))
+    A[:, : rows.shape[1]] = rows
+    spread = A @ np.linalg.solve(scene.M, A.T)
+    held = np.zeros(rows.shape[0], dtype=bool)
+    aim = np.zeros(rows.shape[0])
+    at, first, cost = A @ b, None, 0.0
+    for _ in range(rows.shape[0]):
+        beyond = (np.abs(at) > LIMIT * 1.001) & ~held
+        first = beyond.copy() if first is None else first
+        if not beyond.any():
+            break
+        held |= beyond
+        aim[beyond] = LIMIT * np.sign(at[beyond])
+        off = (A @ b - aim)[held]
+        push = np.linalg.lstsq(spread[np.ix_(held, held)], off, rcond=None)[0]
+        cost = float(off @ push)
+        at = A @ b - spread[:, held] @ push
+    return 0.5 * (effective or scene.n) * float(np.log1p(max(cost, 0.0) / scene.Q)), first

@@ -1,0 +1,53 @@
+"""Gains beyond what simulations are off by cost evidence, and give way to another explanation."""
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import diagnose, gains
+from errpipe.diagnosis.evidence import Active, Data, Scene, Table
+
+from .machines import axis
+
+
+def scene(off: float, sd: float = 0.1, seed: int = 0) -> tuple[Scene, np.ndarray]:
+    """A signal of two parts, the second `off` by so much; the nuisances' rows."""
+    rng = np.random.default_rng(seed)
+    parts = rng.standard_normal((500, 2)) * 8.0
+    whole = parts.sum(axis=1)
+    y = off * parts[:, 1] + rng.standard_normal(500)
+    columns = np.column_stack([np.ones(500), whole, parts])
+    made = Table(np.zeros(500, dtype=int), [columns], np.arange(500) * 5 // 500)
+    sizes = np.ones(4)
+    active = Active(np.arange(4), np.r_[np.inf, sd, sd, sd])
+    return Scene(Data(made, y), active, 1.0), gains.totals(["datum", "simulation", "a", "b"], sizes)[1]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.1, -0.15])
+def test_gains_within_the_limits_cost_nothing(off):
+    cost, beyond = gains.excess(*scene(off))
+    assert cost == 0.0
+    assert not beyond.any()
+
+
+@pytest.mark.parametrize("off", [0.5, -0.5])
+def test_a_gain_far_off_costs_what_the_limit_would_leave_unexplained(off):
+    cost, beyond = gains.excess(*scene(off))
+    assert beyond.tolist() == [False, True]
+    made, _ = scene(off)
+    left = made.Q + (0.3 * 8.0) ** 2 * 500  # a third of the part stays in the rows
+    assert cost == pytest.approx(250 * np.log(left / made.Q), rel=0.15)
+
+
+def test_slack_and_doubt_are_no_parts_of_their_own():
+    names, rows = gains.totals(["datum", "simulation", "a", "a, not textbook", "a, in doubt", "b"], np.ones(6))
+    assert names == ["a", "b"]
+    assert rows.tolist() == [[0, 1, 1, 0, 0, 0], [0, 1, 0, 0, 0, 1]]
+
+
+def test_a_step_is_missing_and_no_gain_of_minus_one():
+    """The simulation's step between directions has the other sign: not its gain, a second step is what is missing."""
+    made = axis(7, hidden=lambda c: -3.0 * c["dir"], gains=(1.0, 1.0))
+    small = made.with_columns({"EXX_sim": made.array("EXX_sim") - 0.4 * made.array("dir")}, {})
+    response = diagnose(small)[0].responses[0]
+    assert response.verdict == "missing_physics"
+    assert {"backlash", "friction_hysteresis"} & {response.findings[0].effect}
