@@ -1,11 +1,12 @@
 """Draw cases, diagnose them with errpipe, judge the answers.
 
-python -m tests.trials.run --seed 7 --cases 130 --jobs 2 [--keep DIR] [--json FILE] [--markdown FILE]
+python -m tests.trials.run --seed 7 --cases 130 --jobs 2 [--second] [--keep DIR] [--json FILE] [--markdown FILE]
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -41,6 +42,21 @@ def diagnose_all(cases: Path, out: Path, jobs: int) -> list[tuple[str, float, st
     return done
 
 
+def generate_second(out: Path, seed: int, count: int, tiers: str | None, effects: str | None, protocols: str | None):
+    """Cases of the second generator, laid out and sealed as the first one's are."""
+    from tests.trials_second.generate import TIERS, cases
+    from tests.trials_second.write import write_case
+
+    (out / "answers").mkdir(parents=True)
+    wanted = (split(tiers) or list(TIERS), split(effects), split(protocols))
+    digests = []
+    for name, *case in cases(seed, count, *wanted):
+        write_case(out / "cases" / name, name, *case)
+        key = (out / "cases" / name / "answer.json").rename(out / "answers" / f"{name}.json")
+        digests.append(f"{hashlib.sha256(key.read_bytes()).hexdigest()}  answers/{name}.json\n")
+    (out / "answers.sha256").write_text("".join(sorted(digests, key=lambda line: line.split("  ")[1])))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Blind trials: draw, diagnose, judge.")
     parser.add_argument("--seed", type=int, default=7)
@@ -50,15 +66,20 @@ def main() -> None:
     parser.add_argument("--tiers", help="comma-separated")
     parser.add_argument("--effects", help="comma-separated effect ids")
     parser.add_argument("--protocols", help="comma-separated")
+    parser.add_argument("--second", action="store_true", help="cases of the second generator")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     a = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = a.keep or Path(temporary) / "trials"
-        generate(out, a.seed, a.cases, split(a.tiers), split(a.effects), split(a.protocols))
+        if a.second:
+            generate_second(out, a.seed, a.cases, a.tiers, a.effects, a.protocols)
+        else:
+            generate(out, a.seed, a.cases, split(a.tiers), split(a.effects), split(a.protocols))
         done = diagnose_all(out / "cases", out / "diagnoses", a.jobs)
         judged = score(out, out / "diagnoses")
-    text = markdown(judged, f"{len(judged)} cases drawn with seed {a.seed}")
+    by = " by the second generator" if a.second else ""
+    text = markdown(judged, f"{len(judged)} cases drawn with seed {a.seed}{by}")
     print(text)
     print(wrong_ones(judged))
     for name, _, trouble in done:
