@@ -10,8 +10,9 @@ from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.diagnosis.judge import Case
 
-WIDER = 1.25  # what textbook forms leave open beyond the noise; set by coverage on generated cases
-DROP = 2.5  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER)
+WIDER = 1.3  # what textbook forms leave open beyond the noise; set by coverage on generated cases
+DROP = 3.2  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
+SHAPE = 0.1  # how far the deepest point of a worn stretch may be off because of its shape
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ def modelled(case: Case, k: int) -> Modelled:
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
     estimates = _linear(hypothesis, b, cov, scale)
+    estimates += _amplitudes(hypothesis, estimates, cov, scale)
+    estimates = [_deepest(e, contribution, block, cov) if e.name == "depth" else e for e in estimates]
     for name, unit, value, low, high in spans:
         estimates.append(Estimate(name, value, unit, low, high))
     share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
@@ -117,6 +120,29 @@ def _linear(h: Hypothesis, b, cov, scale) -> list[Estimate]:
             out.append(Estimate(p.name, float(value), p.unit, float(value - 1.96 * sd), float(value + 1.96 * sd)))
             place += 1
     return out
+
+
+def _amplitudes(h: Hypothesis, estimates: list[Estimate], cov, scale) -> list[Estimate]:
+    """Amplitudes of waves, beside their sines and cosines."""
+    out = []
+    names = [e.name for e in estimates]
+    for k in range(len(names) - 1):
+        if (names[k], names[k + 1]) == ("sine", "cosine"):
+            pair = np.array([estimates[k].value, estimates[k + 1].value])
+            size = float(np.hypot(*pair))
+            way = pair / max(size, 1e-300) / scale[k : k + 2]
+            sd = WIDER * float(np.sqrt(way @ cov[k : k + 2, k : k + 2] @ way))
+            out.append(Estimate("amplitude", size, estimates[k].unit, max(size - 1.96 * sd, 0.0), size + 1.96 * sd))
+    return out
+
+
+def _deepest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: np.ndarray) -> Estimate:
+    """The depth of a stretch is that of its deepest row, whatever shape the wear has taken."""
+    at = int(np.argmax(np.abs(contribution)))
+    sign = 1.0 if e.value * contribution[at] >= 0 else -1.0
+    value, sd = sign * float(contribution[at]), WIDER * float(np.sqrt(block[at] @ cov @ block[at]))
+    reach = 1.96 * sd + SHAPE * abs(value)
+    return Estimate(e.name, value, e.unit, value - reach, value + reach)
 
 
 def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):

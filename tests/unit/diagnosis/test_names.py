@@ -44,6 +44,24 @@ def test_a_hidden_effect_is_named_with_its_size(effect):
     assert response.holdout.rms_after_um < 0.5 * response.holdout.rms_before_um or effect == "sensor_drift"
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.7, 2.0])
+def test_a_wave_has_an_amplitude_whatever_its_phase(turn):
+    made = axis(8, hidden=lambda c: 1.5 * np.sin(2 * np.pi * c["x"] / 10.0 + turn))
+    first = diagnose(made)[0].responses[0].findings[0]
+    (told,) = (p for p in first.parameters if p.name == "amplitude")
+    assert first.effect == "pitch_cyclic" and told.unit == "um"
+    assert told.ci95[0] <= 1.5 <= told.ci95[1] and told.ci95[1] - told.ci95[0] < 0.6
+
+
+def test_the_depth_of_a_worn_stretch_is_that_of_its_deepest_place():
+    """A trough with steep sides, unlike the bell that is fitted to it: 6 um deep all the same."""
+    made = axis(9, hidden=lambda c: -6.0 / (1 + ((c["x"] - 330.0) / 45.0) ** 6))
+    first = diagnose(made)[0].responses[0].findings[0]
+    (depth,) = (p for p in first.parameters if p.name == "depth")
+    assert first.effect == "local_wear"
+    assert depth.ci95[0] <= -6.0 <= depth.ci95[1] and depth.ci95[1] < -4.0
+
+
 @pytest.mark.parametrize("make", [axis, spindle, trace])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_perfect_simulation_raises_no_alarm(make, seed):
