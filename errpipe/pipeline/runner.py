@@ -198,6 +198,8 @@ class _Work:
             return ["has not run"]
         found = ["forced"] if stage.label in self.force else []
         found += changes(old, new)
+        if self._journal(stage).is_file():
+            found.append("interrupted while its outputs were put in place")
         for file, digest in sorted(old.outputs.items()):
             path = self.out / stage.label / file
             if not path.is_file():
@@ -205,6 +207,10 @@ class _Work:
             elif hash_file(path) != digest:
                 found.append(f"output {file} was edited")
         return found
+
+    def _journal(self, stage: Stage) -> Path:
+        """Names of outputs that may lie in their place without standing in the lock file; gone once they do."""
+        return scratch(self.out) / f"{stage.label}.json"
 
     def execute(self, stage: Stage, record: Record, talk: Talk) -> tuple[Record, Path]:
         """Run the stage in its scratch folder; the full record and that folder. Raises what the stage raises."""
@@ -233,7 +239,7 @@ class _Work:
     def finish(self, stage: Stage, reasons: Sequence[str], record: Record, folder: Path) -> Step:
         """Move the outputs to their place and write the lock file."""
         own = self.out / stage.label
-        journal = scratch(self.out) / f"{stage.label}.json"
+        journal = self._journal(stage)
         old = self.records.get(stage.label)
         stale = set(old.outputs if old else {}) | set(_names_in(journal))
         if set(record.outputs) - stale:

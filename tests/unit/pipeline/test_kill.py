@@ -68,6 +68,17 @@ def test_killed_a_few_times(tmp_path: Path) -> None:
     kill_in_a_loop(tmp_path, 12, seed=1)
 
 
+def test_a_run_interrupted_between_its_records_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Killed while outputs were put in place, then wanted as before: nothing would have to run but for the journal."""
+    lay_out(tmp_path, TEXT)
+    run_in_a_child(tmp_path, [], None)
+    calm = tree(tmp_path / "out")
+    (tmp_path / "out/.errpipe/scale.json").write_text('["parts/0.json", "parts/99.json"]')
+    (tmp_path / "out/scale/parts/99.json").write_text("[]")
+    run_in_a_child(tmp_path, [], None)
+    assert tree(tmp_path / "out") == calm
+
+
 @pytest.mark.slow
 def test_killed_a_hundred_times(tmp_path: Path) -> None:
     kill_in_a_loop(tmp_path, 100, seed=2)
