@@ -162,15 +162,17 @@ def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
             spans.append((p.name, p.unit, 0.0, 0.0, 0.0))
             continue
         around = np.linspace(-1.0, 1.0, 9)
-        steps = value + 40.0 * around if p.name == "centre" else value * np.exp(reach * around)
+        shifts = p.name == "centre"  # else a factor from point to point
+        steps = value + 40.0 * around if shifts else value * np.exp(reach * around)
         steps = steps[(steps >= p.bounds[0]) & (steps <= p.bounds[1])]
         tried = [(_gain(case, scene, _at(best, j, float(v))), float(v)) for v in [value, *steps]]
         top, where = max(tried)
         best = _at(best, j, where)
         inside = [v for g, v in tried if g > top - DROP]
-        apart = np.diff(np.unique([v for _, v in tried]))
-        gap = float(apart.min()) / 2 if apart.size else reach * abs(where) / 8  # no neighbour inside the bounds
-        spans.append((p.name, p.unit, where, min(inside) - gap, max(inside) + gap))
+        low, high = min(inside), max(inside)  # the ends lie half-way to the next points
+        half = np.exp(reach / 8)
+        low, high = (low - 5.0, high + 5.0) if shifts else (low / half, high * half)
+        spans.append((p.name, p.unit, where, low, high))
     return best, spans
 
 
