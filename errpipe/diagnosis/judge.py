@@ -250,29 +250,42 @@ def _within_limits(search, explanation, d: parts.Decomposition, names, recal, si
     if absurd < OFF or beyond is None or d.plain:  # a static model of sensors may hold any gains
         return search, explanation
     absurdly = {name for name, out in zip(labels, beyond, strict=False) if out}
-    theirs = [j for j, name in enumerate(names) if name.split(",")[0] in absurdly]
-    spurious = {name.split(" on ")[0] for name in absurdly}
+    prior = _less_surely_held(search, d, {name.split(" on ")[0] for name in absurdly})
+    kept = _clamped(search, absurdly, names, recal, sizes)
+    other, clamped = _settled(search.library, search.data, kept, prior, rough, search.rows)
+    free, fair = (
+        Search(search.library, search.data, search.nuisance, sigma, prior, MISSING, MORE, search.rows)
+        for sigma in (other.sigma, search.sigma)
+    )
+    found = free.found(free.tune([(f.index, f.size) for f in clamped.found]))
+    second, nothing = replace(clamped, found=found), replace(clamped, found=())
+    if not found or _worth(fair, second, rows) <= _worth(fair, explanation, rows) + OFF:
+        return search, explanation
+    if len(found) == 1:  # it brings what it does for the rows, and what it spares the gains
+        spared = _worth(fair, second, rows) + MISSING - _worth(fair, nothing, rows)
+        second = replace(second, found=(replace(found[0], gain=max(found[0].gain, spared)),))
+    return free, second
+
+
+def _clamped(search: Search, parts_held: set[str], names, recal, sizes) -> Active:
+    """The nuisances with little freedom for these parts: the gain of the whole does not reach them either."""
+    theirs = [j for j, name in enumerate(names) if name.split(",")[0] in parts_held]
     rest = recal[:, 1] * sizes[1] - recal[:, theirs] @ sizes[theirs]
     size = max(float(np.std(rest)), 1e-12)
     index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
     index[1], sd[1] = search.library.add((rest / size)[:, None])[0], GAIN_SD * size
     sd[theirs] = np.minimum(sd[theirs], CLAMPED * sizes[theirs])
+    return Active(index, sd)
+
+
+def _less_surely_held(search: Search, d: parts.Decomposition, effects: set[str]) -> np.ndarray:
+    """Log prior odds where parts with absurd gains are not so sure to be in the simulation after all."""
     prior = search.prior.copy()
     held = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
     for i, h in enumerate(search.library.hypotheses):
-        if h.effect in spurious and (h.effect, h.drivers) in held:
+        if h.effect in effects and (h.effect, h.drivers) in held:
             prior[i] -= SAME
-    other, clamped = _settled(search.library, search.data, Active(index, sd), prior, rough, search.rows)
-    free = Search(search.library, search.data, search.nuisance, other.sigma, prior, MISSING, MORE, search.rows)
-    found = free.found(free.tune([(f.index, f.size) for f in clamped.found]))
-    second = replace(clamped, found=found)
-    fair = Search(search.library, search.data, search.nuisance, search.sigma, prior, MISSING, MORE, search.rows)
-    nothing = replace(clamped, found=())
-    if found and _worth(fair, second, rows) > _worth(fair, explanation, rows) + OFF:
-        spared = _worth(fair, second, rows) + MISSING * len(found) - _worth(fair, nothing, rows)
-        first = replace(found[0], gain=max(found[0].gain, spared if len(found) == 1 else found[0].gain))
-        return free, replace(second, found=(first, *found[1:]))
-    return search, explanation
+    return prior
 
 
 TRUST = 0.3  # weight of the evidence from taking the simulation apart: what it leaves over is no noise
