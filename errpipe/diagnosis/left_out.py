@@ -11,9 +11,10 @@ import numpy as np
 
 from errpipe.diagnosis.admit import Remainder
 from errpipe.diagnosis.evidence import Active, Data
-from errpipe.diagnosis.hypotheses import STARTS, Library
+from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
+from errpipe.diagnosis.slacks import STARTS
 from errpipe.domain.recording import Recording
 
 ZEROED = 5  # rows of a session that sat out which tell its datum
