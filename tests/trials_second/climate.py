@@ -46,17 +46,14 @@ def thermal_makers(climate: Climate, sensors: list[str], ambient: str) -> dict[s
             {"thermal_drift.coefficient": (abs(k), "um/K")},
         )
 
+    def late(rng: Rng, effect: str, name: str, taus: tuple[float, float], most: float) -> Part:
+        tau = float(np.exp(rng.uniform(*np.log(taus))))
+        k = sign(rng) * rng.uniform(1, most)
+        size = f"{effect}.tau"
+        return Part(effect, k * climate.at(climate.behind(rng, name, tau)), [name], {size: (tau, "s")}, (size,))
+
     def lag(rng: Rng) -> Part:
-        name = str(rng.choice(own))
-        tau = float(np.exp(rng.uniform(np.log(900), np.log(9500))))
-        k = sign(rng) * rng.uniform(1, 8)
-        return Part(
-            "thermal_lag",
-            k * climate.at(climate.behind(rng, name, tau)),
-            [name],
-            {"thermal_lag.tau": (tau, "s")},
-            ("thermal_lag.tau",),
-        )
+        return late(rng, "thermal_lag", str(rng.choice(own)), (900, 9500), 8)
 
     def interaction(rng: Rng) -> Part:
         a = str(rng.choice(own))
@@ -74,15 +71,7 @@ def thermal_makers(climate: Climate, sensors: list[str], ambient: str) -> dict[s
         return Part("gradient_bending", k * value, [a, b], {"gradient_bending.coefficient": (abs(k), "um/K")})
 
     def surroundings(rng: Rng) -> Part:
-        tau = float(np.exp(rng.uniform(np.log(3500), np.log(25000))))
-        k = sign(rng) * rng.uniform(1, 6)
-        return Part(
-            "ambient_drift",
-            k * climate.at(climate.behind(rng, ambient, tau)),
-            [ambient],
-            {"ambient_drift.tau": (tau, "s")},
-            ("ambient_drift.tau",),
-        )
+        return late(rng, "ambient_drift", ambient, (3500, 25000), 6)
 
     makers: dict[str, Maker] = {"thermal_drift": drift, "thermal_lag": lag, "thermal_interaction": interaction}
     if ambient:
