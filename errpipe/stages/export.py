@@ -152,7 +152,7 @@ def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None 
 def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
     from dataclasses import replace
 
-    from errpipe.domain.sensor_guard import guarded
+    from errpipe.domain.sensor_reading import guarded
 
     return replace(pair, driver=guarded(pair.driver, guard))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.domain.sensor_guard import SensorGuard
-from errpipe.fitting import sensor_guard
+from errpipe.fitting import sensor_watch
 
 Way = Literal["dead", "stuck", "drift", "step", "swap"]
 WAYS: tuple[Way, ...] = ("dead", "stuck", "drift", "step", "swap")
@@ -51,20 +51,22 @@ def trials(
     ways: Sequence[Way] = WAYS,
     drift: float = DRIFT,
     step: float = STEP,
+    start: float = START,
 ) -> Iterator[Trial]:
     """Fail each guarded sensor in each way.
 
     predict: the compensation's deviation for a recording, shape (rows,); measured: the deviation it is held
-    against. `wrongly_blamed` counts runs in which a healthy sensor was blamed too, or instead.
+    against. drift: K/h; step: K; start: of a run. `wrongly_blamed` counts runs in which a healthy sensor was blamed
+    too, or instead.
     """
-    late = _late(recording)
+    late = rows_after(recording, start)
     healthy = _rms(measured - predict(recording), late)
     names = guard.names()
     for way in ways:
         for i, name in enumerate(names):
             beside = names[(i + 1) % len(names)] if way == "swap" else ""
-            failed = fail(recording, name, way, beside=beside, drift=drift, step=step)
-            seen = sensor_guard.watch(guard, failed)
+            failed = fail(recording, name, way, beside=beside, drift=drift, step=step, start=start)
+            seen = sensor_watch.watch(guard, failed)
             restored = Recording(
                 failed.manifest, failed.frame.assign(**{n: seen.reading[:, k] for k, n in enumerate(names)})
             )
@@ -79,9 +81,16 @@ def trials(
 
 
 def fail(
-    recording: Recording, name: str, way: Way, *, beside: str = "", drift: float = DRIFT, step: float = STEP
+    recording: Recording,
+    name: str,
+    way: Way,
+    *,
+    beside: str = "",
+    drift: float = DRIFT,
+    step: float = STEP,
+    start: float = START,
 ) -> Recording:
-    """The recording with one sensor failing in every run from START of it on.
+    """The recording with one sensor failing in every run from the share `start` of it on.
 
     dead: reads 0. stuck: holds its last reading. drift: K/h. step: K. swap: reads what `beside` should, and
     the other way round.
@@ -89,7 +98,7 @@ def fail(
     x = recording.array(name).copy()
     columns = {name: x}
     t, run = recording.time(), recording.run_codes()
-    late = _late(recording)
+    late = rows_after(recording, start)
     for code in np.unique(run):
         rows = np.flatnonzero(late & (run == code))
         if not rows.size:
@@ -108,13 +117,13 @@ def fail(
     return Recording(recording.manifest, recording.frame.assign(**columns))
 
 
-def _late(recording: Recording) -> np.ndarray:
-    """Rows after the failure."""
+def rows_after(recording: Recording, start: float = START) -> np.ndarray:
+    """Mask (rows,) of the rows after the failure."""
     run = recording.run_codes()
     late = np.zeros(run.size, dtype=bool)
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
-        late[rows[int(START * rows.size) :]] = True
+        late[rows[int(start * rows.size) :]] = True
     return late
 
 

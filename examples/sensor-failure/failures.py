@@ -2,9 +2,11 @@
 
     python examples/sensor-failure/failures.py RECORDING_FOLDER [season] [run]
 
+    ... season --drift -1 --step 3 --start 0.2      # K/h, K and the share of a run: other failures than the usual ones
+
 Model and guard are learnt without the rows they are judged on: `season` leaves out a season whole, `run` one run at a
-time. Needs a thermal recording with a group column `of: season`. Each sensor fails at 40 % of every run; rms over the
-rows from there on. All of it takes minutes.
+time. Needs a thermal recording with a group column `of: season`. Each sensor fails at 40 % of every run where not told
+else; rms over the rows from there on. All of it takes minutes.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting import sensor_guard, thermal_season
+from errpipe.fitting import sensor_guard, sensor_watch, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.validation import champion, holdout, sensor_faults
 
@@ -36,8 +38,10 @@ def _with(rows: Recording, names: tuple[str, ...], readings: np.ndarray) -> Reco
     return Recording(rows.manifest, rows.frame.assign(**dict(zip(names, readings.T, strict=True))))
 
 
-def judge(recording: Recording, component: str, scheme: str) -> tuple[dict, dict]:
+def judge(recording: Recording, component: str, scheme: str, how: dict[str, float]) -> tuple[dict, dict]:
     """Sums over the runs of each season: healthy squares, and per sensor and way what failing it makes of them.
+
+    how: drift, step and start of `sensor_faults.fail`.
 
     Result: season -> [runs, runs with an alarm, squares, rows, squares guarded]; (season, sensor, way) -> [detected,
     rows to detection, runs in which another sensor was blamed, squares unguarded, squares guarded].
@@ -53,10 +57,8 @@ def judge(recording: Recording, component: str, scheme: str) -> tuple[dict, dict
         run = rows.run_codes()
         season = rows.frame["season"].to_numpy()
         labels = {code: season[run == code][0] for code in np.unique(run)}
-        begun = np.array([np.flatnonzero(run == code)[0] for code in run])
-        count = np.array([np.count_nonzero(run == code) for code in run])
-        late = np.arange(len(rows)) - begun >= (sensor_faults.START * count).astype(int)
-        healthily = sensor_guard.watch(guard, rows)
+        late = sensor_faults.rows_after(rows, how["start"])
+        healthily = sensor_watch.watch(guard, rows)
         alarms = healthily.fault
         left = truth - model.values(rows)
         names = guard.names()
@@ -72,8 +74,8 @@ def judge(recording: Recording, component: str, scheme: str) -> tuple[dict, dict
         for i, name in enumerate(names):
             for way in sensor_faults.WAYS:
                 guilty = [i, (i + 1) % len(names)] if way == "swap" else [i]
-                spoilt = sensor_faults.fail(rows, name, way, beside=names[guilty[-1]])
-                seen = sensor_guard.watch(guard, spoilt)
+                spoilt = sensor_faults.fail(rows, name, way, beside=names[guilty[-1]], **how)
+                seen = sensor_watch.watch(guard, spoilt)
                 bare = truth - model.values(spoilt)
                 guarded = truth - model.values(_with(rows, names, seen.reading))
                 for code, label in labels.items():
@@ -117,10 +119,14 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("schemes", nargs="*", choices=[*SCHEMES, []], default=[])
     parser.add_argument("--component", default="E_D")
+    parser.add_argument("--drift", type=float, default=sensor_faults.DRIFT, help="K/h")
+    parser.add_argument("--step", type=float, default=sensor_faults.STEP, help="K")
+    parser.add_argument("--start", type=float, default=sensor_faults.START, help="share of a run, 0..1")
     told = parser.parse_args()
     recording = manifest_folder.read(told.folder)
+    how = {"drift": told.drift, "step": told.step, "start": told.start}
     for scheme in told.schemes or SCHEMES:
-        show(*judge(recording, told.component, scheme), scheme)
+        show(*judge(recording, told.component, scheme, how), scheme)
 
 
 if __name__ == "__main__":
