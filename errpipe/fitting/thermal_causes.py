@@ -37,7 +37,9 @@ COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at a stands
 THINNING = 0.05  # 1/K: a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
 OIL_REFERENCE = 20.0  # degC at which the share of running is one
 OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
-HEATED = (1.8, 1.2)  # K/h: on above, off below; 23 days of a turning centre ran at 2.5..9 and stood at -5..0.9
+HEATED = (3.0, 2.7)  # K/h: on above, off below, where the readings do not tell; a turning centre stood at -5..2.0
+HYSTERESIS = 0.15  # of half the way between standing and running, on either side of the middle
+TWO_KINDS = 4.0  # times its spread lie two kinds of heat apart at least; a single kind cut in two, 2.7
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,11 @@ class Cause:
 
 @dataclass(frozen=True)
 class Sensors:
-    """Which temperature speaks for what. room and spindle may be absent."""
+    """Which temperature speaks for what. room, spindles and bed may be absent."""
 
     room: str | None
     bodies: tuple[str, ...]
-    spindle: str | None
+    spindles: tuple[str, ...]
     bed: str | None
     starts: tuple[str, ...]
 
@@ -94,10 +96,10 @@ def sensors(
     bodies = tuple(n for n in names if n != room)
     if not bodies:
         raise DataError("thermal model: the recording has no temperature of the machine itself")
-    spindle = spindle or _first(recording, bodies, _SPINDLE)
+    near = tuple(n for n in bodies if _SPINDLE.search(_place(recording, n)))
     bed = bed or _first(recording, bodies, _BED)
-    quiet = tuple(n for n in bodies if not _SPINDLE.search(_place(recording, n)))
-    return Sensors(room, bodies, spindle, bed, quiet or bodies)
+    quiet = tuple(n for n in bodies if n not in near)
+    return Sensors(room, bodies, (spindle,) if spindle else near, bed, quiet or bodies)
 
 
 def _place(recording: Recording, name: str) -> str:
@@ -108,23 +110,55 @@ def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern) -> s
     return next((n for n in names if pattern.search(_place(recording, n))), None)
 
 
-def running(recording: Recording, found: Sensors) -> d.Driver | None:
+def running(recording: Recording, found: Sensors, rows: np.ndarray | None = None) -> d.Driver | None:
     """1 while the spindle runs, 0 while it stands, or None where nothing tells.
 
-    From the spindle speed where it is recorded; else from the heat that its bearing must be taking up to warm
-    as it does: rate over `HEAT_WINDOW` plus what it loses to the bed, in K/h, through a switch with hysteresis.
+    From the spindle speed where it is recorded; else from the heat that its bearings must be taking up to warm as
+    they do, through a switch between the two kinds of heat seen in the rows of a mask (all where not given). The mean
+    of all sensors near the spindle: one that drifts or fails moves it by its share only.
     """
     speed = recording.name("spindle_speed")
     if speed is not None:
         squared = d.Product(of=(d.Input(name=speed), d.Input(name=speed)))  # either sense of rotation
         return d.Switch(of=squared, on=100.0, off=1.0)
-    if found.spindle is None or found.bed is None or found.bed == found.spindle:
+    warm = tuple(n for n in found.spindles if n != found.bed)
+    if not warm or found.bed is None:
         return None
-    bearing = d.Input(name=found.spindle)
-    slow = d.Lag(of=bearing, tau_up=HEAT_WINDOW, tau_down=HEAT_WINDOW)
-    per_hour, loss = 3600.0 / HEAT_WINDOW, 3600.0 / COOLING_TIME
-    heat = d.Affine(weights=(per_hour + loss, -per_hour, -loss), of=(bearing, slow, d.Input(name=found.bed)))
-    return d.Switch(of=heat, on=HEATED[0], off=HEATED[1])
+    heat = _heat(warm, found.bed)
+    seen = drive(heat, recording)
+    on, off = _levels(seen if rows is None else seen[rows])
+    return d.Switch(of=heat, on=on, off=off)
+
+
+def _heat(warm: tuple[str, ...], bed: str) -> d.Driver:
+    """Rate over `HEAT_WINDOW` plus what is lost to the bed, mean over sensors, K/h."""
+    per_hour, loss = 3600.0 / HEAT_WINDOW / len(warm), 3600.0 / COOLING_TIME
+    weights: list[float] = [-loss]
+    parts: list[d.Driver] = [d.Input(name=bed)]
+    for name in warm:
+        bearing = d.Input(name=name)
+        weights += [per_hour + loss / len(warm), -per_hour]
+        parts += [bearing, d.Lag(of=bearing, tau_up=HEAT_WINDOW, tau_down=HEAT_WINDOW)]
+    return d.Affine(weights=tuple(weights), of=tuple(parts))
+
+
+def _levels(heat: np.ndarray) -> tuple[float, float]:
+    """Where a spindle counts as running and as standing again, K/h: about half-way between the two kinds of heat.
+
+    The kinds are those that differ least among themselves (Otsu 1979); `HEATED` where there is but one.
+    """
+    ordered = np.sort(heat[np.isfinite(heat)])
+    count = np.arange(1, ordered.size)
+    if count.size < 2:
+        return HEATED
+    total = np.cumsum(ordered)
+    low, high = total[:-1] / count, (total[-1] - total[:-1]) / (ordered.size - count)
+    cut = int(np.argmax(count * (ordered.size - count) * (high - low) ** 2))
+    spread = np.sqrt(np.mean(np.r_[ordered[: cut + 1] - low[cut], ordered[cut + 1 :] - high[cut]] ** 2))
+    if high[cut] - low[cut] < TWO_KINDS * spread:
+        return HEATED
+    middle, half = (high[cut] + low[cut]) / 2.0, (high[cut] - low[cut]) / 2.0
+    return float(middle + HYSTERESIS * half), float(middle - HYSTERESIS * half)
 
 
 def causes(
@@ -134,13 +168,15 @@ def causes(
     slow: Sequence[float],
     mixes: Sequence[float] = (0.0,),
     thinning: float = 0.0,
+    rows: np.ndarray | None = None,
 ) -> tuple[Cause, ...]:
     """The dictionary: bodies, bodies while running (lags `late`, s), followers of the room (lags `slow`, s).
 
-    mixes: how far towards the room a follower may begin, 0..1; thinning: of the oil whose friction heats, 1/K.
+    mixes: how far towards the room a follower may begin, 0..1; thinning: of the oil whose friction heats, 1/K; rows:
+    mask of those that may be looked at.
     """
     out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in found.bodies]
-    state = running(recording, found)
+    state = running(recording, found, rows)
     if state is not None:
         friction = oil(found, thinning)
         out += [

@@ -175,9 +175,9 @@ class _Problem:
             recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
         )
         self.causes = thermal_causes.causes(
-            recording, self.found, options.late, options.slow, options.mixes, options.thinning
+            recording, self.found, options.late, options.slow, options.mixes, options.thinning, rows
         )
-        self.further = _correction_drivers(recording, self.found, options) if options.correction else ()
+        self.further = _correction_drivers(recording, self.found, options, rows) if options.correction else ()
         self.core = thermal_causes.columns(recording, [c.driver for c in self.causes])
         self.extra = thermal_causes.columns(recording, self.further)
         names = self.found.all()
@@ -441,13 +441,13 @@ def _start(name: str) -> d.First:
 
 
 def _correction_drivers(
-    recording: Recording, found: thermal_causes.Sensors, options: SeasonOptions
+    recording: Recording, found: thermal_causes.Sensors, options: SeasonOptions, rows: np.ndarray | None
 ) -> tuple[d.Driver, ...]:
     nodes: list[d.Driver] = [d.rise(n) for n in found.all()]
     reference = found.room or found.bodies[0]
     others = [n for n in found.all() if n != reference]
     nodes += [thermal_causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
-    state = thermal_causes.running(recording, found)
+    state = thermal_causes.running(recording, found, rows)
     if state is not None:
         nodes += [d.Lag(of=state, tau_up=tau, tau_down=tau, start="zero") for tau in options.correction_lags[:2]]
     return tuple(nodes)

@@ -71,7 +71,7 @@ def truth(recording: Recording) -> np.ndarray:
 
 def test_sensors_are_told_apart_by_where_they_sit():
     found = thermal_causes.sensors(machine(1))
-    assert (found.room, found.spindle, found.bed) == ("T_room", "T_spindle", "T_bed")
+    assert (found.room, found.spindles, found.bed) == ("T_room", ("T_spindle",), "T_bed")
     assert found.starts == ("T_bed",)
     with pytest.raises(DataError, match=r"'T_rom' is not a temperature.*Did you mean T_room"):
         thermal_causes.sensors(machine(1), room="T_rom")
