@@ -20,8 +20,9 @@ STIRRED = 0.8  # of the threshold: from here where readings were before a swap i
 SETTLED = 0.7  # of the threshold: from here down it is again
 FITS = 0.3  # share of the squared difference that two swapped readings may miss each other's by
 BESIDE = 0.18  # of FITS and the squared sum of two quick thresholds: what a swap must reach once a sensor is blamed
-LATELY = 0.6  # of 1: a swap is looked for until half a horizon after all was calm,
-JUST_NOW = 0.9  # if nobody is blamed until a fifth of it
+JUMPED = 0.7  # of 1: nothing is settled until a third of a horizon after a jump
+LATELY = 0.5  # of 1: a swap is looked for until two thirds of a horizon after all was calm,
+JUST_NOW = 0.9  # if nobody is blamed until a tenth of one
 RATE = 3.0  # times the fastest change seen: no healthy reading is faster
 FOREVER = 1e9  # s
 NO_SQUARE = -1e12  # K2: below any difference of squares, so that a switch stays on until the next start
@@ -62,17 +63,19 @@ def stirred(guard: SensorGuard, on: float, off: float) -> tuple[d.Driver, ...]:
 
 @shared
 def settled(guard: SensorGuard) -> d.Driver:
-    """1 while no sensor is at fault or near to it, nor has just jumped: the readings are where they belong; else 0.
+    """1 while no sensor is at fault or near to it, nor has lately jumped: the readings are where they belong; else 0.
 
     A jump is a change within minutes that no healthy sensor kept up; one of two that are swapped may show it long
-    before the other, whose input holds what races.
+    before the other, whose input holds what races. So nothing is settled for a third of a horizon after one.
     """
     jumps = []
     for s in guard.sensors:
         gone = c.squared(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=s.name), _minutes_ago(guard, s.name))))
         level = (s.max_rate / RATE * guard.swap_s) ** 2
         jumps.append(d.Switch(of=gone, on=level, off=SETTLED * level))
-    return c.none_of(anybody(guard), *stirred(guard, STIRRED, SETTLED), *jumps)
+    since = d.Lag(of=c.any_of(*jumps), tau_up=c.AT_ONCE, tau_down=guard.horizon_s)
+    lately = d.Switch(of=since, on=JUMPED, off=JUMPED - TIE)
+    return c.none_of(anybody(guard), *stirred(guard, STIRRED, SETTLED), lately)
 
 
 def blamed(guard: SensorGuard, name: str) -> d.Driver:

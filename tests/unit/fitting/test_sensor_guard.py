@@ -14,7 +14,7 @@ from errpipe.domain import sensor_guard as g
 from errpipe.domain import table as t
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import sensor_apart, sensor_guard, sensor_watch
+from errpipe.fitting import sensor_apart, sensor_guard, sensor_rows, sensor_watch, thermal_season
 from errpipe.tables import ComponentSource, batch, compile_table
 from errpipe.terms._base import Lowered, drive
 from errpipe.validation import sensor_faults
@@ -53,6 +53,33 @@ def test_too_little_to_learn_from_is_refused():
         sensor_guard.learn(simulated_sensors.machine(1, seed=1))
     with pytest.raises(DataError, match="found: 1, 3"):
         sensor_guard.learn(simulated_sensors.machine(3, seed=1), ["T_bed"])
+
+
+def test_a_ridge_of_its_own_makes_no_fault_harder_to_see_and_keeps_all_apart(guard):
+    """Beside the best single ridge for all: the smallest faults that are blamed, and how much shows elsewhere."""
+    source = simulated_sensors.machine(25, seed=1)
+    x, run, t, group = sensor_rows.rows_of(source, NAMES, None)
+    rows = sensor_rows.Healthy(x, run, t, group, guard.filter_s, guard.horizon_s)
+    rate = guard.false_alarms / 1000 / len(NAMES) / sensor_guard.KINDS
+    alike = [a for a in sensor_apart._tried(rows, rate) if a.elsewhere() <= sensor_apart.APART]
+    own = sensor_apart.apart(rows, rate)
+    assert own.elsewhere() <= sensor_apart.APART
+    assert sensor_apart._size(own) < 0.95 * min(map(sensor_apart._size, alike))
+    assert [s.quick for s in guard.sensors] == pytest.approx(list(own.quick))
+
+
+def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
+    """Twice the size that algebra says is blamed on the right sensor, half of it on nobody."""
+    fresh = simulated_sensors.machine(3, seed=21)
+    weights = np.zeros((len(NAMES), len(NAMES)))
+    for i, s in enumerate(guard.sensors):
+        weights[i, [NAMES.index(n) for n in s.others]] = s.weights
+    size = sensor_apart.Apart(weights, np.array([s.quick for s in guard.sensors]), np.ones(len(NAMES))).smallest()
+    for i, name in enumerate(NAMES):
+        for times, told in ((2.0, True), (0.5, False)):
+            failed = sensor_faults.fail(fresh, name, "step", step=times * float(size[i]))
+            blamed = drive(sensor_fault.blamed(guard, name), failed)
+            assert bool(blamed.any()) == told, (name, times)
 
 
 @pytest.mark.parametrize("seed", [132, 232])  # not among the seeds that were looked at when the law was chosen
@@ -212,6 +239,26 @@ def test_a_season_not_learnt_from_raises_one_false_alarm_at_most(season):
     fresh = recording.take(judged)
     alarms = sensor_watch.faults(sensor_guard.learn(recording.take(~judged)), fresh).any(axis=1)
     assert np.unique(fresh.run_codes()[alarms]).size <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+@pytest.mark.parametrize("season", ["winter", "spring"])
+def test_no_failure_costs_more_than_a_third_where_a_season_is_left_out(season):
+    """Model and guard learnt in the other season; six sensors in five ways against healthy ones without a guard."""
+    from errpipe.formats import manifest_folder
+    from errpipe.validation import champion
+
+    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    judged = recording.frame["season"].to_numpy() == season
+    model = thermal_season.fit(recording, "E_D", rows=~judged)
+    learnt_from, fresh = recording.take(~judged), recording.take(judged)
+    guard = sensor_guard.hold(sensor_guard.learn(learnt_from), learnt_from, [n for _, n in model.terms])
+    found = list(sensor_faults.trials(fresh, guard, model.values, champion.target(fresh, "E_D")))
+    assert len(found) == 30
+    for f in found:
+        assert f.ratio <= 1.3, f
 
 
 @pytest.mark.slow

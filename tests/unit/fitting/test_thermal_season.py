@@ -88,6 +88,49 @@ def test_running_is_read_from_the_bearing_alone():
     assert state[settled_off].mean() < 0.01
 
 
+def two_bearings(recording: Recording) -> Recording:
+    """A second bearing near the spindle: four fifths as warm, a little later."""
+    spindle, bed = recording.array("T_spindle"), recording.array("T_bed")
+    columns = recording.manifest.columns | {
+        "T_front": Column(role="temperature", unit="degC", location="front bearing")
+    }
+    manifest = recording.manifest.model_copy(update={"columns": columns})
+    return Recording(manifest, recording.frame.assign(T_front=bed + 0.8 * (spindle - bed)))
+
+
+def running_differs(healthy: Recording, drift: float) -> float:
+    """Share of the rows in which a spindle sensor that drifts, K/h, changes whether the spindle runs."""
+    state = thermal_causes.running(healthy, thermal_causes.sensors(healthy))
+    day = healthy.time() % 86400.0
+    spoilt = healthy.frame.assign(T_spindle=healthy.array("T_spindle") + drift * day / 3600)
+    return float(np.mean(drive(state, Recording(healthy.manifest, spoilt)) != drive(state, healthy)))
+
+
+def test_running_is_read_off_all_bearings_so_that_one_that_drifts_changes_it_little():
+    alone, both_of_them = machine(2), two_bearings(machine(2))
+    assert thermal_causes.sensors(both_of_them).spindles == ("T_spindle", "T_front")
+    for drift in (-2.0, 3.0):
+        assert running_differs(both_of_them, drift) < 0.06 < 0.15 < running_differs(alone, drift), drift
+
+
+def test_the_levels_of_running_come_from_the_rows_that_may_be_looked_at():
+    recording = machine(4)
+    found = thermal_causes.sensors(recording)
+    rows = recording.run_codes() < 2
+    wild = recording.frame.assign(T_spindle=np.where(rows, recording.array("T_spindle"), 1e3 * np.arange(rows.size)))
+    switch = thermal_causes.running(recording, found, rows)
+    assert thermal_causes.running(Recording(recording.manifest, wild), found, rows) == switch
+    assert 0.0 < switch.off < switch.on < 12.0 * 3600 / 5400  # K/h: standing, and the heat this spindle makes
+
+
+def test_one_kind_of_heat_tells_no_level():
+    heat = np.random.default_rng(0).normal(1.0, 0.2, 2000)
+    assert thermal_causes._levels(heat) == thermal_causes.HEATED
+    on, off = thermal_causes._levels(np.r_[heat, heat + 3.0])
+    assert 1.0 < off < 2.5 < on < 4.0
+    assert thermal_causes._levels(heat[:1]) == thermal_causes.HEATED
+
+
 def test_a_model_of_cold_days_holds_on_warm_days():
     cold, warm = machine(10), machine(6, warm=7.0, seed=5, room_early=2.0)
     model = thermal_season.fit(cold, "E_D")
