@@ -15,7 +15,7 @@ class SeasonOptions(Frozen):
     kind: Literal["thermal_season"] = "thermal_season"
     sensors: tuple[str, ...] = Field((), description="Temperatures to use; all of them where empty.")
     room: str | None = Field(None, description="Sensor of the room; found by its location where not given.")
-    spindle: str | None = Field(None, description="Sensor that tells whether the spindle runs; all near it where not given.")
+    spindle: str | None = Field(None, description="Tells whether the spindle runs; all sensors near it if not given.")
     bed: str | None = Field(None, description="Sensor of the bed; found by its location where not given.")
     late: tuple[float, ...] = Field(
         (900.0,), description="Lags of heat while the spindle runs.", json_schema_extra={"unit": "s"}

@@ -39,7 +39,11 @@ OIL_REFERENCE = 20.0  # degC at which the share of running is one
 OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
 HEATED = (3.0, 2.7)  # K/h: on above, off below, where the readings do not tell; a turning centre stood at -5..2.0
 HYSTERESIS = 0.15  # of half the way between standing and running, on either side of the middle
-TWO_KINDS = 4.0  # times its spread lie two kinds of heat apart at least; a single kind cut in two, 2.7
+STANDING = 0.5  # of the heat of running at most: more is a slower speed, not a standstill
+VALLEY = (
+    0.35  # of the lower of two peaks, how often heats between two kinds may be seen; of one kind evenly spread, 0.5
+)
+NEIGHBOURS = (0.03, 30)  # of the rows, and at least, by whose spacing it is told how often a heat is seen
 
 
 @dataclass(frozen=True)
@@ -145,20 +149,34 @@ def _heat(warm: tuple[str, ...], bed: str) -> d.Driver:
 def _levels(heat: np.ndarray) -> tuple[float, float]:
     """Where a spindle counts as running and as standing again, K/h: about half-way between the two kinds of heat.
 
-    The kinds are those that differ least among themselves (Otsu 1979); `HEATED` where there is but one.
+    The kinds are those that differ least among themselves (Otsu 1979), with few heats in between; `HEATED` where there
+    is but one, or two speeds.
     """
     ordered = np.sort(heat[np.isfinite(heat)])
-    count = np.arange(1, ordered.size)
-    if count.size < 2:
+    near = max(int(NEIGHBOURS[0] * ordered.size), NEIGHBOURS[1])
+    if ordered.size < 8 * near:
         return HEATED
+    count = np.arange(1, ordered.size)
     total = np.cumsum(ordered)
     low, high = total[:-1] / count, (total[-1] - total[:-1]) / (ordered.size - count)
     cut = int(np.argmax(count * (ordered.size - count) * (high - low) ** 2))
-    spread = np.sqrt(np.mean(np.r_[ordered[: cut + 1] - low[cut], ordered[cut + 1 :] - high[cut]] ** 2))
-    if high[cut] - low[cut] < TWO_KINDS * spread:
+    one, other = float(low[cut]), float(high[cut])
+    if one > STANDING * other or _valley(ordered, cut + 1, near) > VALLEY:
         return HEATED
-    middle, half = (high[cut] + low[cut]) / 2.0, (high[cut] - low[cut]) / 2.0
-    return float(middle + HYSTERESIS * half), float(middle - HYSTERESIS * half)
+    middle, half = (other + one) / 2.0, (other - one) / 2.0
+    return middle + HYSTERESIS * half, middle - HYSTERESIS * half
+
+
+def _valley(ordered: np.ndarray, cut: int, near: int) -> float:
+    """How often values between two kinds are seen, of how often the rarer kind's most frequent ones are; 0..1.
+
+    ordered: values (n,), rising; the first `cut` are of one kind. near: so many neighbours tell by their spacing.
+    """
+    if min(cut, ordered.size - cut) < 2 * near:
+        return 1.0
+    wide = np.maximum(ordered[near:] - ordered[:-near], 1e-12)  # the wider, the rarer
+    peaks = max(wide[: cut - near].min(), wide[cut:].min())
+    return float(min(peaks / wide[cut // 2 : (cut + ordered.size) // 2 - near].max(), 1.0))
 
 
 def causes(

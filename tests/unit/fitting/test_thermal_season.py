@@ -107,7 +107,7 @@ def running_differs(healthy: Recording, drift: float) -> float:
 
 
 def test_running_is_read_off_all_bearings_so_that_one_that_drifts_changes_it_little():
-    alone, both_of_them = machine(2), two_bearings(machine(2))
+    alone, both_of_them = machine(8), two_bearings(machine(8))
     assert thermal_causes.sensors(both_of_them).spindles == ("T_spindle", "T_front")
     for drift in (-2.0, 3.0):
         assert running_differs(both_of_them, drift) < 0.06 < 0.15 < running_differs(alone, drift), drift
@@ -123,12 +123,13 @@ def test_the_levels_of_running_come_from_the_rows_that_may_be_looked_at():
     assert 0.0 < switch.off < switch.on < 12.0 * 3600 / 5400  # K/h: standing, and the heat this spindle makes
 
 
-def test_one_kind_of_heat_tells_no_level():
+def test_one_kind_of_heat_or_two_speeds_tell_no_level():
     heat = np.random.default_rng(0).normal(1.0, 0.2, 2000)
     assert thermal_causes._levels(heat) == thermal_causes.HEATED
+    assert thermal_causes._levels(np.r_[heat + 5.0, heat + 8.0]) == thermal_causes.HEATED
+    assert thermal_causes._levels(np.r_[heat[:50], heat[:50] + 3.0]) == thermal_causes.HEATED  # too few to tell
     on, off = thermal_causes._levels(np.r_[heat, heat + 3.0])
     assert 1.0 < off < 2.5 < on < 4.0
-    assert thermal_causes._levels(heat[:1]) == thermal_causes.HEATED
 
 
 def test_a_model_of_cold_days_holds_on_warm_days():
