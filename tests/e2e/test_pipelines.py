@@ -196,7 +196,7 @@ class TestReal:
     def test_a_guarded_table_stands_in_for_a_failed_sensor(self, tmp_path, at_root):
         """Each sensor reads zero from the third hour on: the guarded table stays near its healthy residual.
 
-        The bar of 1.3 is not reached for every sensor (the room's has no substitute): 1.6 is what is shown here.
+        The table knows these runs, so that the healthy residual is small. What the room does no other sensor tells.
         """
         from errpipe.fitting.thermal_arithmetic import since_start
 
@@ -221,7 +221,7 @@ class TestReal:
         for sensor in recording.names("temperature"):
             failed = recording.frame.assign(**{sensor: np.where(late, 0.0, recording.array(sensor))})
             guarded, bare = left(tables["true"], failed), left(tables["false"], failed)
-            assert guarded < 1.6 * healthy, sensor
+            assert guarded < (1.45 if sensor == "T_ambient" else 1.3) * healthy, sensor
             assert guarded < 0.5 * bare, sensor
 
     def test_drilled_plates(self, tmp_path, at_root):
