@@ -17,7 +17,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import sensor_apart, sensor_guard, sensor_rows, sensor_watch, thermal_season
 from errpipe.tables import ComponentSource, batch, compile_table
 from errpipe.terms._base import Lowered, drive
-from errpipe.validation import sensor_faults
+from errpipe.validation import champion, sensor_faults
 from tests.unit.fitting import simulated_sensors
 
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared/real-data"))
@@ -80,6 +80,18 @@ def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
             failed = sensor_faults.fail(fresh, name, "step", step=times * float(size[i]))
             blamed = drive(sensor_fault.blamed(guard, name), failed)
             assert bool(blamed.any()) == told, (name, times)
+
+
+def test_where_readings_were_is_not_overwritten_soon_after_one_jumped(guard):
+    """The input of the other of two swapped sensors may be held for minutes yet: a third of a horizon is waited."""
+    column = guard.sensor("T_column")
+    keen = column.model_copy(update={"max_rate": sensor_fault.RATE * 0.3 / guard.swap_s})  # 0.3 K within minutes
+    guard = guard.model_copy(update={"sensors": tuple(keen if s.name == "T_column" else s for s in guard.sensors)})
+    healthy = simulated_sensors.machine(1, seed=7)
+    jumped = sensor_faults.fail(healthy, "T_column", "step", step=0.4)
+    settled = drive(sensor_fault.settled(guard), jumped) > 0.5
+    first = int(np.flatnonzero(sensor_faults.rows_after(healthy))[0])  # rows of 60 s
+    assert settled[first - 1] and not settled[first + 1 : first + 18].any() and settled[first + 30]
 
 
 @pytest.mark.parametrize("seed", [132, 232])  # not among the seeds that were looked at when the law was chosen
@@ -214,43 +226,43 @@ def test_another_sensor_that_fails_does_not_carry_a_healthy_one_away(held):
 # ---------------------------------------------------------------- a real machine
 
 
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
-def test_no_real_run_alarms_a_guard_learnt_from_the_others():
+def on_the_real_machine(test):
+    """Slow, and only where the recording is."""
+    there = (REAL / "turning-centre-thermal").is_dir()
+    absent = pytest.mark.skipif(not there, reason=f"the turning centre is not at {REAL}")
+    return pytest.mark.slow(pytest.mark.realdata(absent(test)))
+
+
+def turning_centre() -> Recording:
     from errpipe.formats import manifest_folder
 
-    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    return manifest_folder.read(REAL / "turning-centre-thermal")
+
+
+@on_the_real_machine
+def test_no_real_run_alarms_a_guard_learnt_from_the_others():
+    recording = turning_centre()
     run = recording.run_codes()
     for r in np.unique(run):
         guard = sensor_guard.learn(recording.take(run != r))
         assert not sensor_watch.faults(guard, recording.take(run == r)).any(), recording.run_labels()[r]
 
 
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+@on_the_real_machine
 @pytest.mark.parametrize("season", ["winter", "spring"])
 def test_a_season_not_learnt_from_raises_one_false_alarm_at_most(season):
-    from errpipe.formats import manifest_folder
-
-    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    recording = turning_centre()
     judged = recording.frame["season"].to_numpy() == season
     fresh = recording.take(judged)
     alarms = sensor_watch.faults(sensor_guard.learn(recording.take(~judged)), fresh).any(axis=1)
     assert np.unique(fresh.run_codes()[alarms]).size <= 1
 
 
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+@on_the_real_machine
 @pytest.mark.parametrize("season", ["winter", "spring"])
 def test_no_failure_costs_more_than_a_third_where_a_season_is_left_out(season):
     """Model and guard learnt in the other season; six sensors in five ways against healthy ones without a guard."""
-    from errpipe.formats import manifest_folder
-    from errpipe.validation import champion
-
-    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    recording = turning_centre()
     judged = recording.frame["season"].to_numpy() == season
     model = thermal_season.fit(recording, "E_D", rows=~judged)
     learnt_from, fresh = recording.take(~judged), recording.take(judged)
@@ -261,20 +273,15 @@ def test_no_failure_costs_more_than_a_third_where_a_season_is_left_out(season):
         assert f.ratio <= 1.3, f
 
 
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.skipif(not (REAL / "turning-centre-thermal").is_dir(), reason=f"the turning centre is not at {REAL}")
+@on_the_real_machine
 def test_on_the_real_turning_centre():
     """Six sensors, 23 days, each failed in turn in five ways, beside a ridge model of the rises fitted without the day.
 
     The guard knows these runs, and its margins were chosen while looking at them: this holds the figures, it
     does not prove them elsewhere. The compensation is shrunk (12.8 um rms, nothing 20.8) and leans little on any
-    one sensor: 1.14 of the healthy residual at worst. One that leans on a single sensor by 9 um/K (9.1 um rms) does
-    not stay within 1.3: 1.37 for a drift of that sensor, 1.31, 2.3 and 5.0 for three of the six swaps.
+    one sensor: 1.03 of the healthy residual at worst.
     """
-    from errpipe.formats import manifest_folder
-
-    recording = manifest_folder.read(REAL / "turning-centre-thermal")
+    recording = turning_centre()
     guard = sensor_guard.learn(recording)
     assert not sensor_watch.faults(guard, recording).any()
     names, run = guard.names(), recording.run_codes()
@@ -297,7 +304,7 @@ def test_on_the_real_turning_centre():
     found = list(sensor_faults.trials(recording, guard, lambda source: np.sum(rises(source) * gains, axis=1), measured))
     assert len(found) == 30
     for f in found:
-        assert f.ratio < 1.3, f
+        assert f.ratio < 1.1, f
         assert f.wrongly_blamed == 0, f
         if f.reading_off > 1.6 or f.way == "stuck":
             assert f.detected >= f.runs - 1, f
