@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 SETUP := $(VENV)/.set-up
 PYTEST := $(BIN)/python -m pytest
 SEED ?= 7
+CODE := errpipe tests trials bench examples
 # One thread for linear algebra: results must not depend on how many cores a machine has.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -38,8 +39,9 @@ test-slow: $(SETUP) ## only the slow tests
 test-all: $(SETUP) ## all tests
 	@$(PYTEST) $(ARGS)
 
-lint: $(SETUP) ## style
-	@$(BIN)/ruff check errpipe tests
+lint: $(SETUP) ## style and layout
+	@$(BIN)/ruff check $(CODE)
+	@$(BIN)/ruff format --check -q $(CODE)
 
 types: $(SETUP) ## static types
 	@$(BIN)/mypy errpipe
@@ -51,11 +53,11 @@ schemas: $(SETUP) ## write schemas/*.schema.json again from the code
 	@$(BIN)/errpipe schema --write schemas
 
 bench: $(SETUP) ## speed, as ratios to other libraries in the same run
-	@$(BIN)/python -m tests.bench $(ARGS)
+	@$(BIN)/python -m bench $(ARGS)
 
 trials: $(SETUP) ## diagnosis on machines whose faults are known
 	@mkdir -p out
-	@$(BIN)/python -m tests.trials.run --seed $(SEED) --jobs 2 --markdown out/trials.md --json out/trials.json $(ARGS)
+	@$(BIN)/python -m trials.run --seed $(SEED) --jobs 2 --markdown out/trials.md --json out/trials.json $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,13 +1,13 @@
 """Everything errpipe refuses, and the exit code each refusal has.
 
-    ErrpipeError            1   never raised itself; anything outside this tree is a bug
-    |-- UsageError          2   the command line
-    |   `-- ConfigError     2   a configuration file: carries every problem of the file
-    |-- DataError           3   measurements that cannot be used
-    |   `-- NotIdentifiable 3   the data cannot tell two parameters apart
-    |-- GateError           4   a quality gate said no
-    |-- ChangesPending      5   `plan --exit-code` found stages to run
-    `-- VerifyError         6   a file on disk is not what it claims to be
+ErrpipeError            1   never raised itself; anything outside this tree is a bug
+|-- UsageError          2   the command line
+|   `-- ConfigError     2   a configuration file: carries every problem of the file
+|-- DataError           3   measurements that cannot be used
+|   `-- NotIdentifiable 3   the data cannot tell two parameters apart
+|-- GateError           4   a quality gate said no
+|-- ChangesPending      5   `plan --exit-code` found stages to run
+`-- VerifyError         6   a file on disk is not what it claims to be
 """
 
 from __future__ import annotations

@@ -19,9 +19,7 @@ from errpipe.errors import VerifyError
 def dumps(value: Any, *, indent: int | None = 1) -> str:
     """Canonical text of `value`. Raises ValueError for NaN or infinity."""
     separators = (",", ":") if indent is None else (",", ": ")
-    text = json.dumps(
-        value, sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators
-    )
+    text = json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
     return text + "\n"
 
 

@@ -12,14 +12,20 @@ from errpipe.errors import UsageError
 
 PipelineFile = typer.Argument(..., metavar="PIPELINE", help="The pipeline file (YAML).", show_default=False)
 Out = typer.Option(
-    None, "--out", metavar="DIR", help="Folder for the outputs; default: out/<name of the pipeline file>.",
+    None,
+    "--out",
+    metavar="DIR",
+    help="Folder for the outputs; default: out/<name of the pipeline file>.",
     show_default=False,
-)  # fmt: skip
+)
 To = typer.Option(None, "--to", metavar="STAGE", help="Only this stage and what it reads.", show_default=False)
 Sets = typer.Option(
-    [], "--set", metavar="STAGE.KEY=VALUE", help="Set one key for this run; the value is YAML. Repeatable.",
+    [],
+    "--set",
+    metavar="STAGE.KEY=VALUE",
+    help="Set one key for this run; the value is YAML. Repeatable.",
     show_default=False,
-)  # fmt: skip
+)
 Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage in any case. Repeatable.", show_default=False)
 At = typer.Option(
     [], "--at", metavar="INPUT=VALUE", help="Value of one input, in its canonical unit. Repeatable.", show_default=False

@@ -21,11 +21,22 @@ from errpipe.cli.say import complain
 from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 
 VERBS = (
-    "check", "plan", "run", "demo",
-    "predict", "eval", "whatis", "diagnose",
-    "export", "verify", "targets", "compare-targets", "correct", "measure",
+    "check",
+    "plan",
+    "run",
+    "demo",
+    "predict",
+    "eval",
+    "whatis",
+    "diagnose",
+    "export",
+    "verify",
+    "targets",
+    "compare-targets",
+    "correct",
+    "measure",
     "schema",
-)  # fmt: skip
+)
 
 EXIT_CODES = """
 \b
@@ -70,9 +81,13 @@ def first_line(name: str) -> str:
 
 
 app = typer.Typer(
-    cls=_Verbs, subcommand_metavar="VERB ...", add_completion=False, rich_markup_mode=None, epilog=EXIT_CODES,
+    cls=_Verbs,
+    subcommand_metavar="VERB ...",
+    add_completion=False,
+    rich_markup_mode=None,
+    epilog=EXIT_CODES,
     context_settings={"help_option_names": ["-h", "--help"]},
-)  # fmt: skip
+)
 
 
 def _show_version(wanted: bool) -> None:

@@ -17,14 +17,20 @@ def command(
     ),
     at: list[str] = At,
     offset: list[str] = typer.Option(
-        [], "--offset", metavar="G54=X,Y,Z", help="Zero of the part in machine coordinates, mm. Repeatable.",
+        [],
+        "--offset",
+        metavar="G54=X,Y,Z",
+        help="Zero of the part in machine coordinates, mm. Repeatable.",
         show_default=False,
     ),
     tool: list[str] = typer.Option(
         [], "--tool", metavar="H1=LENGTH", help="Length of a tool, mm. Repeatable.", show_default=False
     ),
     start: str | None = typer.Option(
-        None, "--start", metavar="X,Y,Z", help="Where the machine stands at the start, machine coordinates, mm.",
+        None,
+        "--start",
+        metavar="X,Y,Z",
+        help="Where the machine stands at the start, machine coordinates, mm.",
         show_default=False,
     ),
     chord_error: float = typer.Option(
@@ -45,7 +51,14 @@ def command(
     from errpipe.cli.say import answer, work
 
     done = work("correct").correct(
-        program, table, out, values(at),
-        offsets=offset, tools=tool, start=start, chord_error=chord_error, longest=longest,
-    )  # fmt: skip
+        program,
+        table,
+        out,
+        values(at),
+        offsets=offset,
+        tools=tool,
+        start=start,
+        chord_error=chord_error,
+        longest=longest,
+    )
     answer("correct", done, as_json=json)

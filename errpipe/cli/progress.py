@@ -15,8 +15,10 @@ _WIDTH = 24
 
 def watched(stream: TextIO) -> bool:
     """Whether a moving bar makes sense: a terminal, not in CI, colours and motion not refused."""
-    return stream.isatty() and not any(os.environ.get(name) for name in ("CI", "NO_COLOR")) and (
-        os.environ.get("TERM") != "dumb"
+    return (
+        stream.isatty()
+        and not any(os.environ.get(name) for name in ("CI", "NO_COLOR"))
+        and (os.environ.get("TERM") != "dumb")
     )
 
 

@@ -20,7 +20,10 @@ def command(
         None, "--depfile", metavar="FILE", help="Write the inputs as a rule for make.", show_default=False
     ),
     depfile_target: str | None = typer.Option(
-        None, "--depfile-target", metavar="NAME", help="Target of that rule; default: the stamp, else the lock file.",
+        None,
+        "--depfile-target",
+        metavar="NAME",
+        help="Target of that rule; default: the stamp, else the lock file.",
         show_default=False,
     ),
     stamp: Path | None = typer.Option(
@@ -65,11 +68,18 @@ def command(
         "title": spec.title,
         "out": str(folder),
         "stages": [
-            {"name": s.name, "kind": s.kind, "action": s.action, "reasons": s.reasons, "outputs": s.outputs,
-             "written": s.written, "summary": dict(s.summary)}
+            {
+                "name": s.name,
+                "kind": s.kind,
+                "action": s.action,
+                "reasons": s.reasons,
+                "outputs": s.outputs,
+                "written": s.written,
+                "summary": dict(s.summary),
+            }
             for s in steps
         ],
-    }  # fmt: skip
+    }
     lines = [f"{s.name}: {', '.join(f'{k} {brief(v)}' for k, v in s.summary.items())}" for s in steps if s.summary]
     pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
     say("run", result, [*lines, *pages], as_json=json)

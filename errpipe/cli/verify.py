@@ -10,8 +10,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that `export` wrote."),
-    json: bool = Json,
+    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that `export` wrote."), json: bool = Json
 ) -> None:
     """Read exported files back and prove that they say what the model says.
 

@@ -1,16 +1,16 @@
 """From a mismatch between recording and simulation to a named, located, modelled and proved cause.
 
-    prepare     rows that can be judged; sensors filled and smoothed; motion from positions
-    hypotheses  every effect in every binding as design columns: the textbook form and how far it may stray
-    evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
-    decompose   the noiseless simulated signal into its own effects (what a recalibration may change)
-    search      forward, backward and in pairs: what is missing
-    left_out    how well it predicts rows, or whole starts of the machine, that sat out
-    admit       what is left, and whether a name is deserved
-    locate      where it acts
-    model       parameters with intervals, held-out figures
-    confidence  how often such a finding is right
-    separate    which rival explains nearly as well, and what to measure to tell
+prepare     rows that can be judged; sensors filled and smoothed; motion from positions
+hypotheses  every effect in every binding as design columns: the textbook form and how far it may stray
+evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
+decompose   the noiseless simulated signal into its own effects (what a recalibration may change)
+search      forward, backward and in pairs: what is missing
+left_out    how well it predicts rows, or whole starts of the machine, that sat out
+admit       what is left, and whether a name is deserved
+locate      where it acts
+model       parameters with intervals, held-out figures
+confidence  how often such a finding is right
+separate    which rival explains nearly as well, and what to measure to tell
 """
 
 from __future__ import annotations

@@ -31,8 +31,9 @@ class Remainder:
     taken: tuple[int, ...]
 
 
-def remainder(search: Search, library: Library, chosen: list[tuple[int, float]], shapes: list[Shape],
-              index: list[np.ndarray]) -> Remainder:  # fmt: skip
+def remainder(
+    search: Search, library: Library, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray]
+) -> Remainder:
     """Add shapes greedily beside the chosen hypotheses. index: the shapes' columns in the library's table."""
     base = search.scene([])
     named = search.scene(chosen)
@@ -55,7 +56,10 @@ def remainder(search: Search, library: Library, chosen: list[tuple[int, float]],
     everything = max(base.rms() ** 2 - scene.rms() ** 2, 1e-12)
     share = (named.rms() ** 2 - scene.rms() ** 2) / everything
     return Remainder(
-        tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)), scene.rms(), float(np.clip(share, 0, 1)),
-        float(max(alone, default=0.0)), active, tuple(taken),
-    )  # fmt: skip
-
+        tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)),
+        scene.rms(),
+        float(np.clip(share, 0, 1)),
+        float(max(alone, default=0.0)),
+        active,
+        tuple(taken),
+    )

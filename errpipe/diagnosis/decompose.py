@@ -23,10 +23,16 @@ PRICE = 6.0  # log prior odds against each part
 NEVER = ("clock_offset", "sensor_fault")  # faults of recordings, not parts of simulations
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
 STRANGE = {  # log prior odds: simulations hold textbook physics, seldom wear, faults of measuring, or products
-    "thermal_interaction": -15.0, "sensor_drift": -12.0, "air_refraction": -12.0, "local_wear": -12.0,
-    "gradient_bending": -6.0, "thermal_lag": -4.0, "friction_hysteresis": -4.0, "interpolation": -4.0,
+    "thermal_interaction": -15.0,
+    "sensor_drift": -12.0,
+    "air_refraction": -12.0,
+    "local_wear": -12.0,
+    "gradient_bending": -6.0,
+    "thermal_lag": -4.0,
+    "friction_hysteresis": -4.0,
+    "interpolation": -4.0,
     "coolant_effect": -2.0,
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -128,9 +134,7 @@ class _Work:
         self.sigma = float(np.clip(coarse, COARSE[0] * self.spread, COARSE[1] * self.spread))
         self.still = self.spread <= 1e-9 * (1 + np.abs(simulated).max())
         self.count = ROWS[0] + ROWS[1] * rows.size
-        self.prior = np.array(
-            [-1e9 if h.effect in NEVER else STRANGE.get(h.effect, 0.0) for h in library.hypotheses]
-        )
+        self.prior = np.array([-1e9 if h.effect in NEVER else STRANGE.get(h.effect, 0.0) for h in library.hypotheses])
         self._promising: dict[tuple, Chosen] = {}
         self.freedom = [library.freedom_of(k) for k in range(len(library.hypotheses))]
 

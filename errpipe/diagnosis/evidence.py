@@ -293,9 +293,7 @@ class Scene:
         prior = 2 * np.log(np.maximum(self.active.sd[finite], 1e-300) / self.sigma).sum()
         return -0.5 * (logdet + prior) - 0.5 * (rows or self.n) * np.log(self.Q)
 
-    def exactly(
-        self, index: np.ndarray, value: np.ndarray, sd: np.ndarray, rows: float | None = None
-    ) -> np.ndarray:  # fmt: skip
+    def exactly(self, index: np.ndarray, value: np.ndarray, sd: np.ndarray, rows: float | None = None) -> np.ndarray:
         """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd`."""
         cross = np.ascontiguousarray(self.G[self.active.index][:, index])
         s = evidence.freed(self.chol, cross, self.half, self.Zy_all[index])
@@ -306,9 +304,12 @@ class Scene:
         return -price - 0.5 * (rows or self.n) * np.log(np.maximum(Q, 1e-9 * self.Q) / self.Q)
 
     def score(
-        self, slices: list[slice] | list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None,
+        self,
+        slices: list[slice] | list[np.ndarray],
+        freedom: list[np.ndarray],
+        rows: float | None = None,
         cores: list[int] | None = None,
-    ) -> list[Scored]:  # fmt: skip
+    ) -> list[Scored]:
         """Score hypotheses: columns of each (slice or indices into the table), their relative freedoms, and how many
         of the columns are the textbook form (None: all)."""
         index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
@@ -324,9 +325,19 @@ class Scene:
         cross = np.ascontiguousarray(self.G[self.active.index][:, used])
         seen = evidence.freed(self.chol, cross, self.half, self.Zy_all[used])
         return evidence.scores(
-            which, where, listed.starts, listed.freedom, listed.cores, listed.places, listed.blocks(self.data),
-            cross, seen, self.Q, float(rows or self.n), SIZES,
-        )  # fmt: skip
+            which,
+            where,
+            listed.starts,
+            listed.freedom,
+            listed.cores,
+            listed.places,
+            listed.blocks(self.data),
+            cross,
+            seen,
+            self.Q,
+            float(rows or self.n),
+            SIZES,
+        )
 
     def _log_bf(self, S: np.ndarray, s: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, the best size of each and the

@@ -147,11 +147,17 @@ def told_by_direction(findings: list[Finding], law: ByDirection) -> list[Finding
         elif f.effect == "stribeck_friction" and mends(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(
-                effect="viscous_friction", confidence=f.confidence, drivers=(law.column,), parameters=law.damping(),
-                says=law.says(), rms_um=f.rms_um, rivals=(), compensable=False,
+                effect="viscous_friction",
+                confidence=f.confidence,
+                drivers=(law.column,),
+                parameters=law.damping(),
+                says=law.says(),
+                rms_um=f.rms_um,
+                rivals=(),
+                compensable=False,
                 would_separate=f"run {law.axis} both ways at three constant speeds and compare the forces",
                 term={"term": term.term, "axis": law.axis, "column": law.column},
-            )  # fmt: skip
+            )
         out.append(f)
     return out
 

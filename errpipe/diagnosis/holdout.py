@@ -39,8 +39,16 @@ def held_out(case: Case) -> HeldOut:
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
-        part = Search(library, search.data.hold_out(f), search.nuisance, search.sigma, search.prior,
-                      search.threshold, search.threshold_more, search.rows)  # fmt: skip
+        part = Search(
+            library,
+            search.data.hold_out(f),
+            search.nuisance,
+            search.sigma,
+            search.prior,
+            search.threshold,
+            search.threshold_more,
+            search.rows,
+        )
         if any(found.hypothesis.mask for found in case.explanation.found):
             chosen = part.tune(case.chosen())  # where a partial effect acts cannot be found without its runs
         else:

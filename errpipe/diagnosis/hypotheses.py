@@ -110,9 +110,12 @@ class Library:
 
 
 def build(
-    recording: Recording, component: str, rows: np.ndarray, raw: Recording | None = None,
+    recording: Recording,
+    component: str,
+    rows: np.ndarray,
+    raw: Recording | None = None,
     signals: tuple[np.ndarray, ...] = (),
-) -> Library:  # fmt: skip
+) -> Library:
     """The library for a response; raw: the recording as it was read, in which sensors may be seen to fail.
 
     signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.

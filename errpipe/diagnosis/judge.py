@@ -128,18 +128,18 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
 WILD = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
 
 
-def judge(
-    raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None
-) -> Case:
+def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
     """Explain one response; outliers that only the explanation shows are set aside, and it is explained again."""
     case = _judge(raw, conditioned, pair, progress)
     wild = _lone(residual(case))
     if not wild.any() or wild.mean() > 0.03:
         return case
     kept = replace(
-        pair, rows=pair.rows[~wild], mismatch=pair.mismatch[~wild],
+        pair,
+        rows=pair.rows[~wild],
+        mismatch=pair.mismatch[~wild],
         outliers=np.sort(np.r_[pair.outliers, pair.rows[wild]]),
-    )  # fmt: skip
+    )
     del case  # or two tables of products are held at once
     return _judge(raw, conditioned, kept, progress)
 
@@ -209,8 +209,27 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     rest = admit.remainder(search, library, chosen, loose, places)
     if session is not None and not carries(search, chosen, rest, judged):
         rest = admit.remainder(search, library, chosen, [], [])
-    return Case(conditioned, pair, library, decomposition, simulated, pair.mismatch, run, nuisance, names, recal, sizes,
-                search, explanation, sigma, rest, rough, loose, places, session)  # fmt: skip
+    return Case(
+        conditioned,
+        pair,
+        library,
+        decomposition,
+        simulated,
+        pair.mismatch,
+        run,
+        nuisance,
+        names,
+        recal,
+        sizes,
+        search,
+        explanation,
+        sigma,
+        rest,
+        rough,
+        loose,
+        places,
+        session,
+    )
 
 
 ANEW_PRICE = 10.0  # log Bayes factor from which it is believed

@@ -129,8 +129,20 @@ def condition(recording: Recording) -> Recording:
                 continue
             filled = fill(t, values, session)
             columns[name] = filled if role == "force" else smooth(filled, segments(filled, run))
-    for role in ("position", "command", "direction", "spindle_speed", "feed", "coolant", "load", "overhang",
-                 "depth_of_cut", "cut_length", "velocity", "acceleration"):  # fmt: skip
+    for role in (
+        "position",
+        "command",
+        "direction",
+        "spindle_speed",
+        "feed",
+        "coolant",
+        "load",
+        "overhang",
+        "depth_of_cut",
+        "cut_length",
+        "velocity",
+        "acceleration",
+    ):
         for name in recording.names(role):
             values = recording.array(name)
             if not np.isfinite(values).any():

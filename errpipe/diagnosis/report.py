@@ -52,17 +52,27 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     carried = {name: values for name, values in carried.items() if name in {f.effect for f in findings}}
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
     out = ResponseDiagnosis(
-        component=case.pair.component, unit=case.pair.unit, verdict=verdict, rms_before_um=_rms(before),
-        rms_after_um=_rms(after), noise_floor_um=floor, holdout=figures, findings=tuple(findings),
+        component=case.pair.component,
+        unit=case.pair.unit,
+        verdict=verdict,
+        rms_before_um=_rms(before),
+        rms_after_um=_rms(after),
+        noise_floor_um=floor,
+        holdout=figures,
+        findings=tuple(findings),
         regimes=locate.regimes(case.recording, case.pair.rows, before, after, recalibrated, floor),
         changes=locate.changes(case.recording, case.pair.rows, recalibrated),
         between_runs=locate.between_runs(case.run, recalibrated if datums is None else recalibrated + datums, floor),
         whiteness=whiteness.whiteness(case),
         significance=Significance(
-            p=found.p, gain=found.gain, limit95=found.limit, scheme=found.scheme, effective_rows=found.rows,
+            p=found.p,
+            gain=found.gain,
+            limit95=found.limit,
+            scheme=found.scheme,
+            effective_rows=found.rows,
             rows=int(case.run.size),
         ),
-    )  # fmt: skip
+    )
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     return out.model_copy(update={"says": says}), carried, after
 
@@ -119,11 +129,19 @@ def signs_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Signs:
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
     shaped = case.remainder
     return confidence.Signs(
-        gain=found[k].gain, margin=margin, leftover=case.sigma / max(case.rough, 1e-12), share=shaped.share,
-        shapes=sum(g for _, g in shaped.shapes), others=len(found) - 1,
-        core=model.core_share(case, k), agreement=held.agreement, rank=k, rows=int(case.y.size),
-        unreached=unreached(case, case.sigma), fast=int(is_fast(case)),
-    )  # fmt: skip
+        gain=found[k].gain,
+        margin=margin,
+        leftover=case.sigma / max(case.rough, 1e-12),
+        share=shaped.share,
+        shapes=sum(g for _, g in shaped.shapes),
+        others=len(found) - 1,
+        core=model.core_share(case, k),
+        agreement=held.agreement,
+        rank=k,
+        rows=int(case.y.size),
+        unreached=unreached(case, case.sigma),
+        fast=int(is_fast(case)),
+    )
 
 
 def unreached(case: Case, left: float) -> float:
@@ -262,12 +280,16 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     moved = float(np.std(case.recal @ b[:m]))
     return [
         Finding(
-            effect="recalibration", confidence=0.95, drivers=(case.pair.simulated,), parameters=tuple(parameters),
+            effect="recalibration",
+            confidence=0.95,
+            drivers=(case.pair.simulated,),
+            parameters=tuple(parameters),
             says="Datum or gains of the simulation are off; setting them right moves it by "
             f"{moved:.3g} {case.pair.unit} rms.",
-            rms_um=moved, compensable=False,
+            rms_um=moved,
+            compensable=False,
         )
-    ]  # fmt: skip
+    ]
 
 
 def _unknown(case: Case, chance: float) -> Finding:
@@ -277,12 +299,16 @@ def _unknown(case: Case, chance: float) -> Finding:
         case.recording.name("time") or "row",
     )
     return Finding(
-        effect="unknown", confidence=round(chance, 3), drivers=drivers, where=Where(),
+        effect="unknown",
+        confidence=round(chance, 3),
+        drivers=drivers,
+        where=Where(),
         says=f"Structure remains that no effect of the vocabulary carries; it goes with "
         f"{' and '.join(drivers)}. A data-driven shape brings it from {case.sigma:.3g} to "
         f"{case.remainder.rms:.3g} {case.pair.unit} rms.",
-        rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))), compensable=False,
-    )  # fmt: skip
+        rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))),
+        compensable=False,
+    )
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Signs) -> str:

@@ -47,8 +47,17 @@ class Explanation:
 class Search:
     """One response, its nuisances, a noise level: explanations are looked for here."""
 
-    def __init__(self, library: Library, data: Data, nuisance: Active, sigma: float, prior: np.ndarray,
-                 threshold: float, threshold_more: float, rows: float | None = None):  # fmt: skip
+    def __init__(
+        self,
+        library: Library,
+        data: Data,
+        nuisance: Active,
+        sigma: float,
+        prior: np.ndarray,
+        threshold: float,
+        threshold_more: float,
+        rows: float | None = None,
+    ):
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
         self.most = MOST
         self.rows = rows  # how many rows' worth of evidence the rows hold, where they are not independent

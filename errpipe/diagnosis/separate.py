@@ -15,9 +15,12 @@ MOST_READINGS = 20000  # nobody takes more
 
 
 def would_separate(
-    recording: Recording, first: tuple[Hypothesis, np.ndarray], second: tuple[Hypothesis, np.ndarray],
-    noise: float, unit: str,
-) -> str:  # fmt: skip
+    recording: Recording,
+    first: tuple[Hypothesis, np.ndarray],
+    second: tuple[Hypothesis, np.ndarray],
+    noise: float,
+    unit: str,
+) -> str:
     """A sentence: the extra measurement in which two fitted hypotheses differ most, and by how much.
 
     first, second: a hypothesis and the coefficients of its core columns, each.

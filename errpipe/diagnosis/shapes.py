@@ -58,8 +58,21 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
     if codes.size > 1:
         steps = (run[:, None] == codes).astype(float)
         yield "runs", (recording.name("run") or clock,), steps - steps.mean(axis=0), np.ones(codes.size)
-    for role in ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "overhang",
-                 "depth_of_cut", "cut_length", "force", "velocity", "acceleration"):  # fmt: skip
+    for role in (
+        "temperature",
+        "pressure",
+        "humidity",
+        "spindle_speed",
+        "feed",
+        "coolant",
+        "load",
+        "overhang",
+        "depth_of_cut",
+        "cut_length",
+        "force",
+        "velocity",
+        "acceleration",
+    ):
         for name in recording.names(role):
             u = recording.array(name)[rows]
             if np.isfinite(u).all() and u.max() > u.min():

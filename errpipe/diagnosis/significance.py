@@ -72,9 +72,10 @@ def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int)
     for k in range(count):
         if k % 2:
             starts = rng.integers(0, n - block + 1, -(-n // block))
-            out[:, k] = left[(starts[:, None] + np.arange(block)).ravel()[:n]] * np.repeat(
-                rng.choice([-1.0, 1.0], starts.size), block
-            )[:n]
+            out[:, k] = (
+                left[(starts[:, None] + np.arange(block)).ravel()[:n]]
+                * np.repeat(rng.choice([-1.0, 1.0], starts.size), block)[:n]
+            )
         else:
             group = inside if by_run else (np.arange(n) + rng.integers(0, block)) // block
             out[:, k] = left * rng.choice([-1.0, 1.0], int(group.max()) + 1)[group]

@@ -26,8 +26,22 @@ SHARES = np.linspace(0.0, 0.15, 16)  # slow shares of the noise tried (public bl
 ALARM = 0.01  # of a perfect explanation, this share is called structured (measured: see the tests)
 LEAST_IN_RUN = 12
 ORDER = "order of the rows"
-ROLES = ("position", "temperature", "pressure", "humidity", "force", "spindle_speed", "feed", "velocity",
-         "acceleration", "coolant", "load", "overhang", "depth_of_cut", "cut_length")  # fmt: skip
+ROLES = (
+    "position",
+    "temperature",
+    "pressure",
+    "humidity",
+    "force",
+    "spindle_speed",
+    "feed",
+    "velocity",
+    "acceleration",
+    "coolant",
+    "load",
+    "overhang",
+    "depth_of_cut",
+    "cut_length",
+)
 
 
 def whiteness(case: Case) -> Whiteness:
@@ -104,17 +118,17 @@ class Frame:
             pairs = max(int(same.sum()), 1)
             q += rho**2 * n * (n + 2) / (n - lag) * (n - lag) / pairs
         return WhitenessTest(
-            against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1,
-            p=float(chdtrc(max(most - 1, 1), q)),
-        )  # fmt: skip
+            against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1, p=float(chdtrc(max(most - 1, 1), q))
+        )
 
 
 def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
     """What the residual is tested against: (input, how, columns (rows, k))."""
     run = recording.run_codes()[rows]
     sides = _sides(recording, rows)
-    inputs = {n: recording.array(n)[rows] for role in ROLES for n in recording.names(role)
-              if n in recording.frame.columns}  # fmt: skip
+    inputs = {
+        n: recording.array(n)[rows] for role in ROLES for n in recording.names(role) if n in recording.frame.columns
+    }
     inputs[ORDER] = np.arange(rows.size, dtype=float)
     runs = [r for r in np.unique(run) if (run == r).sum() >= LEAST_IN_RUN]
     runs = runs if 2 <= len(runs) <= 40 else []

@@ -30,10 +30,23 @@ _TOOL_POINT = re.compile(r"^E_([XYZABCUVWRD])$")
 _FORCE = re.compile(rf"^F_([{_LINEAR_AXES}]\d?)$")
 
 Kind = Literal[
-    "positioning", "straightness", "roll", "tilt", "radial", "axial", "angular positioning",
-    "squareness", "axis offset", "zero position", "drift", "tool point", "tool orientation", "circular", "diameter",
+    "positioning",
+    "straightness",
+    "roll",
+    "tilt",
+    "radial",
+    "axial",
+    "angular positioning",
+    "squareness",
+    "axis offset",
+    "zero position",
+    "drift",
+    "tool point",
+    "tool orientation",
+    "circular",
+    "diameter",
     "force",
-]  # fmt: skip
+]
 
 
 class Component(Frozen):
@@ -53,9 +66,12 @@ def parse(name: str) -> Component:
     if found := _LOCATION.match(name):
         direction, axis = found.groups()
         return Component(
-            name=f"{direction}0{axis}", kind=_location_kind(direction, axis), direction=direction, axis=axis,
+            name=f"{direction}0{axis}",
+            kind=_location_kind(direction, axis),
+            direction=direction,
+            axis=axis,
             unit=_unit(direction),
-        )  # fmt: skip
+        )
     if found := _TOOL_POINT.match(name):
         direction = found.group(1)
         kind = {"R": "circular", "D": "diameter"}.get(direction) or (

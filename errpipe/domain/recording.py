@@ -20,14 +20,37 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Role = Literal[
-    "run", "time", "group", "position", "command", "direction", "velocity", "acceleration", "feed",
-    "spindle_speed", "temperature", "pressure", "humidity", "coolant", "force", "load", "depth_of_cut",
-    "overhang", "cut_length", "error", "simulated", "ignore",
-]  # fmt: skip
+    "run",
+    "time",
+    "group",
+    "position",
+    "command",
+    "direction",
+    "velocity",
+    "acceleration",
+    "feed",
+    "spindle_speed",
+    "temperature",
+    "pressure",
+    "humidity",
+    "coolant",
+    "force",
+    "load",
+    "depth_of_cut",
+    "overhang",
+    "cut_length",
+    "error",
+    "simulated",
+    "ignore",
+]
 
 # Allowed units of each role, the canonical one first; () means the role has none.
 ROLE_UNITS: dict[str, tuple[str, ...]] = {
-    "run": (), "group": (), "ignore": (), "direction": (), "coolant": (),
+    "run": (),
+    "group": (),
+    "ignore": (),
+    "direction": (),
+    "coolant": (),
     "time": ("s", "ms", "min", "h", "d"),
     "position": ("mm", "deg", "m", "um", "inch", "rad"),
     "command": ("mm", "deg", "m", "um", "inch", "rad"),
@@ -45,19 +68,44 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "cut_length": ("m", "mm", "km"),
     "error": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad"),
     "simulated": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad"),
-}  # fmt: skip
+}
 
 # Roles whose canonical unit is optional to state (the contract writes them without one).
 UNITLESS_BY_DEFAULT = {"pressure": "hPa", "humidity": "%", "spindle_speed": "rpm", "time": "s", "feed": "mm/min"}
 
 # How people write units -> how they are written here.
 _SPELLINGS = {
-    "c": "degC", "celsius": "degC", "deg c": "degC", "f": "degF", "fahrenheit": "degF", "kelvin": "K", "in": "inch",
-    "inches": "inch", '"': "inch", "micron": "um", "microns": "um", "sec": "s", "seconds": "s", "minutes": "min",
-    "hours": "h", "hr": "h", "days": "d", "1/min": "rpm", "u/min": "rpm", "rev/min": "rpm", "hz": "1/s",
-    "m/s^2": "m/s2", "mm/s^2": "mm/s2", "m/s²": "m/s2", "mm/s²": "mm/s2", "percent": "%", "newton": "N",
-    "degrees": "deg", "": "deg", "radians": "rad",
-}  # fmt: skip
+    "c": "degC",
+    "celsius": "degC",
+    "deg c": "degC",
+    "f": "degF",
+    "fahrenheit": "degF",
+    "kelvin": "K",
+    "in": "inch",
+    "inches": "inch",
+    '"': "inch",
+    "micron": "um",
+    "microns": "um",
+    "sec": "s",
+    "seconds": "s",
+    "minutes": "min",
+    "hours": "h",
+    "hr": "h",
+    "days": "d",
+    "1/min": "rpm",
+    "u/min": "rpm",
+    "rev/min": "rpm",
+    "hz": "1/s",
+    "m/s^2": "m/s2",
+    "mm/s^2": "mm/s2",
+    "m/s²": "m/s2",
+    "mm/s²": "mm/s2",
+    "percent": "%",
+    "newton": "N",
+    "degrees": "deg",
+    "": "deg",
+    "radians": "rad",
+}
 
 
 class Frozen(BaseModel):

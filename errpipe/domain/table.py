@@ -36,9 +36,20 @@ LARGEST_NUMBER = 1e15  # of any parameter: keeps a single-precision controller a
 
 # Bits of the status word, lowest first.
 STATUS = (
-    "running", "active", "ramping", "substituted", "held", "defaulted", "fading", "faded", "at_magnitude", "at_rate",
-    "beyond_profile", "waiting", "not_finite",
-)  # fmt: skip
+    "running",
+    "active",
+    "ramping",
+    "substituted",
+    "held",
+    "defaulted",
+    "fading",
+    "faded",
+    "at_magnitude",
+    "at_rate",
+    "beyond_profile",
+    "waiting",
+    "not_finite",
+)
 # Why a reading is not believed, and what stands in for it: the codes a controller shows per input.
 FAULTS = ("none", "missing", "stale", "range", "rate")
 SOURCES = ("reading", "substitute", "held", "default")
@@ -46,9 +57,7 @@ SOURCES = ("reading", "substitute", "held", "default")
 # Kinds whose nodes run every position cycle; all others run every thermal cycle.
 FAST_KINDS = ("position", "direction", "velocity", "force")
 
-Kind = Literal[
-    "position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other"
-]  # fmt: skip
+Kind = Literal["position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other"]
 CORRECTION_FACTORS = {
     ("um", "um"): 1.0,
     ("um", "mm"): 0.001,
@@ -252,10 +261,20 @@ class LookupNode(Node):
 
 
 AnyNode = Annotated[
-    ConstantNode | InputNode | AffineNode | FirstNode | LagNode | ProductNode | PowerNode | ClipNode | SwitchNode
-    | DirectionNode | ApproachNode | LookupNode,
+    ConstantNode
+    | InputNode
+    | AffineNode
+    | FirstNode
+    | LagNode
+    | ProductNode
+    | PowerNode
+    | ClipNode
+    | SwitchNode
+    | DirectionNode
+    | ApproachNode
+    | LookupNode,
     Field(discriminator="op"),
-]  # fmt: skip
+]
 
 
 class Profile(Part):

@@ -36,13 +36,23 @@ _INTO: dict[str, dict[str, tuple[float, float]]] = {
 # Canonical units of each role, the usual one first; the unit written decides between several.
 _CANONICAL: dict[str, tuple[str, ...]] = {
     "time": ("s",),
-    "position": ("mm", "deg"), "command": ("mm", "deg"),
-    "velocity": ("mm/s", "deg/s"), "acceleration": ("mm/s2", "deg/s2"), "feed": ("mm/min", "deg/min"),
-    "spindle_speed": ("rpm",), "temperature": ("degC",), "pressure": ("hPa",), "humidity": ("%",),
-    "force": ("N",), "load": ("kg",),
-    "depth_of_cut": ("mm",), "overhang": ("mm",), "cut_length": ("m",),
-    "error": ("um", "urad", "N"), "simulated": ("um", "urad", "N"),
-}  # fmt: skip
+    "position": ("mm", "deg"),
+    "command": ("mm", "deg"),
+    "velocity": ("mm/s", "deg/s"),
+    "acceleration": ("mm/s2", "deg/s2"),
+    "feed": ("mm/min", "deg/min"),
+    "spindle_speed": ("rpm",),
+    "temperature": ("degC",),
+    "pressure": ("hPa",),
+    "humidity": ("%",),
+    "force": ("N",),
+    "load": ("kg",),
+    "depth_of_cut": ("mm",),
+    "overhang": ("mm",),
+    "cut_length": ("m",),
+    "error": ("um", "urad", "N"),
+    "simulated": ("um", "urad", "N"),
+}
 
 
 @dataclass(frozen=True)

@@ -118,9 +118,16 @@ def _component(chunks: Chunks, spec: ModelSpec, component: ComponentSpec, ends: 
     effective = running.rows * memory
     known = uncertainty.larger(sigma2 * inverse @ spread @ inverse, inverse @ apart @ inverse, runs)
     found = Estimate(
-        coefficients, np.empty(0), np.empty(0), float(running.columns), (), known, noise, effective,
+        coefficients,
+        np.empty(0),
+        np.empty(0),
+        float(running.columns),
+        (),
+        known,
+        noise,
+        effective,
         uncertainty.degrees_of_freedom(running.rows, running.columns, noise),
-    )  # fmt: skip
+    )
     return _told(last, found, component.component, running.rows, before, squares)
 
 

@@ -175,9 +175,16 @@ def _stack(recording, components, mask, slots, width, unknowns) -> Problem:
         response.append(y[chosen] - _fixed_part(recording, b, slots)[chosen])
         sequence.append(run[chosen] + b * (int(run.max()) + 1))
     return Problem(
-        recording, components, tuple(kept), np.concatenate(response), np.concatenate(sequence), slots, width, unknowns,
+        recording,
+        components,
+        tuple(kept),
+        np.concatenate(response),
+        np.concatenate(sequence),
+        slots,
+        width,
+        unknowns,
         dropped,
-    )  # fmt: skip
+    )
 
 
 def _middle(parameter: Parameter) -> float:

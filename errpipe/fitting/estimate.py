@@ -53,9 +53,13 @@ def estimate(
     penalty = _penalty(problem, spec, penalties, found, priors)
     if intervals and spec.method != "ridge":
         identifiability.check(
-            design, problem.names(), problem.recording,
-            component=" and ".join(problem.components), penalty=penalty, most=spec.most_inflation,
-        )  # fmt: skip
+            design,
+            problem.names(),
+            problem.recording,
+            component=" and ".join(problem.components),
+            penalty=penalty,
+            most=spec.most_inflation,
+        )
     plain = Estimate(found.coefficients, nonlinear, found.residual, found.degrees + nonlinear.size, found.strength)
     return _with_intervals(plain, problem, spec, design, penalty) if intervals else plain
 
@@ -64,9 +68,16 @@ def _nothing(problem: Problem) -> Estimate:
     rms = float(np.sqrt(np.mean(problem.response**2)))
     noise = uncertainty.Noise(rms, 0.0, 0.0)
     return Estimate(
-        np.empty(0), np.empty(0), problem.response, 0.0, (), np.empty((0, 0)), noise, float(problem.response.size),
+        np.empty(0),
+        np.empty(0),
+        problem.response,
+        0.0,
+        (),
+        np.empty((0, 0)),
+        noise,
         float(problem.response.size),
-    )  # fmt: skip
+        float(problem.response.size),
+    )
 
 
 def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None) -> solve.Solution:
@@ -106,11 +117,7 @@ def _separable(problem, spec, penalties, priors, folds):
     """Alternate: non-linear parameters for given weights, then weights and linear parameters for these."""
     moving = [s for s in problem.slots if s.searched.stop > s.searched.start]
     still = [s for s in problem.slots if s.searched.stop == s.searched.start]
-    unknowns = [
-        separable.Unknown(p.name, *_bounds(p), _starts(slot, p))
-        for slot in moving
-        for p in slot.term.free()
-    ]  # fmt: skip
+    unknowns = [separable.Unknown(p.name, *_bounds(p), _starts(slot, p)) for slot in moving for p in slot.term.free()]
     order = np.r_[tuple(slice(s.columns.start, s.columns.stop) for s in (*still, *moving))] if problem.width else []
     fixed = len(order) - sum(len(s.free) for s in moving)
     nothing = np.array([_middle(u) for u in unknowns])
@@ -223,9 +230,16 @@ def _with_intervals(plain: Estimate, problem: Problem, spec: ModelSpec, design, 
     effective = uncertainty.rows_effective(problem.sequence, noise)
     freedom = uncertainty.degrees_of_freedom(scores.size, plain.degrees, noise)
     return Estimate(
-        plain.coefficients, plain.nonlinear, plain.residual, plain.degrees, plain.strength, spread, noise, effective,
+        plain.coefficients,
+        plain.nonlinear,
+        plain.residual,
+        plain.degrees,
+        plain.strength,
+        spread,
+        noise,
+        effective,
         freedom,
-    )  # fmt: skip
+    )
 
 
 def _ridge_penalty(problem: Problem, design: np.ndarray, strength: float, size: int) -> np.ndarray:

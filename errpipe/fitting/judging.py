@@ -14,13 +14,7 @@ import numpy as np
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting.components import (
-    evaluate,
-    folds_of,
-    groups_of,
-    solved_plainly,
-    without_nuisance,
-)
+from errpipe.fitting.components import evaluate, folds_of, groups_of, solved_plainly, without_nuisance
 from errpipe.fitting.design import Problem, assemble, response_name
 from errpipe.fitting.holdout import Fold, check
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
@@ -118,9 +112,7 @@ def calibrated(model: ErrorModel, judged: dict[str, list[HeldOut]]) -> ErrorMode
     for component in model.components:
         folds = judged[component.component]
         half = half_width90(folds)
-        components.append(
-            component.model_copy(update={"half_width90": half, "widening90": widening90(folds, half)})
-        )  # fmt: skip
+        components.append(component.model_copy(update={"half_width90": half, "widening90": widening90(folds, half)}))
     return model.model_copy(update={"components": tuple(components)})
 
 

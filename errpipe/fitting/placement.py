@@ -26,9 +26,7 @@ class Placement:
     best: int
 
 
-def linearity(
-    readings: np.ndarray, error: np.ndarray, criterion: Literal["rms", "max"] = "rms"
-) -> Placement:
+def linearity(readings: np.ndarray, error: np.ndarray, criterion: Literal["rms", "max"] = "rms") -> Placement:
     """How far the error is from gain x reading at each place. readings: (times, places); error: (times,).
 
     The gain is the least-squares slope through the origin. Raises DataError where the error never moves.

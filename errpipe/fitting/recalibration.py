@@ -29,11 +29,14 @@ class RecalibrationOptions(Frozen):
     noise: float = Field(1.5, gt=0, description="Standard deviation of one reading.", json_schema_extra={"unit": "um"})
     offset: float = Field(3.0, gt=0, description="Of the offset at the start.", json_schema_extra={"unit": "um"})
     wander: float = Field(
-        4.0, ge=0, description="Of the offset after one hour without a reading, beyond its start.",
+        4.0,
+        ge=0,
+        description="Of the offset after one hour without a reading, beyond its start.",
         json_schema_extra={"unit": "um"},
-    )  # fmt: skip
-    gain: float = Field(3.0, ge=0, description="Of the gain error, per `scale` of the model's value.",
-                        json_schema_extra={"unit": "um"})  # fmt: skip
+    )
+    gain: float = Field(
+        3.0, ge=0, description="Of the gain error, per `scale` of the model's value.", json_schema_extra={"unit": "um"}
+    )
     late: float = Field(8.0, ge=0, description="Of the late running state's share.", json_schema_extra={"unit": "um"})
     scale: float = Field(10.0, gt=0, description="Model value that counts as one.", json_schema_extra={"unit": "um"})
     tau: float = Field(900.0, gt=0, description="Lag of the late running state.", json_schema_extra={"unit": "s"})
@@ -179,10 +182,13 @@ def residual_by_readings(
             mine = (labels == label) & np.isfinite(deviation - told)
             out.append(
                 {
-                    "group": str(label), "every_s": every, "readings_per_run": float(probed.sum() / runs),
-                    "rms": _rms((deviation - told)[mine]), "rms_readings_alone": _rms((deviation - alone)[mine]),
+                    "group": str(label),
+                    "every_s": every,
+                    "readings_per_run": float(probed.sum() / runs),
+                    "rms": _rms((deviation - told)[mine]),
+                    "rms_readings_alone": _rms((deviation - alone)[mine]),
                 }
-            )  # fmt: skip
+            )
     return out
 
 

@@ -31,9 +31,11 @@ class SeasonOptions(Frozen):
         json_schema_extra={"unit": "1"},
     )
     thinning: float = Field(
-        0.05, ge=0, description="Loss of viscosity of the oil whose friction heats while the spindle runs.",
+        0.05,
+        ge=0,
+        description="Loss of viscosity of the oil whose friction heats while the spindle runs.",
         json_schema_extra={"unit": "1/K"},
-    )  # fmt: skip
+    )
     penalty: float = Field(
         1e-3, gt=0, description="Shrinks causes that moved less than its root.", json_schema_extra={"unit": "K2"}
     )
@@ -48,13 +50,17 @@ class SeasonOptions(Frozen):
         3e-3, gt=0, description="Ridge strength on columns of unit root mean square.", json_schema_extra={"unit": "1"}
     )
     correction_width: float = Field(
-        0.8, gt=0, description="Runs whose starts differ by more teach each other little.",
+        0.8,
+        gt=0,
+        description="Runs whose starts differ by more teach each other little.",
         json_schema_extra={"unit": "K"},
-    )  # fmt: skip
+    )
     fade: float = Field(
-        0.4, gt=0, description="Start this much outside what was seen (mean over sensors): the correction is gone.",
+        0.4,
+        gt=0,
+        description="Start this much outside what was seen (mean over sensors): the correction is gone.",
         json_schema_extra={"unit": "K"},
-    )  # fmt: skip
+    )
     environment: str = Field("season", description="Group whose members stand for different surroundings.")
     coverage: float = Field(
         0.9, gt=0.5, lt=1, description="Coverage of the prediction interval.", json_schema_extra={"unit": "1"}

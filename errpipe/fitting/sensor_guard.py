@@ -102,10 +102,18 @@ def learn(
             )
         )
     return g.SensorGuard(
-        sensors=tuple(sensors_out), filter_s=filter_s, horizon_s=horizon_s, freeze_s=freeze_s,
-        settle_s=SETTLE, swap_s=SWAP, corridor_s=CORRIDOR, turns=_turns(rows, SWAP, rate),
-        false_alarms=false_alarms, hours=hours, shows_elsewhere=apart.elsewhere(),
-    )  # fmt: skip
+        sensors=tuple(sensors_out),
+        filter_s=filter_s,
+        horizon_s=horizon_s,
+        freeze_s=freeze_s,
+        settle_s=SETTLE,
+        swap_s=SWAP,
+        corridor_s=CORRIDOR,
+        turns=_turns(rows, SWAP, rate),
+        false_alarms=false_alarms,
+        hours=hours,
+        shows_elsewhere=apart.elsewhere(),
+    )
 
 
 def hold(

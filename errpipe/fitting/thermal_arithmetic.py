@@ -25,9 +25,7 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
     return values - zero, zero
 
 
-def conformal_half_width(
-    error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None
-) -> float:
+def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None) -> float:
     """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
 
     Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for

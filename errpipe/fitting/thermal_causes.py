@@ -204,12 +204,16 @@ def causes(
         ]
     if found.room is not None:
         out += [
-            Cause(f"part that starts as {n}{_towards(mix, found.room)} and follows {found.room}, {tau / 3600:.3g} h",
-                  "follower", follower(found.room, n, tau, mix), f"{n} {mix:g}")
+            Cause(
+                f"part that starts as {n}{_towards(mix, found.room)} and follows {found.room}, {tau / 3600:.3g} h",
+                "follower",
+                follower(found.room, n, tau, mix),
+                f"{n} {mix:g}",
+            )
             for n in found.starts
             for mix in mixes
             for tau in slow
-        ]  # fmt: skip
+        ]
     return tuple(out)
 
 

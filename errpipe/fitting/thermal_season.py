@@ -34,14 +34,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_local, thermal_network
 from errpipe.fitting.design import response_name
 from errpipe.fitting.season_options import SeasonOptions
-from errpipe.fitting.thermal_arithmetic import (
-    centred,
-    inner_groups,
-    limits,
-    rms,
-    since_start,
-    slope,
-)
+from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, rms, since_start, slope
 from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.validity import box, distance
 from errpipe.terms import ProfileDriver
@@ -134,16 +127,19 @@ class SeasonModel:
             f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
         )
         return ErrorModel(
-            machine=manifest.machine, title=manifest.title, version=__version__, columns=columns,
-            components=(self.component_model(),), validity=self.validity, datum="run_start", notes=notes,
-        )  # fmt: skip
+            machine=manifest.machine,
+            title=manifest.title,
+            version=__version__,
+            columns=columns,
+            components=(self.component_model(),),
+            validity=self.validity,
+            datum="run_start",
+            notes=notes,
+        )
 
 
 def fit(
-    recording: Recording,
-    component: str,
-    options: SeasonOptions | None = None,
-    rows: np.ndarray | None = None,
+    recording: Recording, component: str, options: SeasonOptions | None = None, rows: np.ndarray | None = None
 ) -> SeasonModel:
     """Fit on the rows of a mask (all where not given). Nothing outside the mask is looked at, the datum apart.
 
@@ -327,10 +323,17 @@ class _Problem:
         terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
         parts = core if correction is None else (*core, ("correction where it was learnt", 1.0, correction))
         model = SeasonModel(
-            self.component, self.options, parts, terms, intervals,
-            intervals.factor(known, self._ramp(gains, 1.0 / FAR_SHARE)), self.seen_box(self.rows),
-            self.options.fade, limit, self._datum(),
-        )  # fmt: skip
+            self.component,
+            self.options,
+            parts,
+            terms,
+            intervals,
+            intervals.factor(known, self._ramp(gains, 1.0 / FAR_SHARE)),
+            self.seen_box(self.rows),
+            self.options.fade,
+            limit,
+            self._datum(),
+        )
         after = y - model.values(self.recording)
         report = {
             "rows": int(np.count_nonzero(self.rows)),

@@ -63,8 +63,10 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
         start = min((cost(r, s)[0], r, s) for r in RHO for s in SHARE)
         best = minimize(
             lambda v: cost(float(expit(v[0])), float(expit(v[1])))[0],
-            logit([start[1], start[2]]), method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 80},
-        )  # fmt: skip
+            logit([start[1], start[2]]),
+            method="Nelder-Mead",
+            options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 80},
+        )
         rho, share = min(float(expit(best.x[0])), _longest_memory(sequence)), float(expit(best.x[1]))
         # Two more parameters must earn their keep, or noise of no memory would get one by chance.
         if white[0] - best.fun < 1.0:

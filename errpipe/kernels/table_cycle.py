@@ -29,15 +29,39 @@ LOG2_E = 1.4426950408889634
 LN2_HIGH = 0.6931471803691238
 LN2_LOW = 1.9082149292705877e-10
 SQRT2 = 1.4142135623730951
-EXP = np.array([
-    1.6059043836821613e-10, 2.08767569878681e-09, 2.505210838544172e-08, 2.755731922398589e-07,
-    2.7557319223985893e-06, 2.48015873015873e-05, 0.0001984126984126984, 0.001388888888888889,
-    0.008333333333333333, 0.041666666666666664, 0.16666666666666666, 0.5, 1.0, 1.0,
-])  # fmt: skip
-LN = np.array([
-    0.047619047619047616, 0.05263157894736842, 0.058823529411764705, 0.06666666666666667, 0.07692307692307693,
-    0.09090909090909091, 0.1111111111111111, 0.14285714285714285, 0.2, 0.3333333333333333, 1.0,
-])  # fmt: skip
+EXP = np.array(
+    [
+        1.6059043836821613e-10,
+        2.08767569878681e-09,
+        2.505210838544172e-08,
+        2.755731922398589e-07,
+        2.7557319223985893e-06,
+        2.48015873015873e-05,
+        0.0001984126984126984,
+        0.001388888888888889,
+        0.008333333333333333,
+        0.041666666666666664,
+        0.16666666666666666,
+        0.5,
+        1.0,
+        1.0,
+    ]
+)
+LN = np.array(
+    [
+        0.047619047619047616,
+        0.05263157894736842,
+        0.058823529411764705,
+        0.06666666666666667,
+        0.07692307692307693,
+        0.09090909090909091,
+        0.1111111111111111,
+        0.14285714285714285,
+        0.2,
+        0.3333333333333333,
+        1.0,
+    ]
+)
 
 
 # Both stay in this file under these names: caches that Numba wrote on users' disks name them.
@@ -574,9 +598,16 @@ def cycle(program, state, readings, fresh, dt, replay, enable):
     common.until_slow = (program.slow_every if slow else common.until_slow) - 1
     status = RUNNING | condition(program.inputs, program.substitutes, state.inputs, readings, fresh, dt)
     status |= run_nodes(
-        program.every if slow else program.fast, program.nodes, program.operands, program.lookups,
-        state.nodes, state.inputs, state.common, dt, replay,
-    )  # fmt: skip
+        program.every if slow else program.fast,
+        program.nodes,
+        program.operands,
+        program.lookups,
+        state.nodes,
+        state.inputs,
+        state.common,
+        dt,
+        replay,
+    )
     if common.unready > 0:
         status |= WAITING
     target = fade_target(program.inputs, state.inputs, status & LOST)

@@ -128,10 +128,16 @@ class _Builder:
         comp, angle, evec = zip(*flat, strict=True)
         starts = np.cumsum([0] + [len(e) for e in self.entries])
         return (
-            np.array(kind, dtype=np.int64), np.array(axis, dtype=np.int64), np.array(vec), np.array(point),
-            np.array(inverse, dtype=np.bool_), starts.astype(np.int64), np.array(comp, dtype=np.int64),
-            np.array(angle, dtype=np.bool_), np.array(evec),
-        )  # fmt: skip
+            np.array(kind, dtype=np.int64),
+            np.array(axis, dtype=np.int64),
+            np.array(vec),
+            np.array(point),
+            np.array(inverse, dtype=np.bool_),
+            starts.astype(np.int64),
+            np.array(comp, dtype=np.int64),
+            np.array(angle, dtype=np.bool_),
+            np.array(evec),
+        )
 
 
 def compile_chain(machine: Machine) -> Chain:

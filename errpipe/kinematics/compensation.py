@@ -42,11 +42,13 @@ def outputs(
         found.setdefault(output, []).append(_term(chain, component, letters, names))
     return tuple(
         SynthesisOutput(
-            name=n if n.startswith("E_") else f"E_{n}", axis="" if n.startswith("E_") else n, terms=tuple(t),
+            name=n if n.startswith("E_") else f"E_{n}",
+            axis="" if n.startswith("E_") else n,
+            terms=tuple(t),
             unit="urad" if n.startswith("E_") else "um",
         )
         for n, t in found.items()
-    )  # fmt: skip
+    )
 
 
 def _term(chain: Chain, component: str, letters: polynomials.Polynomial, names: Mapping[str, str]) -> SynthesisTerm:

@@ -54,9 +54,15 @@ def index_change(temperature=None, pressure=None, humidity=None) -> np.ndarray |
 
 
 def corrected(
-    position: np.ndarray, deviation: np.ndarray, laser: Laser, *, air: np.ndarray | float = 0.0,
-    reset: float | None = None, turn: np.ndarray | None = None, direction: Sequence[float] = (1.0, 0.0, 0.0),
-) -> np.ndarray:  # fmt: skip
+    position: np.ndarray,
+    deviation: np.ndarray,
+    laser: Laser,
+    *,
+    air: np.ndarray | float = 0.0,
+    reset: float | None = None,
+    turn: np.ndarray | None = None,
+    direction: Sequence[float] = (1.0, 0.0, 0.0),
+) -> np.ndarray:
     """Deviation of the functional point, um, from the displayed one.
 
     position (mm), deviation (um): as displayed; air: n / n_used - 1; reset: position at which the laser was set
@@ -125,9 +131,12 @@ class Direct:
 
 
 def identify(
-    recording: Recording, *, lasers: Mapping[str, Laser] | None = None, chain: Chain | None = None,
+    recording: Recording,
+    *,
+    lasers: Mapping[str, Laser] | None = None,
+    chain: Chain | None = None,
     zero: Mapping[str, float] | None = None,
-) -> Direct:  # fmt: skip
+) -> Direct:
     """Curves of every error-motion column of a recording (EXX, EYX, EBX ...), laser corrections included.
 
     lasers: set-up by component; zero: position at which positioning is zero, by axis (the machine's datum where
@@ -149,8 +158,17 @@ def identify(
 
 def is_motion(component: str) -> bool:
     """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
-    return parse(component).kind not in ("tool point", "tool orientation", "circular", "diameter", "force",
-                                         "squareness", "axis offset", "zero position", "drift")  # fmt: skip
+    return parse(component).kind not in (
+        "tool point",
+        "tool orientation",
+        "circular",
+        "diameter",
+        "force",
+        "squareness",
+        "axis offset",
+        "zero position",
+        "drift",
+    )
 
 
 def axis_of(component: str) -> str:
@@ -331,10 +349,13 @@ def straight_part(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarr
 # Which slopes make a squareness: (component, sign) of the second axis, then of the datum axis. A turn t of the
 # +Y motion about Z moves it by -t per mm along X; the same turn of +X moves it by +t per mm along Y.
 _SLOPES = {
-    ("C", "Y"): (("EXY", -1), ("EYX", -1)), ("C", "X"): (("EYX", 1), ("EXY", 1)),
-    ("B", "Z"): (("EXZ", 1), ("EZX", 1)), ("B", "X"): (("EZX", -1), ("EXZ", -1)),
-    ("A", "Z"): (("EYZ", -1), ("EZY", -1)), ("A", "Y"): (("EZY", 1), ("EYZ", 1)),
-}  # fmt: skip
+    ("C", "Y"): (("EXY", -1), ("EYX", -1)),
+    ("C", "X"): (("EYX", 1), ("EXY", 1)),
+    ("B", "Z"): (("EXZ", 1), ("EZX", 1)),
+    ("B", "X"): (("EZX", -1), ("EXZ", -1)),
+    ("A", "Z"): (("EYZ", -1), ("EZY", -1)),
+    ("A", "Y"): (("EZY", 1), ("EYZ", 1)),
+}
 
 
 def _slopes_of(component: str, curves: Mapping[str, Curve]) -> bool:

@@ -44,18 +44,26 @@ def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[s
         own, half = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
         parts.append(
             ComponentModel(
-                component=name, unit=curve["unit"], terms=tuple(terms), rows=int(seen.size),
-                rows_effective=float(seen.size), rms_before=float(np.sqrt(np.mean(np.square(curve["value"])))),
-                rms_after=own, half_width90=float(1.645 * np.sqrt(own**2 + np.mean(half**2))),
+                component=name,
+                unit=curve["unit"],
+                terms=tuple(terms),
+                rows=int(seen.size),
+                rows_effective=float(seen.size),
+                rms_before=float(np.sqrt(np.mean(np.square(curve["value"])))),
+                rms_after=own,
+                half_width90=float(1.645 * np.sqrt(own**2 + np.mean(half**2))),
             )
-        )  # fmt: skip
+        )
     constants = {n: c for n, c in recording.manifest.constants.items() if c.role == "axis"}
     return ErrorModel(
-        machine=recording.manifest.machine, version=__version__, columns=columns, components=tuple(parts),
+        machine=recording.manifest.machine,
+        version=__version__,
+        columns=columns,
+        components=tuple(parts),
         validity=Validity(ranges=ranges),
         constants={n: c.model_dump(mode="json", exclude_none=True) for n, c in constants.items()},
         notes=("zero, straightedge and square are set-up and are not in this model",),
-    )  # fmt: skip
+    )
 
 
 def _curve(name: str, axis: str, curve: Mapping[str, Any]) -> list[FittedTerm]:
@@ -87,9 +95,12 @@ def _reversal(axis: str, reversal: Mapping[str, Any]) -> list[FittedTerm]:
 def _fitted(term: Term, values: Any, unit: str, half: float | None = None) -> FittedTerm:
     parameters = tuple(
         FittedParameter(
-            name=p.name, value=float(v), unit=unit, standard_error=None if half is None else half / 1.96,
+            name=p.name,
+            value=float(v),
+            unit=unit,
+            standard_error=None if half is None else half / 1.96,
             ci95=None if half is None else (float(v) - half, float(v) + half),
         )
         for p, v in zip(term.linear(), values, strict=True)
-    )  # fmt: skip
+    )
     return FittedTerm(term=plain(term), parameters=parameters)

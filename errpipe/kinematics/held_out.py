@@ -23,9 +23,14 @@ class Left:
 
 
 def judge(
-    chain: Chain, recording: Recording, train: np.ndarray, test: np.ndarray, *, modes: int = 12,
+    chain: Chain,
+    recording: Recording,
+    train: np.ndarray,
+    test: np.ndarray,
+    *,
+    modes: int = 12,
     lasers: Mapping[str, direct.Laser] | None = None,
-) -> list[Left]:  # fmt: skip
+) -> list[Left]:
     """Every component with readings on both sides. Zero, straightedge and beam are set-up: out of before and after.
 
     train, test: masks of rows. The zero and lay of a set-up come from the rows that fit.
@@ -101,8 +106,10 @@ def folds(recording: Recording, most: int = 5) -> tuple[str, list[tuple[str, np.
             p = recording.array(direct.position_of(recording, c))
             known = np.isfinite(p)
             number[known] = direct.targets_of(p[known])[1]
-    out = [(f"targets {k + 1}, {k + 1 + most} ...", number % most != k, (number % most == k) & (number >= 0))
-           for k in range(most)]  # fmt: skip
+    out = [
+        (f"targets {k + 1}, {k + 1 + most} ...", number % most != k, (number % most == k) & (number >= 0))
+        for k in range(most)
+    ]
     return f"every {most}th target", out
 
 

@@ -44,9 +44,12 @@ class Prior:
         """Prior of these columns followed by set-up columns of given spreads."""
         p, m = len(self.names), len(setup)
         return evidence.Spreads(
-            np.r_[self.family, np.full(m, -1)], np.r_[self.rough, np.ones(m)], np.r_[np.ones(p), setup],
-            np.r_[TYPICAL, SMOOTHNESS, 1.0], np.array(CERTAINTY),
-        )  # fmt: skip
+            np.r_[self.family, np.full(m, -1)],
+            np.r_[self.rough, np.ones(m)],
+            np.r_[np.ones(p), setup],
+            np.r_[TYPICAL, SMOOTHNESS, 1.0],
+            np.array(CERTAINTY),
+        )
 
 
 @dataclass(frozen=True)
@@ -188,16 +191,26 @@ class Identified:
                 seen = 1.0 - (error / self.spread[i]) ** 2
                 unit = self.model.chain.unit(name)
                 out.append(
-                    {"component": name, "value": value, "ci95": (value - 1.96 * error, value + 1.96 * error),
-                     "unit": unit, "seen": seen}
-                )  # fmt: skip
+                    {
+                        "component": name,
+                        "value": value,
+                        "ci95": (value - 1.96 * error, value + 1.96 * error),
+                        "unit": unit,
+                        "seen": seen,
+                    }
+                )
         return out
 
 
 def identify(
-    model: Parametrisation, obs: Observations, *, noise: float | None = None, sizes: Mapping[str, float] | None = None,
-    power: float | None = None, iterations: int = 2,
-) -> Identified:  # fmt: skip
+    model: Parametrisation,
+    obs: Observations,
+    *,
+    noise: float | None = None,
+    sizes: Mapping[str, float] | None = None,
+    power: float | None = None,
+    iterations: int = 2,
+) -> Identified:
     """Solve for all components and set-up parameters.
 
     noise (um), sizes (spread before measuring by family, um or urad) and power are estimated where not given.
@@ -225,9 +238,17 @@ def identify(
     setup = {n: (float(mean[p + i]), float(error[p + i])) for i, n in enumerate(obs.nuisance_names)}
     found = dict(zip(FAMILIES, map(float, hyper[:-2]), strict=True))
     return Identified(
-        model, mean[:p], cov[:p, :p], spreads.of(hyper)[:p], setup, float(hyper[-1]), found, float(hyper[-2]),
-        len(obs), obs.value - offset - plain @ mean,
-    )  # fmt: skip
+        model,
+        mean[:p],
+        cov[:p, :p],
+        spreads.of(hyper)[:p],
+        setup,
+        float(hyper[-1]),
+        found,
+        float(hyper[-2]),
+        len(obs),
+        obs.value - offset - plain @ mean,
+    )
 
 
 def _bending_of_lengths(chain: Chain, model: Parametrisation, obs: Observations, design, mean) -> np.ndarray:

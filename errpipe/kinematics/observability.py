@@ -166,9 +166,14 @@ def _refresh(chain: Chain, obs: Observations) -> Observations:
 
 
 def smallest_extra(
-    chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = (),
-    offered: Mapping[str, Observations] | None = None, most: int = 12,
-) -> tuple[Extra, ...]:  # fmt: skip
+    chain: Chain,
+    obs: Observations,
+    *,
+    noise: float = 1.0,
+    without: tuple[str, ...] = (),
+    offered: Mapping[str, Observations] | None = None,
+    most: int = 12,
+) -> tuple[Extra, ...]:
     """Measurements to add, one after the other, each the one that resolves most per minute, until all is seen.
 
     Stops early where nothing offered helps any more.

@@ -74,18 +74,31 @@ def _build(q, tip, weights, value, columns, label, socket=None, noise=1.0, secon
     n = len(q)
     value = np.full(n, np.nan) if value is None else np.asarray(value, dtype=float)
     return Observations(
-        np.asarray(q, dtype=float), np.broadcast_to(tip, (n, 3)).copy(), weights, value,
+        np.asarray(q, dtype=float),
+        np.broadcast_to(tip, (n, 3)).copy(),
+        weights,
+        value,
         np.column_stack([c for *_, c in columns]) if columns else np.zeros((n, 0)),
-        tuple(name for name, *_ in columns), np.array([s for _, s, _ in columns], dtype=float),
+        tuple(name for name, *_ in columns),
+        np.array([s for _, s, _ in columns], dtype=float),
         np.full((n, 3), np.nan) if socket is None else np.broadcast_to(socket, (n, 3)).copy(),
-        np.full(n, float(noise)), np.full(n, label, dtype=object), seconds,
-    )  # fmt: skip
+        np.full(n, float(noise)),
+        np.full(n, label, dtype=object),
+        seconds,
+    )
 
 
 def distance(
-    chain: Chain, q: np.ndarray, tip: np.ndarray, socket: Sequence[float], value: np.ndarray | None = None,
-    label: str = "1", seconds: float = 0.0, length: bool = True, noise: float = 1.0,
-) -> Observations:  # fmt: skip
+    chain: Chain,
+    q: np.ndarray,
+    tip: np.ndarray,
+    socket: Sequence[float],
+    value: np.ndarray | None = None,
+    label: str = "1",
+    seconds: float = 0.0,
+    length: bool = True,
+    noise: float = 1.0,
+) -> Observations:
     """Length of a bar (or beam) from a socket on the workpiece to the tool: ball bar, telescoping bar, tracker range.
 
     value: measured minus nominal length, um. Set-up: where the socket stands (3), the bar's length offset (1),
@@ -105,9 +118,15 @@ def distance(
 
 
 def along(
-    chain: Chain, q: np.ndarray, tip: np.ndarray, beam: Sequence[float], value: np.ndarray | None = None,
-    label: str = "1", seconds: float = 0.0, noise: float = 1.0,
-) -> Observations:  # fmt: skip
+    chain: Chain,
+    q: np.ndarray,
+    tip: np.ndarray,
+    beam: Sequence[float],
+    value: np.ndarray | None = None,
+    label: str = "1",
+    seconds: float = 0.0,
+    noise: float = 1.0,
+) -> Observations:
     """Displacement along a fixed beam (laser along an axis or a diagonal). value: measured minus nominal, um.
 
     Set-up: zero of the reading, and two angles of the beam against its nominal direction.
@@ -126,9 +145,15 @@ def along(
 
 
 def angle(
-    chain: Chain, q: np.ndarray, tip: np.ndarray, about: Sequence[float], value: np.ndarray | None = None,
-    label: str = "1", seconds: float = 0.0, noise: float = 1.0,
-) -> Observations:  # fmt: skip
+    chain: Chain,
+    q: np.ndarray,
+    tip: np.ndarray,
+    about: Sequence[float],
+    value: np.ndarray | None = None,
+    label: str = "1",
+    seconds: float = 0.0,
+    noise: float = 1.0,
+) -> Observations:
     """Turn of the tool's side against the workpiece about a direction (level), urad; its zero is set-up."""
     unit = np.asarray(about, dtype=float) / np.linalg.norm(about)
     weights = np.tile(np.r_[np.zeros(3), unit], (len(q), 1))
@@ -138,10 +163,18 @@ def angle(
 
 
 def points(
-    chain: Chain, q: np.ndarray, tip: np.ndarray, value: np.ndarray | None = None, directions: str = "XYZ",
-    label: str = "1", pose: str = "XYZABC", ball: bool = True, seconds: float = 0.0, noise: float = 1.0,
+    chain: Chain,
+    q: np.ndarray,
+    tip: np.ndarray,
+    value: np.ndarray | None = None,
+    directions: str = "XYZ",
+    label: str = "1",
+    pose: str = "XYZABC",
+    ball: bool = True,
+    seconds: float = 0.0,
+    noise: float = 1.0,
     scale: bool = False,
-) -> Observations:  # fmt: skip
+) -> Observations:
     """Deviation of the tool point along some directions: tracker clouds, probed plates, R-test, hole patterns.
 
     value (n, len(directions)), um, in the workpiece frame. Rows come direction by direction. Set-up: the pose
@@ -208,9 +241,13 @@ def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observat
         for n in ("q", "tip", "weights", "value", "socket", "noise", "label")
     }
     return Observations(
-        **joined, nuisance=nuisance, nuisance_names=tuple(names), nuisance_spread=np.array(spread),
-        seconds=sum(p.seconds for p in parts), own=_own(parts),
-    )  # fmt: skip
+        **joined,
+        nuisance=nuisance,
+        nuisance_names=tuple(names),
+        nuisance_spread=np.array(spread),
+        seconds=sum(p.seconds for p in parts),
+        own=_own(parts),
+    )
 
 
 def _own(parts: Sequence[Observations]) -> np.ndarray | None:

@@ -73,9 +73,15 @@ class Plan:
 
 
 def propose(
-    chain: Chain, *, means: Means | None = None, sockets: Sequence[Sequence[float]] | None = None,
-    without: tuple[str, ...] = (), positions: int = 40, most: int = 24, seed: int = 0,
-) -> Plan:  # fmt: skip
+    chain: Chain,
+    *,
+    means: Means | None = None,
+    sockets: Sequence[Sequence[float]] | None = None,
+    without: tuple[str, ...] = (),
+    positions: int = 40,
+    most: int = 24,
+    seed: int = 0,
+) -> Plan:
     """A measuring plan for a telescoping bar. sockets: places in the workpiece frame, mm (chosen where left out).
 
     without: components not to be identified (growth). Raises DataError where the bar reaches no position.

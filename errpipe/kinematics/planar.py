@@ -123,9 +123,11 @@ class PlanarModel:
         rows = self._lines()
         out: dict[str, dict[str, object]] = {}
         for name, unit, row in zip(
-            ("scale_X", "scale_Y", "C0Y", "scale_difference"), ("um/m", "um/m", "urad", "um/m"),
-            (*rows, rows[0] - rows[1]), strict=True,
-        ):  # fmt: skip
+            ("scale_X", "scale_Y", "C0Y", "scale_difference"),
+            ("um/m", "um/m", "urad", "um/m"),
+            (*rows, rows[0] - rows[1]),
+            strict=True,
+        ):
             value, error = float(row @ self.mean), float(np.sqrt(row @ self.covariance @ row))
             out[name] = {"value": value, "ci95": (value - 1.96 * error, value + 1.96 * error), "unit": unit}
         return out
@@ -137,9 +139,9 @@ class PlanarModel:
         x, y = (gx - box.middle[0]) * 1e-3, (gy - box.middle[1]) * 1e-3
         both = self.design(gx, gy)
         one, nil = np.ones_like(x), np.zeros_like(x)
-        linear = np.column_stack([
-            np.r_[x, nil], np.r_[nil, y], np.r_[-y, nil], np.r_[one, nil], np.r_[nil, one], np.r_[-y, x],
-        ])  # fmt: skip
+        linear = np.column_stack(
+            [np.r_[x, nil], np.r_[nil, y], np.r_[-y, nil], np.r_[one, nil], np.r_[nil, one], np.r_[-y, x]]
+        )
         return np.linalg.lstsq(linear, np.vstack([both[0], both[1]]), rcond=None)[0][:3]
 
     def grid(self, nx: int, ny: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -241,9 +243,16 @@ def fit_plate(
     labels = recording.run_labels()
     setup = {labels[r]: tuple(float(v) for v in mean[p + 3 * i : p + 3 * i + 3]) for i, r in enumerate(used)}
     return PlanarModel(
-        functions, mean[:p], cov[:p, :p], float(hyper[-1]), dict(zip(FAMILIES, map(float, hyper[:4]), strict=True)),
-        float(hyper[-2]), setup, len(x), weight.reshape(2, -1).T ** 2,
-    )  # fmt: skip
+        functions,
+        mean[:p],
+        cov[:p, :p],
+        float(hyper[-1]),
+        dict(zip(FAMILIES, map(float, hyper[:4]), strict=True)),
+        float(hyper[-2]),
+        setup,
+        len(x),
+        weight.reshape(2, -1).T ** 2,
+    )
 
 
 def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:
@@ -352,7 +361,10 @@ def _design(functions: Functions, x, y, run, used) -> tuple[np.ndarray, evidence
             fixed.append(np.ones(own.sum()))
             rough.append(np.r_[1.0, 1.0, 1.0, functions.rough][own])
     spreads = evidence.Spreads(
-        np.concatenate(family), np.concatenate(rough), np.concatenate(fixed),
-        np.r_[TYPICAL[0] * half, TYPICAL[1:]], CERTAINTY,
-    )  # fmt: skip
+        np.concatenate(family),
+        np.concatenate(rough),
+        np.concatenate(fixed),
+        np.r_[TYPICAL[0] * half, TYPICAL[1:]],
+        CERTAINTY,
+    )
     return np.hstack(blocks), spreads

@@ -58,9 +58,13 @@ def is_direct(recording: Recording) -> bool:
 
 
 def observations(
-    chain: Chain, recordings: Mapping[str, Recording], *, lasers: Mapping[str, direct.Laser] | None = None,
-    squares: Mapping[str, float] | None = None, take: np.ndarray | None = None,
-) -> o.Observations:  # fmt: skip
+    chain: Chain,
+    recordings: Mapping[str, Recording],
+    *,
+    lasers: Mapping[str, direct.Laser] | None = None,
+    squares: Mapping[str, float] | None = None,
+    take: np.ndarray | None = None,
+) -> o.Observations:
     """Every reading of every error-motion column; rows come component by component. recordings: label -> recording.
 
     lasers: set-up by component. squares: squareness component -> what the square that both straightness records
@@ -74,9 +78,12 @@ def observations(
 
 
 def read(
-    chain: Chain, recordings: Mapping[str, Recording], *, lasers: Mapping[str, direct.Laser] | None = None,
+    chain: Chain,
+    recordings: Mapping[str, Recording],
+    *,
+    lasers: Mapping[str, direct.Laser] | None = None,
     take: np.ndarray | None = None,
-) -> list[Record]:  # fmt: skip
+) -> list[Record]:
     """The records behind `observations`, in the order of its rows, the beams' errors out."""
     records: list[Record] = []
     for label, recording in recordings.items():
@@ -178,9 +185,19 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     q[:, chain.axes.index(r.axis)] = r.position
     names, spread, values = zip(*columns, strict=True)
     return o.Observations(
-        q, np.broadcast_to(chain.tip(), (n, 3)).copy(), np.zeros((n, 6)), value, np.column_stack(values), names,
-        np.array(spread), np.full((n, 3), np.nan), np.full(n, r.noise), np.full(n, tag, dtype=object), 0.0, own,
-    )  # fmt: skip
+        q,
+        np.broadcast_to(chain.tip(), (n, 3)).copy(),
+        np.zeros((n, 6)),
+        value,
+        np.column_stack(values),
+        names,
+        np.array(spread),
+        np.full((n, 3), np.nan),
+        np.full(n, r.noise),
+        np.full(n, tag, dtype=object),
+        0.0,
+        own,
+    )
 
 
 def _both_ways(r: Record) -> bool:
@@ -270,10 +287,13 @@ def reversals(chain: Chain, setup: Mapping[str, tuple[float, float]]) -> dict[st
         axis = direct.axis_of(component)
         sign = sense(chain, axis)
         out[component] = {
-            "unit": parse(component).unit, "value": sign * value, "half_width95": 1.96 * error,
-            "per_metre": sign * slope, "per_metre_half_width95": 1.96 * slope_error,
+            "unit": parse(component).unit,
+            "value": sign * value,
+            "half_width95": 1.96 * error,
+            "per_metre": sign * slope,
+            "per_metre_half_width95": 1.96 * slope_error,
             "middle": float(chain.travel[chain.axes.index(axis)].mean()),
-        }  # fmt: skip
+        }
     return out
 
 

@@ -34,9 +34,12 @@ def document(found: Identified, obs: Observations, *, extra: bool = True) -> dic
         p = np.linspace(*chain.travel[chain.drives[c]], NODES)
         value, error = found.component(name, p)
         curves[name] = {
-            "unit": chain.unit(name), "start": float(p[0]), "step": float(p[1] - p[0]),
-            "value": _numbers(value), "half_width95": _numbers(1.96 * error),
-        }  # fmt: skip
+            "unit": chain.unit(name),
+            "start": float(p[0]),
+            "step": float(p[1] - p[0]),
+            "value": _numbers(value),
+            "half_width95": _numbers(1.96 * error),
+        }
     constants = [row | {"ci95": list(row["ci95"]), "seen": float(row["seen"])} for row in found.table()]
     q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (PLACES, len(chain.axes)))
     value, error = found.predict(q)

@@ -9,11 +9,7 @@ from errpipe.errors import DataError
 
 _WORD = re.compile(r"([A-Za-z])\s*([+-]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\([^()]*\)")
-_REFUSED = {
-    "[": "an expression in brackets",
-    "#": "a parameter",
-    "{": "a template mark",
-}
+_REFUSED = {"[": "an expression in brackets", "#": "a parameter", "{": "a template mark"}
 
 
 @dataclass(frozen=True)

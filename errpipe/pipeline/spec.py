@@ -1,12 +1,12 @@
 """The pipeline file: what it may say (derived from the stages handed over), and how it is read.
 
-    pipeline: 1
-    title: Spindle drift of a turning centre
-    root: ..                       # relative paths start here; relative to this file; default: its own folder
-    stages:
-      - kind: ingest
-        recording: ${ERRPIPE_REAL_DATA:-../shared/real-data}/turning-centre-thermal
-      - kind: fit
+pipeline: 1
+title: Spindle drift of a turning centre
+root: ..                       # relative paths start here; relative to this file; default: its own folder
+stages:
+  - kind: ingest
+    recording: ${ERRPIPE_REAL_DATA:-../shared/real-data}/turning-centre-thermal
+  - kind: fit
 """
 
 from __future__ import annotations

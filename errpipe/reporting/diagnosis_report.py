@@ -87,9 +87,13 @@ def _finding(f: Finding) -> dict[str, Any]:
     if f.effect == "recalibration":  # a simulation has many gains: those that are off
         shown = tuple(p for p in f.parameters if not p.ci95[0] <= 0 <= p.ci95[1])
     return {
-        "d": f, "name": f.effect.replace("_", " "), "where": "; ".join(where) or "everywhere", "others": others,
-        "parameters": shown, "hidden": len(f.parameters) - len(shown),
-    }  # fmt: skip
+        "d": f,
+        "name": f.effect.replace("_", " "),
+        "where": "; ".join(where) or "everywhere",
+        "others": others,
+        "parameters": shown,
+        "hidden": len(f.parameters) - len(shown),
+    }
 
 
 def _change(c: ChangePoint, unit: str) -> str:

@@ -198,9 +198,15 @@ def vectors(
             else:
                 stop = flat(place[rows] + reach * values[rows] @ turn)
                 axes.quiver(
-                    *start.T, *(stop - start).T, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004,
+                    *start.T,
+                    *(stop - start).T,
+                    color=colour,
+                    angles="xy",
+                    scale_units="xy",
+                    scale=1,
+                    width=0.004,
                     zorder=4,
-                )  # fmt: skip
+                )
             axes.set_title(f"{name}: {_um(np.sqrt(np.mean(size**2)))} um rms, {_um(size.max())} um largest", fontsize=9)
         return svg.to_svg(canvas, f"Volumetric error of {chain.machine.name}; longest arrow {largest:.1f} um")
 
@@ -282,9 +288,10 @@ def _um(value: float) -> str:
 
 
 def components(
-    errors: MachineErrors, bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
+    errors: MachineErrors,
+    bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
     measured: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """Error motions in the layout of ISO 230-1: one row per axis, translations left, rotations right.
 
     bands: component -> (position, lowest, highest), such as 95 % intervals. measured: component -> (target, mean

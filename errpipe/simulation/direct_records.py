@@ -66,9 +66,13 @@ def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
     for a in chain.axes:
         columns |= {n: Column(role="error", component=n, unit=parse(n).unit) for n in chain.of_axis(a)}
     manifest = Manifest(
-        recording=1, title="laser and level along each axis of a simulated machine", machine=chain.machine.name,
-        tables=("recording.csv",), constants=constants, columns=columns,
-    )  # fmt: skip
+        recording=1,
+        title="laser and level along each axis of a simulated machine",
+        machine=chain.machine.name,
+        tables=("recording.csv",),
+        constants=constants,
+        columns=columns,
+    )
     return Recording(manifest, frame[list(columns)])
 
 
@@ -82,8 +86,12 @@ def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, sta
     pressure = 1013.0 + 3.0 * np.sin(t / 4000.0 + start)
     found = {
         "run": np.repeat([f"{axis} {n + 1}" for n in range(setup.cycles)], 2 * setup.targets).astype(object),
-        "t": t, axis.lower(): p, f"dir_{axis.lower()}": side, "T_air": warm, "p_air": pressure,
-    }  # fmt: skip
+        "t": t,
+        axis.lower(): p,
+        f"dir_{axis.lower()}": side,
+        "T_air": warm,
+        "p_air": pressure,
+    }
     true = {n: np.asarray(values[n](p) if callable(values[n]) else np.zeros(len(p))) for n in chain.of_axis(axis)}
     own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
     if own is not None:

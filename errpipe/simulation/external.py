@@ -80,9 +80,11 @@ class FromCsv(_Twins):
     )
     separator: Literal[",", ";", "\t"] = Field(",", description="What stands between two cells.")
     longest_gap: float | None = Field(
-        None, gt=0, description="Nothing is interpolated over a longer step; default: ten usual steps.",
+        None,
+        gt=0,
+        description="Nothing is interpolated over a longer step; default: ten usual steps.",
         json_schema_extra={"unit": "s"},
-    )  # fmt: skip
+    )
 
 
 class FromModel(_Twins):
@@ -116,9 +118,15 @@ class Twin:
     def plain(self) -> dict[str, Any]:
         """Plain data for `twin.json`."""
         return {
-            "component": self.component, "column": self.column, "unit": self.unit, "source": self.source,
-            "rows": self.rows, "with_twin": self.with_twin, "missing": dict(self.missing), "notes": list(self.notes),
-        }  # fmt: skip
+            "component": self.component,
+            "column": self.column,
+            "unit": self.unit,
+            "source": self.source,
+            "rows": self.rows,
+            "with_twin": self.with_twin,
+            "missing": dict(self.missing),
+            "notes": list(self.notes),
+        }
 
 
 @dataclass(frozen=True)
@@ -158,8 +166,9 @@ def with_twins(
             from errpipe.simulation import fmu
 
             ran = fmu.run(recording, how, _needed(file, "an FMU"), progress)
-            found = {c: Values(v, ran.source, {"not finite": ~np.isfinite(v)}, ran.notes)
-                     for c, v in ran.values.items()}  # fmt: skip
+            found = {
+                c: Values(v, ran.source, {"not finite": ~np.isfinite(v)}, ran.notes) for c, v in ran.values.items()
+            }
             extra = ran.figures
     twins = []
     for component, simulated in found.items():

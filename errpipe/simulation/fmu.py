@@ -41,8 +41,21 @@ INNER = 4  # steps between two rows where the FMU states none: an input is held 
 MOST_TUNABLE = 6  # parameters recalibrated at once
 REACH = 2.0  # a tunable parameter without declared bounds may be this many times smaller or larger (from taste)
 TAIL = 400  # characters of what the FMU last said
-KEPT = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP", "TMPDIR", "HOME",
-        "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # fmt: skip
+KEPT = (
+    "PATH",
+    "LANG",
+    "LC_ALL",
+    "TZ",
+    "LD_LIBRARY_PATH",
+    "SYSTEMROOT",
+    "TEMP",
+    "TMP",
+    "TMPDIR",
+    "HOME",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+)
+
 
 class FmuInput(Options):
     """Which column drives an input of the FMU."""
@@ -90,9 +103,11 @@ class FmuOptions(Options):
         (), max_length=MOST_TUNABLE, description="Parameters to set right on the recording."
     )
     step: float | None = Field(
-        None, gt=0, description="Communication step; default: the FMU's own, else a quarter of the rows' step.",
+        None,
+        gt=0,
+        description="Communication step; default: the FMU's own, else a quarter of the rows' step.",
         json_schema_extra={"unit": "s"},
-    )  # fmt: skip
+    )
     time_limit: float = Field(
         60.0, gt=0, description="Longest time that a session may take to simulate.", json_schema_extra={"unit": "s"}
     )
@@ -196,9 +211,14 @@ class Worker:
         script = Path(__file__).with_name("fmu_worker.py")
         self.told = (self.folder / "told.txt").open("wb")
         self.process = subprocess.Popen(
-            [sys.executable, "-P", str(script)], cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=self.told, start_new_session=True, env={k: os.environ[k] for k in KEPT if k in os.environ},
-        )  # fmt: skip
+            [sys.executable, "-P", str(script)],
+            cwd=self.folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.told,
+            start_new_session=True,
+            env={k: os.environ[k] for k in KEPT if k in os.environ},
+        )
         assert self.process.stdin is not None and self.process.stdout is not None
         self.orders, self.answers = self.process.stdin, self.process.stdout
         return self

@@ -42,9 +42,16 @@ def recalibrated(
 
     inside = np.clip((np.array([start[n] for n in names]) - low) / (high - low), 1e-3, 1 - 1e-3)
     found = least_squares(
-        residual, inside, bounds=(0.0, 1.0), diff_step=1e-3, loss="soft_l1", f_scale=3.0, max_nfev=ROUNDS,
-        xtol=1e-5, ftol=1e-6,
-    )  # fmt: skip
+        residual,
+        inside,
+        bounds=(0.0, 1.0),
+        diff_step=1e-3,
+        loss="soft_l1",
+        f_scale=3.0,
+        max_nfev=ROUNDS,
+        xtol=1e-5,
+        ftol=1e-6,
+    )
     before, after = mismatch.rms(begin), 0.0
     tuned = dict(zip(names, map(float, low + found.x * (high - low)), strict=True))
     values = plan.simulate(tuned)
@@ -52,15 +59,22 @@ def recalibrated(
     moved = after < (1 - WORTH) * before
     if not moved:
         plan.notes.append("recalibration took nothing away: the parameters stay as they were")
-    shown = [mismatch.shows(values, plan.simulate(tuned | {n: _aside(tuned[n], a, b)}))
-             for n, a, b in zip(names, low, high, strict=True)]  # fmt: skip
+    shown = [
+        mismatch.shows(values, plan.simulate(tuned | {n: _aside(tuned[n], a, b)}))
+        for n, a, b in zip(names, low, high, strict=True)
+    ]
     told = [
         {
-            "parameter": n, "start": start[n], "value": tuned[n] if moved else start[n], "low": float(a),
-            "high": float(b), "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3), "shows": s,
+            "parameter": n,
+            "start": start[n],
+            "value": tuned[n] if moved else start[n],
+            "low": float(a),
+            "high": float(b),
+            "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3),
+            "shows": s,
         }
         for n, a, b, x, s in zip(names, low, high, found.x, shown, strict=True)
-    ]  # fmt: skip
+    ]
     plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in told if not t["shows"]]
     plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in told if t["at_a_bound"]]
     return (values if moved else begin), told

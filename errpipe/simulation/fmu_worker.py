@@ -44,13 +44,18 @@ def describe(model: Any) -> dict[str, Any]:
         "step": getattr(experiment, "stepSize", None) if experiment is not None else None,
         "variables": {
             v.name: {
-                "causality": v.causality, "variability": v.variability, "type": v.type, "unit": unit_of(v),
-                "start": None if v.start is None else str(v.start), "scalar": not v.dimensions,
-                "min": getattr(v, "min", None), "max": getattr(v, "max", None),
+                "causality": v.causality,
+                "variability": v.variability,
+                "type": v.type,
+                "unit": unit_of(v),
+                "start": None if v.start is None else str(v.start),
+                "scalar": not v.dimensions,
+                "min": getattr(v, "min", None),
+                "max": getattr(v, "max", None),
             }
             for v in model.modelVariables
         },
-    }  # fmt: skip
+    }
 
 
 class Work:
@@ -77,10 +82,18 @@ class Work:
             for name in plain.dtype.names:
                 signals[name] = plain[name]
         result = fmpy.simulate_fmu(
-            self.folder, model_description=self.model, fmi_type=order["kind"], start_time=0.0,
-            stop_time=order["stop"], output_interval=order["step"], step_size=order["step"], input=signals,
-            output=order["outputs"], start_values=order["start_values"], validate=False,
-        )  # fmt: skip
+            self.folder,
+            model_description=self.model,
+            fmi_type=order["kind"],
+            start_time=0.0,
+            stop_time=order["stop"],
+            output_interval=order["step"],
+            step_size=order["step"],
+            input=signals,
+            output=order["outputs"],
+            start_values=order["start_values"],
+            validate=False,
+        )
         table = np.column_stack([np.asarray(result[n], dtype=float) for n in ("time", *order["outputs"])])
         np.save(order["output"], table, allow_pickle=False)
         return {"rows": len(table)}

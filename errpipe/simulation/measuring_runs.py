@@ -159,10 +159,16 @@ def r_test(chain: Chain) -> list[Run]:
 def rotary_ballbar(chain: Chain) -> list[Run]:
     """ISO 230-7: a bar from a socket on the table to the spindle, the ball 100 mm away in three directions."""
     runs = []
-    for k, (ball, socket) in enumerate((
-        ((90.0, 0, 60), (90.0, 0, -40)), ((90.0, 0, 60), (190.0, 0, 60)), ((-60.0, 80, 60), (-60.0, 180, 60)),
-        ((40.0, -90, 120), (140.0, -90, 120)), ((40.0, -90, 120), (40.0, -90, 20)), ((0.0, 0, 140), (0.0, 100, 140)),
-    )):  # fmt: skip
+    for k, (ball, socket) in enumerate(
+        (
+            ((90.0, 0, 60), (90.0, 0, -40)),
+            ((90.0, 0, 60), (190.0, 0, 60)),
+            ((-60.0, 80, 60), (-60.0, 180, 60)),
+            ((40.0, -90, 120), (140.0, -90, 120)),
+            ((40.0, -90, 120), (40.0, -90, 20)),
+            ((0.0, 0, 140), (0.0, 100, 140)),
+        )
+    ):
         for length in (120.0, 190.0):
             q = table_poses(chain, np.array(ball), length, 70, k)
             runs.append(Run(f"bar {k} {length:g}", q, length, socket=np.array(socket)))

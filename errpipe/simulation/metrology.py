@@ -97,9 +97,16 @@ def components_at(chain: Chain, values: Values, q: np.ndarray) -> np.ndarray:
 
 
 def record(
-    chain: Chain, values: Values, protocol: str, runs: Sequence[Run], seed: int, *, noise: float = 0.5,
-    setup: float = 100.0, directions: str = "XYZ",
-) -> Recording:  # fmt: skip
+    chain: Chain,
+    values: Values,
+    protocol: str,
+    runs: Sequence[Run],
+    seed: int,
+    *,
+    noise: float = 0.5,
+    setup: float = 100.0,
+    directions: str = "XYZ",
+) -> Recording:
     """Play the runs. noise (um) on each reading; setup: typical size of set-up errors, um (and urad of a pose)."""
     rng = np.random.default_rng(seed)
     frames, constants = [], {"protocol": Constant(value=protocol)}
@@ -115,9 +122,13 @@ def record(
         if name.startswith("E_"):
             columns[name] = Column(role="error", component=name, unit=parse(name).unit)
     manifest = Manifest(
-        recording=1, title=f"{protocol.replace('_', ' ')} on a simulated machine", machine=chain.machine.name,
-        tables=("recording.csv",), constants=constants, columns=columns,
-    )  # fmt: skip
+        recording=1,
+        title=f"{protocol.replace('_', ' ')} on a simulated machine",
+        machine=chain.machine.name,
+        tables=("recording.csv",),
+        constants=constants,
+        columns=columns,
+    )
     return Recording(manifest, frame)
 
 

@@ -19,6 +19,19 @@ from errpipe.stages.simulate_with import SimulateWith
 from errpipe.stages.validate import Validate
 
 STAGES = (
-    Clean, Diagnose, Export, ExportVolumetric, Fit, FitPlate, FitSeason, Identify, IdentifyDirect, Ingest,
-    Report, Simulate, SimulateTest, SimulateWith, Validate,
-)  # fmt: skip
+    Clean,
+    Diagnose,
+    Export,
+    ExportVolumetric,
+    Fit,
+    FitPlate,
+    FitSeason,
+    Identify,
+    IdentifyDirect,
+    Ingest,
+    Report,
+    Simulate,
+    SimulateTest,
+    SimulateWith,
+    Validate,
+)

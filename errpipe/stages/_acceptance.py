@@ -44,7 +44,10 @@ class Accept(Options):
     """When a finding becomes a term of the error model."""
 
     confidence: float = Field(
-        0.8, ge=0, le=1, json_schema_extra={"unit": "1"},
+        0.8,
+        ge=0,
+        le=1,
+        json_schema_extra={"unit": "1"},
         description="Lowest confidence of a finding, or of it and those the data cannot tell it from together.",
     )
     despite_artefact: bool = Field(
@@ -86,8 +89,10 @@ def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bo
     for response in diagnosis.responses:
         own = [_decide(f, response, recording, accept) for f in response.findings]
         named = any(d.accepted and d.finding.effect != "recalibration" for d in own)
-        made += [_recalibration(d, recording, accept, whole, named) if d.finding.effect == "recalibration" else d
-                 for d in own]  # fmt: skip
+        made += [
+            _recalibration(d, recording, accept, whole, named) if d.finding.effect == "recalibration" else d
+            for d in own
+        ]
     return made
 
 

@@ -191,9 +191,7 @@ class Direct(Family):
         from errpipe.kinematics import held_out
 
         left = held_out.judge(self.chain, recording, fold.train, fold.test, modes=self.modes, lasers=self.lasers)
-        return {
-            x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in left
-        }
+        return {x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in left}
 
 
 def _held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndarray, used: float = 0.0) -> Any:

@@ -17,17 +17,23 @@ class Beam(Options):
     """Set-up of the laser for one component: a positioning, or the offset alone of a straightness."""
 
     dead_path: float = Field(
-        0.0, ge=0, description="From the interferometer to the reflector where the laser was reset.",
+        0.0,
+        ge=0,
+        description="From the interferometer to the reflector where the laser was reset.",
         json_schema_extra={"unit": "mm"},
-    )  # fmt: skip
+    )
     misalignment: float = Field(
-        0.0, ge=0, lt=50_000, description="Angle between the beam and the axis: the laser reads short by its cosine.",
+        0.0,
+        ge=0,
+        lt=50_000,
+        description="Angle between the beam and the axis: the laser reads short by its cosine.",
         json_schema_extra={"unit": "urad"},
-    )  # fmt: skip
+    )
     offset: tuple[float, float, float] = Field(
-        (0.0, 0.0, 0.0), description="From the beam to the point the component is defined at (Abbe), X, Y, Z.",
+        (0.0, 0.0, 0.0),
+        description="From the beam to the point the component is defined at (Abbe), X, Y, Z.",
         json_schema_extra={"unit": "mm"},
-    )  # fmt: skip
+    )
     wavelength_corrected: bool = Field(
         True, description="Whether the laser's own weather station corrected the displacement."
     )

@@ -87,9 +87,11 @@ def _records(chain: Chain, single: Mapping[str, Any], stage: Identify) -> dict[s
         here = {n: s for n, s in stage.setups().items() if n in recording.components()}
         for name, curve in direct.identify(recording, lasers=here, chain=chain).curves.items():
             out[name] = {
-                "target": _plain(curve.position), "up": _plain(curve.up), "down": _plain(curve.down),
+                "target": _plain(curve.position),
+                "up": _plain(curve.up),
+                "down": _plain(curve.down),
                 "mean_error": _plain(curve.error),
-            }  # fmt: skip
+            }
     return out
 
 
@@ -137,8 +139,10 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
     q = remaining.places(chain, 200)
     if left is not None:
         before, after = left.before(q), left.after(q)
-        sizes = {n: (lambda p, f=f: np.linalg.norm(f(p), axis=1)) for n, f in
-                 (("before", left.before), ("after", left.after))}  # fmt: skip
+        sizes = {
+            n: (lambda p, f=f: np.linalg.norm(f(p), axis=1))
+            for n, f in (("before", left.before), ("after", left.after))
+        }
         told = (
             "The machine is simulated, so its true error is known: before compensation, and what compensation by the "
             "identified components truly leaves, at places that no test measured. The workpiece's own shift and turn "

@@ -12,9 +12,11 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    recording: Path, out: Path, progress: Callable[[float, str], None] = lambda share, text: None,
+    recording: Path,
+    out: Path,
+    progress: Callable[[float, str], None] = lambda share, text: None,
     simulation: Path | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Diagnose a recording folder into `out`: diagnosis.json and report.html.
 
     simulation: where the recording holds no simulated twin: a CSV, an error model (.json) or an FMU.
@@ -66,6 +68,7 @@ def with_simulation(recording: Recording, simulation: Path | None) -> tuple[Reco
     notes += [
         f"{file.name}: {told['parameter']} set right before anything was called missing: {told['start']:g} -> "
         f"{told['value']:.4g} (allowed: {told['low']:g} to {told['high']:g})"
-        for told in figures.get("parameters", ()) if told["value"] != told["start"]
-    ]  # fmt: skip
+        for told in figures.get("parameters", ())
+        if told["value"] != told["start"]
+    ]
     return read, tuple(notes)

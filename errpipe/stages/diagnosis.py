@@ -49,8 +49,11 @@ class Diagnose(Stage):
             model, spec, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
             fit = {"fit": 1, "family": "terms" if existing is not None else "mismatch"}
             update = {"title": context.title or recording.manifest.title, "inputs": {"recording": context.fingerprint}}
-            notes = [f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"
-                     for d in decisions if not d.accepted]  # fmt: skip
+            notes = [
+                f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"
+                for d in decisions
+                if not d.accepted
+            ]
             model = model.model_copy(update={**update, "notes": (*model.notes, *notes)})
             context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
             context.write_json("fit.json", {**fit, "spec": spec.model_dump(mode="json")})

@@ -27,12 +27,13 @@ class ExportVolumetric(Stage):
         0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
     )
     lattice: tuple[int, ...] | None = Field(
-        None, min_length=2, max_length=3, description="Points along each linear axis: write the deviation on a lattice "
+        None,
+        min_length=2,
+        max_length=3,
+        description="Points along each linear axis: write the deviation on a lattice "
         "too, as lattice.csv, for a controller that takes nothing else. It holds for one tool.",
-    )  # fmt: skip
-    lattice_tool: float = Field(
-        100.0, ge=0, description="Length of that tool.", json_schema_extra={"unit": "mm"}
     )
+    lattice_tool: float = Field(100.0, ge=0, description="Length of that tool.", json_schema_extra={"unit": "mm"})
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
     reads: ClassVar[Mapping[str, Need]] = {"identify": Need("identify", "identify_direct")}
 
@@ -96,9 +97,14 @@ def lattice(chain: Any, errors: Any, counts: tuple[int, ...], length: float) -> 
     lines = [",".join([*found.axes, "E_X", "E_Y", "E_Z"])]
     lines += [",".join(f"{v + 0.0:.4f}" for v in row) for row in rows]
     facts = {
-        "file": LATTICE, "axes": list(found.axes), "counts": list(counts), "tool_length_mm": length,
-        "bound_um": found.bound, "largest_seen_um": found.largest_seen, "says": "deviation in um, positions in mm",
-    }  # fmt: skip
+        "file": LATTICE,
+        "axes": list(found.axes),
+        "counts": list(counts),
+        "tool_length_mm": length,
+        "bound_um": found.bound,
+        "largest_seen_um": found.largest_seen,
+        "says": "deviation in um, positions in mm",
+    }
     return facts, "\n".join(lines) + "\n"
 
 
@@ -110,9 +116,13 @@ def reversals(document: Mapping[str, Any]) -> dict[str, tuple[float, float, floa
 
 
 def compile_machine(
-    chain: Any, errors: Any, fingerprint: str, title: str, error_bound: float,
+    chain: Any,
+    errors: Any,
+    fingerprint: str,
+    title: str,
+    error_bound: float,
     turning: Mapping[str, tuple[float, float, float]] | None = None,
-) -> CompensationTable:  # fmt: skip
+) -> CompensationTable:
     """The volumetric table of a machine; `turning`: reversal of a component at the middle, per metre, the middle."""
     from errpipe import __version__, tables
     from errpipe.kinematics import compensation
@@ -145,11 +155,16 @@ def _inputs(chain: Any) -> list[TableInput]:
 
     places = [
         TableInput(
-            name=axis, kind="position", axis=axis, unit=unit(axis), low=low - BEYOND, high=high + BEYOND,
+            name=axis,
+            kind="position",
+            axis=axis,
+            unit=unit(axis),
+            low=low - BEYOND,
+            high=high + BEYOND,
             default=min(max(0.0, low), high),
         )
         for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True)
-    ]  # fmt: skip
+    ]
     length = TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=1000, default=100)
     offsets = [
         TableInput(name=f"tool_offset_{d}", kind="tool", unit="mm", low=-500, high=500, default=0) for d in "XYZ"

@@ -119,14 +119,19 @@ def error_model(found: Any, recording: Recording) -> ErrorModel:
         columns={n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names},
         components=tuple(
             ComponentModel(
-                component=name, terms=tuple(terms[name]), rows=found.rows, rows_effective=float(found.rows),
-                rms_before=before[name], rms_after=found.noise, half_width90=1.645 * found.noise,
+                component=name,
+                terms=tuple(terms[name]),
+                rows=found.rows,
+                rows_effective=float(found.rows),
+                rms_before=before[name],
+                rms_after=found.noise,
+                half_width90=1.645 * found.noise,
             )
             for name in terms
         ),
         validity=Validity(ranges={names[0]: box.x, names[1]: box.y}),
         notes=("shift and rotation of each plate are set-up and are not in this model",),
-    )  # fmt: skip
+    )
 
 
 def _lookup(name: str, positions: Any, values: Any):

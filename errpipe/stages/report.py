@@ -279,8 +279,16 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
         "forward_daily": "Trained anew each day on the past alone",
     }
     names = (
-        "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage", "half_width",
-    )  # fmt: skip
+        "uncompensated",
+        "in_season",
+        "out_of_season",
+        "ratio",
+        "bias",
+        "scatter",
+        "worst",
+        "coverage",
+        "half_width",
+    )
     out = []
     for key, heading in headings.items():
         document = validation.get(key)

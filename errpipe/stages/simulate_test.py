@@ -21,9 +21,19 @@ class SimulateTest(Stage):
     kind: Literal["simulate_test"]
     machine: InputPath = Field(description="Machine file with the kinematic chain.")
     protocol: Literal[
-        "point_cloud", "direct", "ballbar_circle", "telescoping_bar", "multilateration", "diagonal", "step_diagonal",
-        "ball_plate", "ball_array", "hole_pattern", "r_test", "rotary_ballbar",
-    ] = Field("point_cloud", description="Which test; direct: laser and level along each axis, both ways.")  # fmt: skip
+        "point_cloud",
+        "direct",
+        "ballbar_circle",
+        "telescoping_bar",
+        "multilateration",
+        "diagonal",
+        "step_diagonal",
+        "ball_plate",
+        "ball_array",
+        "hole_pattern",
+        "r_test",
+        "rotary_ballbar",
+    ] = Field("point_cloud", description="Which test; direct: laser and level along each axis, both ways.")
     points: int = Field(150, ge=20, le=5000, description="Places of a point cloud, each seen with three tools.")
     targets: int = Field(17, ge=5, le=500, description="Targets along each axis of a direct measurement.")
     cycles: int = Field(3, ge=1, le=50, description="How often each axis goes up and down in a direct measurement.")
@@ -69,7 +79,12 @@ class SimulateTest(Stage):
             n: d.Beam(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for n, b in self.lasers.items()
         }
         setup = d.SetUp(
-            targets=self.targets, cycles=self.cycles, noise=self.noise, angle_noise=self.noise,
-            reversal=self.reversal, beams=beams, squares=self.squares,
-        )  # fmt: skip
+            targets=self.targets,
+            cycles=self.cycles,
+            noise=self.noise,
+            angle_noise=self.noise,
+            reversal=self.reversal,
+            beams=beams,
+            squares=self.squares,
+        )
         return d.record(chain, values, setup, self.seed)

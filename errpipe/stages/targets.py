@@ -22,10 +22,16 @@ def targets() -> dict[str, Any]:
     from errpipe.targets import TARGETS
 
     rows = [
-        {"name": t.name, "controller": t.controller, "confidence": t.confidence, "sign": t.sign, "limits": t.limits,
-         "goes_with": list(t.goes_with)}
+        {
+            "name": t.name,
+            "controller": t.controller,
+            "confidence": t.confidence,
+            "sign": t.sign,
+            "limits": t.limits,
+            "goes_with": list(t.goes_with),
+        }
         for t in TARGETS
-    ]  # fmt: skip
+    ]
     return {"targets": rows, "says": [_described(row) for row in rows]}
 
 
@@ -125,10 +131,15 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
         steps = checklist(target, target.read_back(files), lost) + _companions(table, target, others)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
-            {"file": f"{target.name}/{name}", "what": target.controller, "error": told(lost), "read_back": "compared",
-             "losses": lost}
+            {
+                "file": f"{target.name}/{name}",
+                "what": target.controller,
+                "error": told(lost),
+                "read_back": "compared",
+                "losses": lost,
+            }
             for name in files
-        ]  # fmt: skip
+        ]
     return out
 
 

@@ -8,13 +8,6 @@ bounds            what a table can reach and what a cycle costs, before it runs;
 
 from __future__ import annotations
 
-from errpipe.tables.compile import (
-    ComponentSource,
-    Limits,
-    MonomialSource,
-    OutputSource,
-    compile_table,
-    with_limits,
-)
+from errpipe.tables.compile import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, with_limits
 
 __all__ = ["ComponentSource", "Limits", "MonomialSource", "OutputSource", "compile_table", "with_limits"]

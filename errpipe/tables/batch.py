@@ -104,9 +104,18 @@ class Positions:
         """The same for points given by row: columns (moving inputs, n) in C order, result (outputs, n)."""
         out = np.empty((len(self.table.outputs), columns.shape[1]))
         table_position.evaluate(
-            self.program, self._knots, self._knots_first, columns, self.moving, self._node_fixed, self._node_moves,
-            self._profile_fixed, self._profile_moves, self._fade, out,
-        )  # fmt: skip
+            self.program,
+            self._knots,
+            self._knots_first,
+            columns,
+            self.moving,
+            self._node_fixed,
+            self._node_moves,
+            self._profile_fixed,
+            self._profile_moves,
+            self._fade,
+            out,
+        )
         missing = np.isnan(columns).any(axis=0)
         if missing.any():
             out[:, missing] = np.nan
@@ -122,7 +131,6 @@ def position(
     """Deviations (n, outputs) at points (n, inputs that move); `moving` defaults to all position inputs in order."""
     names = moving or tuple(i.name for i in table.inputs if i.kind == "position")
     return Positions(table, names, readings)(points)
-
 
 
 def _knots(table: t.CompensationTable) -> tuple[np.ndarray, np.ndarray]:

@@ -133,10 +133,23 @@ def _input_record(i: t.TableInput, first: int) -> bytes:
     flags = lay.input_flags(i)
     valid = i.valid or (0.0, 0.0)
     return lay.INPUT.pack(
-        i.name.encode(), i.axis.encode(), i.unit.encode(), lay.KINDS.index(i.kind), flags, first, len(i.substitute),
-        i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, 0.0 if i.hold_s is None else i.hold_s, i.default,
-        i.substitute_offset, *valid, i.margin or 0.0,
-    )  # fmt: skip
+        i.name.encode(),
+        i.axis.encode(),
+        i.unit.encode(),
+        lay.KINDS.index(i.kind),
+        flags,
+        first,
+        len(i.substitute),
+        i.low,
+        i.high,
+        i.max_rate or 0.0,
+        i.stale_after_s or 0.0,
+        0.0 if i.hold_s is None else i.hold_s,
+        i.default,
+        i.substitute_offset,
+        *valid,
+        i.margin or 0.0,
+    )
 
 
 def _node_record(
@@ -168,9 +181,18 @@ def _profile_record(p: t.Profile, first: int, inputs: dict[str, int]) -> bytes:
     number = -1 if p.input is None else inputs[p.input]
     inverse_turn = 1.0 / (len(p.values) - 1) if p.periodic else 0.0
     return lay.PROFILE.pack(
-        number, lay.PERIODIC if p.periodic else 0, first, len(p.values),
-        p.start, p.step, 1.0 / p.step, inverse_turn, p.scale, p.interpolation_error, p.rounding_error,
-    )  # fmt: skip
+        number,
+        lay.PERIODIC if p.periodic else 0,
+        first,
+        len(p.values),
+        p.start,
+        p.step,
+        1.0 / p.step,
+        inverse_turn,
+        p.scale,
+        p.interpolation_error,
+        p.rounding_error,
+    )
 
 
 def _output_record(o: t.Output, first: int) -> bytes:
@@ -215,7 +237,7 @@ def _check_header(data: bytes) -> tuple[Any, ...]:
         raise VerifyError(f"header size {fixed[2]} (version {lay.VERSION} has {lay.HEADER_SIZE})")
     if fixed[3] != len(data):
         raise VerifyError(f"{'cut off' if len(data) < fixed[3] else 'too long'}: {len(data)} of {fixed[3]} bytes")
-    found = zlib.crc32(data[lay.CRC_FROM:])
+    found = zlib.crc32(data[lay.CRC_FROM :])
     if fixed[4] != found:
         raise VerifyError(f"damaged: checksum {found:08x} (the file says {fixed[4]:08x})")
     return fixed

@@ -29,14 +29,31 @@ OUTPUT = struct.Struct("<32s8sIIII" + "4d")
 TERM = struct.Struct("<II4Id")
 
 RECORDS = {
-    1: ("inputs", INPUT), 2: ("substitutes", SUBSTITUTE), 3: ("nodes", NODE), 4: ("operands", OPERAND),
-    5: ("lookup values", REAL), 6: ("profiles", PROFILE), 7: ("profile values", VALUE), 8: ("components", COMPONENT),
-    9: ("pairs", PAIR), 10: ("outputs", OUTPUT), 11: ("terms", TERM),
-}  # fmt: skip
+    1: ("inputs", INPUT),
+    2: ("substitutes", SUBSTITUTE),
+    3: ("nodes", NODE),
+    4: ("operands", OPERAND),
+    5: ("lookup values", REAL),
+    6: ("profiles", PROFILE),
+    7: ("profile values", VALUE),
+    8: ("components", COMPONENT),
+    9: ("pairs", PAIR),
+    10: ("outputs", OUTPUT),
+    11: ("terms", TERM),
+}
 MOST = {
-    1: t.MAX_INPUTS, 2: t.MAX_OPERANDS, 3: t.MAX_NODES, 4: t.MAX_OPERANDS, 5: t.MAX_LOOKUP_VALUES, 6: t.MAX_PROFILES,
-    7: t.MAX_VALUES, 8: t.MAX_COMPONENTS, 9: t.MAX_PAIRS, 10: t.MAX_OUTPUTS, 11: t.MAX_MONOMIALS,
-}  # fmt: skip
+    1: t.MAX_INPUTS,
+    2: t.MAX_OPERANDS,
+    3: t.MAX_NODES,
+    4: t.MAX_OPERANDS,
+    5: t.MAX_LOOKUP_VALUES,
+    6: t.MAX_PROFILES,
+    7: t.MAX_VALUES,
+    8: t.MAX_COMPONENTS,
+    9: t.MAX_PAIRS,
+    10: t.MAX_OUTPUTS,
+    11: t.MAX_MONOMIALS,
+}
 
 KINDS = ("position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other")
 UNITS = ("um", "urad")

@@ -8,58 +8,92 @@ from errpipe.domain import table as t
 from errpipe.kernels import table_cycle as k
 from errpipe.tables import ect
 
-INPUT_RECORD = np.dtype({
-    "names": ["flags", "first", "count", "low", "high", "max_rate", "stale", "hold", "default", "offset",
-              "valid_low", "valid_high", "margin"],
-    "formats": ["<u2", "<u4", "<u4"] + ["<f8"] * 10,
-    "offsets": [58, 60, 64, *range(72, 152, 8)],
-    "itemsize": 152,
-})  # fmt: skip
+INPUT_RECORD = np.dtype(
+    {
+        "names": [
+            "flags",
+            "first",
+            "count",
+            "low",
+            "high",
+            "max_rate",
+            "stale",
+            "hold",
+            "default",
+            "offset",
+            "valid_low",
+            "valid_high",
+            "margin",
+        ],
+        "formats": ["<u2", "<u4", "<u4"] + ["<f8"] * 10,
+        "offsets": [58, 60, 64, *range(72, 152, 8)],
+        "itemsize": 152,
+    }
+)
 WEIGHTED = np.dtype({"names": ["number", "weight"], "formats": ["<u4", "<f8"], "offsets": [0, 8], "itemsize": 16})
-NODE_RECORD = np.dtype({
-    "names": ["op", "flags", "first", "count", "other", "others", "a", "b", "c", "d"],
-    "formats": ["<u2", "<u2"] + ["<u4"] * 4 + ["<f8"] * 4,
-    "offsets": [0, 2, 4, 8, 12, 16, 24, 32, 40, 48],
-    "itemsize": 56,
-})  # fmt: skip
-PROFILE_RECORD = np.dtype({
-    "names": ["input", "flags", "first", "count", "start", "step", "inverse_step", "inverse_turn", "scale"],
-    "formats": ["<i4"] + ["<u4"] * 3 + ["<f8"] * 5,
-    "offsets": [0, 4, 8, 12, 16, 24, 32, 40, 48],
-    "itemsize": 72,
-})  # fmt: skip
-PAIR_RECORD = np.dtype({
-    "names": ["component", "profile", "node", "flags"],
-    "formats": ["<u4"] * 4,
-    "offsets": [0, 4, 8, 12],
-    "itemsize": 16,
-})  # fmt: skip
-OUTPUT_RECORD = np.dtype({
-    "names": ["flags", "first", "count", "factor", "magnitude", "slew", "acceleration"],
-    "formats": ["<u4"] * 3 + ["<f8"] * 4,
-    "offsets": [44, 48, 52, 56, 64, 72, 80],
-    "itemsize": 88,
-})  # fmt: skip
-TERM_RECORD = np.dtype({
-    "names": ["component", "count", "n0", "n1", "n2", "n3", "weight"],
-    "formats": ["<u4"] * 6 + ["<f8"],
-    "offsets": [0, 4, 8, 12, 16, 20, 24],
-    "itemsize": 32,
-})  # fmt: skip
+NODE_RECORD = np.dtype(
+    {
+        "names": ["op", "flags", "first", "count", "other", "others", "a", "b", "c", "d"],
+        "formats": ["<u2", "<u2"] + ["<u4"] * 4 + ["<f8"] * 4,
+        "offsets": [0, 2, 4, 8, 12, 16, 24, 32, 40, 48],
+        "itemsize": 56,
+    }
+)
+PROFILE_RECORD = np.dtype(
+    {
+        "names": ["input", "flags", "first", "count", "start", "step", "inverse_step", "inverse_turn", "scale"],
+        "formats": ["<i4"] + ["<u4"] * 3 + ["<f8"] * 5,
+        "offsets": [0, 4, 8, 12, 16, 24, 32, 40, 48],
+        "itemsize": 72,
+    }
+)
+PAIR_RECORD = np.dtype(
+    {
+        "names": ["component", "profile", "node", "flags"],
+        "formats": ["<u4"] * 4,
+        "offsets": [0, 4, 8, 12],
+        "itemsize": 16,
+    }
+)
+OUTPUT_RECORD = np.dtype(
+    {
+        "names": ["flags", "first", "count", "factor", "magnitude", "slew", "acceleration"],
+        "formats": ["<u4"] * 3 + ["<f8"] * 4,
+        "offsets": [44, 48, 52, 56, 64, 72, 80],
+        "itemsize": 88,
+    }
+)
+TERM_RECORD = np.dtype(
+    {
+        "names": ["component", "count", "n0", "n1", "n2", "n3", "weight"],
+        "formats": ["<u4"] * 6 + ["<f8"],
+        "offsets": [0, 4, 8, 12, 16, 20, 24],
+        "itemsize": 32,
+    }
+)
 
-INPUT_STATE = np.dtype([(n, "f8") for n in ("raw", "wait", "good", "age", "value")]
-                       + [(n, "i8") for n in ("seen", "usable", "fault", "source")])  # fmt: skip
+INPUT_STATE = np.dtype(
+    [(n, "f8") for n in ("raw", "wait", "good", "age", "value")]
+    + [(n, "i8") for n in ("seen", "usable", "fault", "source")]
+)
 NODE_STATE = np.dtype([("value", "f8"), ("memory", "f8"), ("ready", "i8")])
 OUTPUT_STATE = np.dtype([(n, "f8") for n in ("deviation", "correction", "limited", "rate", "target")])
-COMMON_STATE = np.dtype([("fade", "f8"), ("ramp", "f8")]
-                        + [(n, "i8") for n in ("until_slow", "heartbeat", "status", "unready")])  # fmt: skip
+COMMON_STATE = np.dtype(
+    [("fade", "f8"), ("ramp", "f8")] + [(n, "i8") for n in ("until_slow", "heartbeat", "status", "unready")]
+)
 
 _SECTIONS = {
-    "inputs": (1, INPUT_RECORD), "substitutes": (2, WEIGHTED), "nodes": (3, NODE_RECORD),
-    "operands": (4, WEIGHTED), "lookups": (5, np.dtype("<f8")), "profiles": (6, PROFILE_RECORD),
-    "values": (7, np.dtype("<i4")), "pairs": (9, PAIR_RECORD), "outputs": (10, OUTPUT_RECORD),
+    "inputs": (1, INPUT_RECORD),
+    "substitutes": (2, WEIGHTED),
+    "nodes": (3, NODE_RECORD),
+    "operands": (4, WEIGHTED),
+    "lookups": (5, np.dtype("<f8")),
+    "profiles": (6, PROFILE_RECORD),
+    "values": (7, np.dtype("<i4")),
+    "pairs": (9, PAIR_RECORD),
+    "outputs": (10, OUTPUT_RECORD),
     "terms": (11, TERM_RECORD),
-}  # fmt: skip
+}
 
 
 def program(table: t.CompensationTable) -> k.Program:

@@ -428,9 +428,7 @@ class Evaluator:
         self._rate[n] = rate
         self._correction[n] = self._correction[n] + rate
 
-    def _closing_rate(
-        self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float
-    ) -> float:
+    def _closing_rate(self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float) -> float:
         """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way.
 
         Without an acceleration limit always full towards.

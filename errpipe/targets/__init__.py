@@ -25,7 +25,21 @@ from errpipe.targets.smoothie_pitch import SmoothiePitch
 from errpipe.targets.twincat_nc_table import TwincatNcTable
 
 TARGETS: tuple[type[Target], ...] = (
-    BeckhoffCrosscomp, BeckhoffSsfk, BeckhoffTemperature, BeckhoffVolumetric, CRuntime, FanucPitch, HeidenhainCom,
-    IecSt, KlipperSections, LinuxcncHal, LinuxcncScrew, Mach4ScrewMap, SinumerikCec, SinumerikLec, SinumerikTemperature,
-    SmoothiePitch, TwincatNcTable,
-)  # fmt: skip
+    BeckhoffCrosscomp,
+    BeckhoffSsfk,
+    BeckhoffTemperature,
+    BeckhoffVolumetric,
+    CRuntime,
+    FanucPitch,
+    HeidenhainCom,
+    IecSt,
+    KlipperSections,
+    LinuxcncHal,
+    LinuxcncScrew,
+    Mach4ScrewMap,
+    SinumerikCec,
+    SinumerikLec,
+    SinumerikTemperature,
+    SmoothiePitch,
+    TwincatNcTable,
+)

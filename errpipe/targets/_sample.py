@@ -72,9 +72,7 @@ def middle(table: CompensationTable) -> dict[str, float]:
     return readings
 
 
-def corrections(
-    table: CompensationTable, axis: str, states: Mapping[str, np.ndarray], side: np.ndarray
-) -> np.ndarray:
+def corrections(table: CompensationTable, axis: str, states: Mapping[str, np.ndarray], side: np.ndarray) -> np.ndarray:
     """Correction of one axis, mm (deg), in settled states, each approached from its side; shape (n,).
 
     states: input name -> (n,); inputs not named stand as in `middle`. References (values latched at the start)

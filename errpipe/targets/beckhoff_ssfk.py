@@ -63,10 +63,15 @@ def tenths(correction: np.ndarray) -> list[int]:
 
 def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
     facts = {
-        "kopf.achs_nr": number, "kopf.log_achs_name": axis, "kw.ssfk.unit": 1, "kw.ssfk.interval": step,
-        "kw.ssfk.kw_startpos": start, "kw.ssfk.kw_nr_max": curve.positions.size, "kw.ssfk.bilateral": 1,
+        "kopf.achs_nr": number,
+        "kopf.log_achs_name": axis,
+        "kw.ssfk.unit": 1,
+        "kw.ssfk.interval": step,
+        "kw.ssfk.kw_startpos": start,
+        "kw.ssfk.kw_nr_max": curve.positions.size,
+        "kw.ssfk.bilateral": 1,
         "kw.ssfk.modulo": 0,
-    }  # fmt: skip
+    }
     rows = {f"kw.ssfk.table[{n}].pos": v for n, v in enumerate(tenths(curve.up))}
     rows |= {f"kw.ssfk.table[{n}].neg": v for n, v in enumerate(tenths(curve.down))}
     return "".join(f"{key:<30}{value}\n" for key, value in (facts | rows).items())

@@ -88,9 +88,14 @@ def _block(number: int, axis: str, first: int, curve: Curve) -> list[str]:
     interval = round(float(curve.positions[1] - curve.positions[0]) * 1e3)
     at_start = {side: round(float(v[0]) / UNIT) for side, v in (("up", curve.up), ("down", curve.down))}
     parameters = {
-        3620: first, 3621: first, 3622: first + n - 1, 3623: 1, 3624: interval, 3626: first + n,
+        3620: first,
+        3621: first,
+        3622: first + n - 1,
+        3623: 1,
+        3624: interval,
+        3626: first + n,
         3627: at_start["down"] - at_start["up"],
-    }  # fmt: skip
+    }
     lines = [f"(A{number} {axis} FROM {curve.positions[0]:.6f})", f"(A{number} OFFSET {at_start['up']})"]
     lines += [f"N0{key}Q1A{number}P{value};" for key, value in parameters.items()]
     for offset, values in ((0, curve.up), (n, curve.down)):

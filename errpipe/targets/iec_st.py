@@ -35,9 +35,18 @@ BLOCKS = ("FB_EctLoad", "FB_EctCycle")
 DATA = "GVL_EctData"
 # Room for other tables than the one exported: what the arrays hold at least.
 LEAST_ROOM = {
-    "inputs": 32, "substitutes": 64, "nodes": 128, "operands": 256, "lookup values": 1024, "profiles": 64,
-    "profile values": 8192, "components": 32, "pairs": 128, "outputs": 16, "terms": 128,
-}  # fmt: skip
+    "inputs": 32,
+    "substitutes": 64,
+    "nodes": 128,
+    "operands": 256,
+    "lookup values": 1024,
+    "profiles": 64,
+    "profile values": 8192,
+    "components": 32,
+    "pairs": 128,
+    "outputs": 16,
+    "terms": 128,
+}
 _NAMES = {"lookup values": "LOOKUPS", "profile values": "VALUES"}
 _NAMESPACE = uuid.UUID("6f7a3f6e-5a1c-5b8e-9d6a-2f4f7c1f0a11")
 _BYTES_PER_LINE = 24

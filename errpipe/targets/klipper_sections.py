@@ -77,10 +77,18 @@ class KlipperSections(Target):
 def _mesh(plane: Plane) -> str:
     rows = [", ".join(f"{v + 0.0:.6f}" for v in plane.values[:, j]) for j in range(plane.second.size)]
     facts = {
-        "version": 1, "min_x": plane.first[0], "max_x": plane.first[-1], "min_y": plane.second[0],
-        "max_y": plane.second[-1], "x_count": plane.first.size, "y_count": plane.second.size, "mesh_x_pps": 0,
-        "mesh_y_pps": 0, "algo": "lagrange", "tension": 0.2,
-    }  # fmt: skip
+        "version": 1,
+        "min_x": plane.first[0],
+        "max_x": plane.first[-1],
+        "min_y": plane.second[0],
+        "max_y": plane.second[-1],
+        "x_count": plane.first.size,
+        "y_count": plane.second.size,
+        "mesh_x_pps": 0,
+        "mesh_y_pps": 0,
+        "algo": "lagrange",
+        "tension": 0.2,
+    }
     lines = ["[bed_mesh errpipe]", *(f"{k} = {v}" for k, v in facts.items()), "points =", *(f"    {r}" for r in rows)]
     return "\n".join(lines) + "\n\n"
 

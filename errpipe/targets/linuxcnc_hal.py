@@ -119,7 +119,7 @@ def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
             {"letter": letter.lower(), "joint": joint[letter], "pin": hal(p["short"])} for letter, p in letters.items()
         ],
         "others": _other_lines(table, pins),
-    }  # fmt: skip
+    }
 
 
 def _input_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
@@ -129,9 +129,15 @@ def _input_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
         short = _identifier(i.name, taken)
         unit = f", {_plain(i.unit)}" if i.unit else ""
         pins.append(
-            {"input": _plain(i.name), "name": f"in_{short}", "fresh": f"fresh_{short}", "fault": f"fault_{short}",
-             "stale": i.stale_after_s is not None, "text": f"{_plain(i.name)}: {i.kind}{unit}"}
-        )  # fmt: skip
+            {
+                "input": _plain(i.name),
+                "name": f"in_{short}",
+                "fresh": f"fresh_{short}",
+                "fault": f"fault_{short}",
+                "stale": i.stale_after_s is not None,
+                "text": f"{_plain(i.name)}: {i.kind}{unit}",
+            }
+        )
     return pins
 
 
@@ -171,12 +177,18 @@ def _room(table: t.CompensationTable) -> list[tuple[int, str]]:
     operands = sum(len(n.of) for n in table.nodes)
     lookups = sum(len(n.values) for n in table.nodes if isinstance(n, t.LookupNode))
     counts = (
-        (len(table.inputs), "ect_input"), (sum(len(i.substitute) for i in table.inputs), "ect_weighted"),
-        (len(table.nodes), "ect_node"), (operands, "ect_weighted"), (lookups, "ect_real"),
-        (len(table.profiles), "ect_profile"), (len(table.components), "ect_real"), (len(table.pairs), "ect_pair"),
-        (len(table.outputs), "ect_output"), (sum(len(o.terms) for o in table.outputs), "ect_term"),
+        (len(table.inputs), "ect_input"),
+        (sum(len(i.substitute) for i in table.inputs), "ect_weighted"),
+        (len(table.nodes), "ect_node"),
+        (operands, "ect_weighted"),
+        (lookups, "ect_real"),
+        (len(table.profiles), "ect_profile"),
+        (len(table.components), "ect_real"),
+        (len(table.pairs), "ect_pair"),
+        (len(table.outputs), "ect_output"),
+        (sum(len(o.terms) for o in table.outputs), "ect_term"),
         (len(table.nodes), "uint32_t"),
-    )  # fmt: skip
+    )
     return [c for c in counts if c[0]]
 
 
@@ -196,9 +208,13 @@ def _source(data: bytes) -> dict[str, Any]:
 @cache
 def _templates() -> jinja2.Environment:
     return jinja2.Environment(
-        loader=jinja2.PackageLoader("errpipe.targets"), trim_blocks=True, lstrip_blocks=True,
-        keep_trailing_newline=True, undefined=jinja2.StrictUndefined, autoescape=False,
-    )  # fmt: skip
+        loader=jinja2.PackageLoader("errpipe.targets"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,
+    )
 
 
 def _fill(name: str, facts: Mapping[str, Any]) -> str:

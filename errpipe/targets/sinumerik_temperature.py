@@ -17,9 +17,7 @@ from errpipe.targets._base import Line, ReadBack, Target, expect
 
 FILE = "TEMP_COMP.SPF"
 LEAST_UM = 0.01  # per kelvin over the travel; less is left out
-_ROW = re.compile(
-    r"; (\w)\[(\w+)\] sensor=(.+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)"
-)  # fmt: skip
+_ROW = re.compile(r"; (\w)\[(\w+)\] sensor=(.+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)")
 
 
 class SinumerikTemperature(Target):

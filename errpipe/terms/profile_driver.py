@@ -101,8 +101,10 @@ class ProfileDriver(Term):
         late = [f for f in self.driver if isinstance(f, Factor) and f.lag]
         if len(late) == 1:
             return [("tau", late[0])]
-        return [(f"tau_{f.input}" + (f"_{k}" if [g.input for g in late].count(f.input) > 1 else ""), f)
-                for k, f in enumerate(late)]  # fmt: skip
+        return [
+            (f"tau_{f.input}" + (f"_{k}" if [g.input for g in late].count(f.input) > 1 else ""), f)
+            for k, f in enumerate(late)
+        ]
 
     def _driver(self, taus: tuple[float, ...] | list[float]) -> d.Driver:
         left = list(taus)
@@ -119,11 +121,13 @@ class ProfileDriver(Term):
 
     @classmethod
     def example(cls) -> Example:
-        return worked(cls(
-            axis="X",
-            profile=shapes.Line(origin=100.0),
-            driver=(Factor(input="T_nut", reference="first", lag=True),),
-        ))
+        return worked(
+            cls(
+                axis="X",
+                profile=shapes.Line(origin=100.0),
+                driver=(Factor(input="T_nut", reference="first", lag=True),),
+            )
+        )
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         size = drive(self._driver(nonlinear), recording)[:, None]

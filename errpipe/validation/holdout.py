@@ -1,7 +1,7 @@
 """Hold-outs of a calendar: every scheme of `fitting.holdout`, and months and days told from the recording's dates.
 
-    leave-one-group-out:season   leave-one-group-out:duty_cycle   leave-one-group-out:day   leave-one-run-out
-    forward:month                forward:day                      blocks:6
+leave-one-group-out:season   leave-one-group-out:duty_cycle   leave-one-group-out:day   leave-one-run-out
+forward:month                forward:day                      blocks:6
 """
 
 from __future__ import annotations

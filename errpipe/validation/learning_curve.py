@@ -46,11 +46,14 @@ def curve(
                 judged = fold.test & np.isfinite(y)
                 out.append(
                     {
-                        "left_out": fold.label, "order": number, "runs": int(size),
-                        "hours": hours(recording, part.train), "rms": rms((y - value)[judged]),
+                        "left_out": fold.label,
+                        "order": number,
+                        "runs": int(size),
+                        "hours": hours(recording, part.train),
+                        "rms": rms((y - value)[judged]),
                         "rms_before": rms(y[judged]),
                     }
-                )  # fmt: skip
+                )
     return out
 
 

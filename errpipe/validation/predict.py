@@ -24,9 +24,23 @@ from errpipe.terms._base import drive
 _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
 Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]
 INPUTS = (
-    "position", "command", "velocity", "acceleration", "feed", "spindle_speed", "temperature", "pressure", "humidity",
-    "force", "load", "depth_of_cut", "overhang", "cut_length", "coolant", "direction",
-)  # fmt: skip
+    "position",
+    "command",
+    "velocity",
+    "acceleration",
+    "feed",
+    "spindle_speed",
+    "temperature",
+    "pressure",
+    "humidity",
+    "force",
+    "load",
+    "depth_of_cut",
+    "overhang",
+    "cut_length",
+    "coolant",
+    "direction",
+)
 
 
 @dataclass(frozen=True)

@@ -138,9 +138,17 @@ def _row(fold: Fold, y, residual, covered, half, own) -> dict[str, Any]:
 def text(document: dict[str, Any]) -> str:
     """The table for a terminal."""
     names = (
-        "left_out", "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage",
+        "left_out",
+        "uncompensated",
+        "in_season",
+        "out_of_season",
+        "ratio",
+        "bias",
+        "scatter",
+        "worst",
+        "coverage",
         "half_width",
-    )  # fmt: skip
+    )
     lines = ["  ".join(f"{n:>13}" for n in names)]
     for row in document["groups"]:
         cells = [row["left_out"], *(row[n] for n in names[1:])]

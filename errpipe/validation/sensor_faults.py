@@ -74,10 +74,15 @@ def trials(
             found = _found(recording, seen.fault, late, guilty)
             off = failed.array(name) - recording.array(name)
             yield Trial(
-                sensor=name, way=way, beside=beside, **found, reading_off=_rms(off, late),
-                healthy=healthy, recovered=_rms(measured - predict(restored), late),
+                sensor=name,
+                way=way,
+                beside=beside,
+                **found,
+                reading_off=_rms(off, late),
+                healthy=healthy,
+                recovered=_rms(measured - predict(restored), late),
                 unguarded=_rms(measured - predict(failed), late),
-            )  # fmt: skip
+            )
 
 
 def fail(

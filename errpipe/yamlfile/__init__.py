@@ -20,6 +20,16 @@ from errpipe.yamlfile.places import Place, describe, dotted
 from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit
 
 __all__ = [
-    "Document", "Misplaced", "Options", "Place", "convert", "describe", "dotted", "is_unit", "load", "parse", "plain",
+    "Document",
+    "Misplaced",
+    "Options",
+    "Place",
+    "convert",
+    "describe",
+    "dotted",
+    "is_unit",
+    "load",
+    "parse",
+    "plain",
     "read",
-]  # fmt: skip
+]

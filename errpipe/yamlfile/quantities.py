@@ -18,12 +18,23 @@ _PI = Fraction(math.pi)
 # dimension -> {unit: (zero, factor)}: value in the dimension's base = (number - zero) * factor, exactly.
 _AS_WRITTEN: dict[str, dict[str, tuple[int | str, int | str | Fraction]]] = {
     "length": {
-        "nm": (0, "1e-9"), "um": (0, "1e-6"), "mm": (0, "1e-3"), "cm": (0, "1e-2"), "m": (0, 1), "km": (0, 1000),
+        "nm": (0, "1e-9"),
+        "um": (0, "1e-6"),
+        "mm": (0, "1e-3"),
+        "cm": (0, "1e-2"),
+        "m": (0, 1),
+        "km": (0, 1000),
         "inch": (0, "0.0254"),
     },
     "angle": {
-        "rad": (0, 1), "mrad": (0, "1e-3"), "urad": (0, "1e-6"), "nrad": (0, "1e-9"), "deg": (0, _PI / 180),
-        "arcmin": (0, _PI / 10800), "arcsec": (0, _PI / 648000), "rev": (0, 2 * _PI),
+        "rad": (0, 1),
+        "mrad": (0, "1e-3"),
+        "urad": (0, "1e-6"),
+        "nrad": (0, "1e-9"),
+        "deg": (0, _PI / 180),
+        "arcmin": (0, _PI / 10800),
+        "arcsec": (0, _PI / 648000),
+        "rev": (0, 2 * _PI),
     },
     "time": {"us": (0, "1e-6"), "ms": (0, "1e-3"), "s": (0, 1), "min": (0, 60), "h": (0, 3600), "d": (0, 86400)},
     "speed": {"mm/s": (0, "1e-3"), "m/s": (0, 1), "mm/min": (0, Fraction(1, 60000)), "m/min": (0, Fraction(1, 60))},
@@ -36,7 +47,7 @@ _AS_WRITTEN: dict[str, dict[str, tuple[int | str, int | str | Fraction]]] = {
     "ratio": {"1": (0, 1), "%": (0, "0.01")},
     "force": {"N": (0, 1), "kN": (0, 1000)},
     "mass": {"kg": (0, 1), "g": (0, "1e-3"), "t": (0, 1000)},
-}  # fmt: skip
+}
 _UNITS = {
     dimension: {unit: (Fraction(zero), Fraction(factor)) for unit, (zero, factor) in units.items()}
     for dimension, units in _AS_WRITTEN.items()

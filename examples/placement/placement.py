@@ -21,10 +21,17 @@ from errpipe.simulation.spindle_bar import Bar, Column
 
 HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 CASES = {
-    "insulated": Bar(0.0), "losing end, Be 1": Bar(0.0, 1.0), "cold end": Bar(0.0, np.inf),
-    "loss 0.5": Bar(0.5), "loss 1": Bar(1.0), "loss 2": Bar(2.0), "loss 4": Bar(4.0), "loss 9": Bar(9.0),
-    "loss 1, Be 1": Bar(1.0, 1.0), "loss 4, Be 1": Bar(4.0, 1.0),
-}  # fmt: skip
+    "insulated": Bar(0.0),
+    "losing end, Be 1": Bar(0.0, 1.0),
+    "cold end": Bar(0.0, np.inf),
+    "loss 0.5": Bar(0.5),
+    "loss 1": Bar(1.0),
+    "loss 2": Bar(2.0),
+    "loss 4": Bar(4.0),
+    "loss 9": Bar(9.0),
+    "loss 1, Be 1": Bar(1.0, 1.0),
+    "loss 4, Be 1": Bar(4.0, 1.0),
+}
 TRIED = (0.02, 0.35, 0.40, 0.98)
 
 

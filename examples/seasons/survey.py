@@ -93,11 +93,14 @@ def hotter(recording: Recording, component: str) -> tuple[Any, str]:
         worse = [champion.rms(left[run == c]) > champion.rms(y[run == c]) for c in np.unique(run)]
         told.append(
             {
-                "shift_K": shift, "rms": champion.rms(left), "uncompensated": champion.rms(y),
-                "runs_worse_than_nothing": int(sum(worse)), "largest": float(np.abs(value.predicted).max()),
+                "shift_K": shift,
+                "rms": champion.rms(left),
+                "uncompensated": champion.rms(y),
+                "runs_worse_than_nothing": int(sum(worse)),
+                "largest": float(np.abs(value.predicted).max()),
                 "half_width": float(np.mean(value.upper - value.lower)) / 2,
             }
-        )  # fmt: skip
+        )
         print({k: round(v, 1) for k, v in told[-1].items()})
     shifts = [e["shift_K"] for e in told]
     series = {
@@ -133,9 +136,7 @@ def readings(recording: Recording, component: str) -> tuple[Any, str]:
     """Residual against the number of probe readings a run, the season left out whole."""
     y, value, label = left_out_values(recording, component)
     found = thermal_causes.sensors(recording)
-    how = recalibration.Recalibration(
-        recalibration.RecalibrationOptions(), thermal_causes.running(recording, found)
-    )
+    how = recalibration.Recalibration(recalibration.RecalibrationOptions(), thermal_causes.running(recording, found))
     told = recalibration.residual_by_readings(recording, value, y, how, groups=label)
     for entry in told:
         print(entry)
@@ -205,12 +206,15 @@ def failures(recording: Recording, component: str) -> tuple[Any, str]:
                 mended, seen_after = _recover(broken, name, relation)
                 told.append(
                     {
-                        "left_out": fold.label, "sensor": name, "failure": way, "healthy": healthy,
+                        "left_out": fold.label,
+                        "sensor": name,
+                        "failure": way,
+                        "healthy": healthy,
                         "failed": champion.rms((y - model.values(broken))[fold.test]),
                         "recovered": champion.rms((y - model.values(mended))[fold.test]),
                         "rows_to_detection": seen_after,
                     }
-                )  # fmt: skip
+                )
     worst = max(told, key=lambda e: e["recovered"] / e["healthy"])
     for e in told:
         print({k: round(v, 2) if isinstance(v, float) else v for k, v in e.items()})

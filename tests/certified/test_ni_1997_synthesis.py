@@ -48,17 +48,21 @@ def machine(numbers: dict[str, float]) -> Machine:
     ozx, oxy, t = (
         np.array([numbers[f"{o}{c}"] for c in names]) for o, names in (("Ozx_", "xyz"), ("Oxy_", "xyz"), ("T", "xyz"))
     )
-    return Machine.model_validate({
-        "machine": 1, "name": "ni", "chain": ["workpiece", "Z'", "bed", "X", "Y", "spindle", "tool"],
-        "datum_axes": ["Z", "X", "Y"],
-        "axes": {
-            "X": {"kind": "linear", "travel": [-1000, 1000], "reference": tuple(ozx), "drifts": True},
-            "Y": {"kind": "linear", "travel": [-1000, 1000], "reference": tuple(ozx + oxy), "drifts": True},
-            "Z": {"kind": "linear", "travel": [-1000, 1000], "direction": [0, 0, -1], "errors_of": "carriage"},
-        },
-        "spindle": {"position": tuple(ozx + oxy + t), "growth": True, "tilt": True},
-        "tool": {"length": numbers["L"], "direction": [0, 0, 1]},
-    })  # fmt: skip
+    return Machine.model_validate(
+        {
+            "machine": 1,
+            "name": "ni",
+            "chain": ["workpiece", "Z'", "bed", "X", "Y", "spindle", "tool"],
+            "datum_axes": ["Z", "X", "Y"],
+            "axes": {
+                "X": {"kind": "linear", "travel": [-1000, 1000], "reference": tuple(ozx), "drifts": True},
+                "Y": {"kind": "linear", "travel": [-1000, 1000], "reference": tuple(ozx + oxy), "drifts": True},
+                "Z": {"kind": "linear", "travel": [-1000, 1000], "direction": [0, 0, -1], "errors_of": "carriage"},
+            },
+            "spindle": {"position": tuple(ozx + oxy + t), "growth": True, "tilt": True},
+            "tool": {"length": numbers["L"], "direction": [0, 0, 1]},
+        }
+    )
 
 
 @pytest.fixture(scope="module")

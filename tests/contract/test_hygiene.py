@@ -10,13 +10,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PYTHON = ("errpipe", "tests", "examples")
+PYTHON = ("errpipe", "tests", "trials", "bench", "examples")
 
 # Written with a class of one letter, so that this file does not hold what it looks for.
 FORBIDDEN = (
-    r"[/]work/", r"[/]tmp/studio", r"[/]root/", r"pypi[.]org", r"files[.]pythonhosted", r"deb[.]debian",
+    r"[/]work/",
+    r"[/]tmp/studio",
+    r"[/]root/",
+    r"pypi[.]org",
+    r"files[.]pythonhosted",
+    r"deb[.]debian",
     r"registry[.]npmjs",
-)  # fmt: skip
+)
 
 
 def tracked() -> list[Path]:
@@ -71,11 +76,16 @@ def test_no_pickle_no_idle_assertion_no_silent_skip() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "import pickle", "from pickle import loads", "def test(): assert True", "assert 1",
-        "pytest.skip()", "@pytest.mark.skip\ndef test(): ...", "pytest.mark.skipif(True)",
+        "import pickle",
+        "from pickle import loads",
+        "def test(): assert True",
+        "assert 1",
+        "pytest.skip()",
+        "@pytest.mark.skip\ndef test(): ...",
+        "pytest.mark.skipif(True)",
         "pytest.mark.xfail(strict=True)",
     ],
-)  # fmt: skip
+)
 def test_what_is_looked_for_is_found(text: str) -> None:
     assert idle("t.py", ast.parse(text))
 

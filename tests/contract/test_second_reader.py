@@ -31,10 +31,54 @@ every = pytest.mark.parametrize("number", range(len(NAMES)), ids=NAMES)
 # Random tables that between them use every branch of sections 5 to 8 that random readings reach.
 SEEDS = (0, 1, 2, 18, 28, 47, 48, 81, 174, 181, 196)
 
-NUMBERS = (0.0, -0.0, 5e-324, 1e-15, math.nextafter(1e-15, 1), 1e-6, 0.5, 1.0, -1.0, 2.0, 10.0, 16.0, 3600.0, 1e9,
-           1e15, -1e15, math.nextafter(1e15, math.inf), 1e308, math.nan, math.inf, -math.inf)  # fmt: skip
-WORDS = (0, 1, 2, 3, 4, 5, 7, 8, 63, 64, 255, 256, 257, 0x201, 0x301, 0x401, 1 << 30, (1 << 30) - 1, 0x7FFFFFFF,
-         0x80000000, 0xC0000000, 0xC0000001, 0xFFFFFFFF)  # fmt: skip
+NUMBERS = (
+    0.0,
+    -0.0,
+    5e-324,
+    1e-15,
+    math.nextafter(1e-15, 1),
+    1e-6,
+    0.5,
+    1.0,
+    -1.0,
+    2.0,
+    10.0,
+    16.0,
+    3600.0,
+    1e9,
+    1e15,
+    -1e15,
+    math.nextafter(1e15, math.inf),
+    1e308,
+    math.nan,
+    math.inf,
+    -math.inf,
+)
+WORDS = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    7,
+    8,
+    63,
+    64,
+    255,
+    256,
+    257,
+    0x201,
+    0x301,
+    0x401,
+    1 << 30,
+    (1 << 30) - 1,
+    0x7FFFFFFF,
+    0x80000000,
+    0xC0000000,
+    0xC0000001,
+    0xFFFFFFFF,
+)
 
 
 @cache
@@ -134,9 +178,17 @@ def shown(inputs, nodes, **more) -> t.CompensationTable:
         for n in range(len(nodes))
     )
     return t.CompensationTable(
-        position_cycle_s=TICK, slow_every=2, ramp_s=0.0, fade_s=4 * TICK, inputs=inputs, nodes=nodes,
-        profiles=(t.Profile(values=(1,), scale=1.0),), components=components, pairs=pairs, outputs=outputs,
-    )  # fmt: skip
+        position_cycle_s=TICK,
+        slow_every=2,
+        ramp_s=0.0,
+        fade_s=4 * TICK,
+        inputs=inputs,
+        nodes=nodes,
+        profiles=(t.Profile(values=(1,), scale=1.0),),
+        components=components,
+        pairs=pairs,
+        outputs=outputs,
+    )
 
 
 def rows(*values):
@@ -148,12 +200,17 @@ def rows(*values):
 @pytest.mark.parametrize(
     "more",
     [
-        {"stale_after_s": 3 * TICK, "hold_s": 3 * TICK}, {"stale_after_s": 3 * TICK, "hold_s": 0.0},
-        {"max_rate": 8 / TICK}, {"max_rate": 8 / TICK, "hold_s": 2 * TICK}, {"valid": (-1.0, 1.0), "margin": 8.0},
-        {"optional": True}, {"fade_on_default": False, "hold_s": 0.0}, {"low": 0.0, "high": 8.0, "hold_s": TICK},
+        {"stale_after_s": 3 * TICK, "hold_s": 3 * TICK},
+        {"stale_after_s": 3 * TICK, "hold_s": 0.0},
+        {"max_rate": 8 / TICK},
+        {"max_rate": 8 / TICK, "hold_s": 2 * TICK},
+        {"valid": (-1.0, 1.0), "margin": 8.0},
+        {"optional": True},
+        {"fade_on_default": False, "hold_s": 0.0},
+        {"low": 0.0, "high": 8.0, "hold_s": TICK},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_readings_exactly_at_a_bound(more):
     table = shown((channel("a", **more),), (t.InputNode(input="a"), t.InputNode(input="a", slow=True)))
     pair = t.Pair(component="C0", profile=0, driver=0)  # this one fades
@@ -161,11 +218,46 @@ def test_readings_exactly_at_a_bound(more):
     agree(
         table,
         *rows(
-            None, math.nan, 0.0, 8.0, 16.0, 32.0, None, 8.0, None, None, None, None, None, None, -8.0, math.inf, 0.0,
-            1e30, 2e30, -1e30, 1.0, -1.0, 9.0, -9.0, math.nextafter(1.0, 2.0), 1000.0, math.nextafter(1000.0, 2000.0),
-            None, None, None, -1000.0, -0.0, 5e-324, 0.0, -8.0, -24.0, math.nan, -40.0,
+            None,
+            math.nan,
+            0.0,
+            8.0,
+            16.0,
+            32.0,
+            None,
+            8.0,
+            None,
+            None,
+            None,
+            None,
+            None,
+            None,
+            -8.0,
+            math.inf,
+            0.0,
+            1e30,
+            2e30,
+            -1e30,
+            1.0,
+            -1.0,
+            9.0,
+            -9.0,
+            math.nextafter(1.0, 2.0),
+            1000.0,
+            math.nextafter(1000.0, 2000.0),
+            None,
+            None,
+            None,
+            -1000.0,
+            -0.0,
+            5e-324,
+            0.0,
+            -8.0,
+            -24.0,
+            math.nan,
+            -40.0,
         ),
-    )  # fmt: skip
+    )
 
 
 def test_a_substitute_is_kept_within_the_range_of_its_input():
@@ -184,25 +276,72 @@ def test_operations_exactly_at_a_bound():
     of = (0,)
     nodes = (
         t.InputNode(input="a"),
-        t.SwitchNode(of=of, on=8.0, off=0.0), t.SwitchNode(of=of, on=8.0, off=8.0),
+        t.SwitchNode(of=of, on=8.0, off=0.0),
+        t.SwitchNode(of=of, on=8.0, off=8.0),
         t.ClipNode(of=of, low=0.0, high=8.0),
-        t.DirectionNode(of=of, threshold=0.0), t.DirectionNode(of=of, threshold=8.0, start=-1),
-        t.DirectionNode(of=(0, 1), threshold=8.0), t.DirectionNode(of=of, threshold=8.0, slow=True),
-        t.ApproachNode(of=(0, 4), length=1e-3), t.ApproachNode(of=(0, 5), length=1e14),
+        t.DirectionNode(of=of, threshold=0.0),
+        t.DirectionNode(of=of, threshold=8.0, start=-1),
+        t.DirectionNode(of=(0, 1), threshold=8.0),
+        t.DirectionNode(of=of, threshold=8.0, slow=True),
+        t.ApproachNode(of=(0, 4), length=1e-3),
+        t.ApproachNode(of=(0, 5), length=1e14),
         t.LagNode(of=of, tau_up=TICK, tau_down=TICK / 4),
         t.LagNode(of=of, tau_up=1e-14, tau_down=1e14, start="zero"),
         t.LagNode(of=of, tau_up=0.125, tau_down=0.5, slow=True),
         t.LookupNode(of=of, start=-0.0, step=8.0, values=(-0.0, 5.0)),
-        t.PowerNode(of=of, exponent=1.0), t.PowerNode(of=of, exponent=2.0), t.PowerNode(of=of, exponent=3.0),
-        t.PowerNode(of=of, exponent=0.3), t.PowerNode(of=of, exponent=16.0),
+        t.PowerNode(of=of, exponent=1.0),
+        t.PowerNode(of=of, exponent=2.0),
+        t.PowerNode(of=of, exponent=3.0),
+        t.PowerNode(of=of, exponent=0.3),
+        t.PowerNode(of=of, exponent=16.0),
         t.AffineNode(of=of, offset=0.0, weights=(1e15,)),
-        t.PowerNode(of=(19,), exponent=2.5), t.ProductNode(of=(19, 19)),
+        t.PowerNode(of=(19,), exponent=2.5),
+        t.ProductNode(of=(19, 19)),
         t.AffineNode(of=of, offset=0.0, weights=(1e-15,)),
-        t.PowerNode(of=(22,), exponent=1.5), t.ProductNode(of=(22, 22, 22)), t.PowerNode(of=(24,), exponent=0.5),
-    )  # fmt: skip
-    way = [math.nan, 0.0, 8.0, 0.0, 4.0, -4.0, 4.0, 4.0, 12.0, 4.0, 3.0, -0.0, 0.0, 7.0, -1.0, 1e3, -1e3, 5e-324, 1e-7,
-           -1e-7, 1e-15, 8.0, 16.0, 8.0, 8.0, 1.0, -7.0, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 13.0, 5.0, 3.0, 2.0,
-           1.0]  # fmt: skip
+        t.PowerNode(of=(22,), exponent=1.5),
+        t.ProductNode(of=(22, 22, 22)),
+        t.PowerNode(of=(24,), exponent=0.5),
+    )
+    way = [
+        math.nan,
+        0.0,
+        8.0,
+        0.0,
+        4.0,
+        -4.0,
+        4.0,
+        4.0,
+        12.0,
+        4.0,
+        3.0,
+        -0.0,
+        0.0,
+        7.0,
+        -1.0,
+        1e3,
+        -1e3,
+        5e-324,
+        1e-7,
+        -1e-7,
+        1e-15,
+        8.0,
+        16.0,
+        8.0,
+        8.0,
+        1.0,
+        -7.0,
+        1.0,
+        1.5,
+        2.0,
+        3.0,
+        5.0,
+        8.0,
+        13.0,
+        5.0,
+        3.0,
+        2.0,
+        1.0,
+    ]
     assert agree(shown((channel("a"),), nodes), *rows(*way)) & 1 << 12
 
 
@@ -311,9 +450,21 @@ def test_random_damage_in_every_section():
 
 
 TEXTS = (
-    b"", b" ", b"x" * 31, b"x" * 32, b"\xc3\xbc", b"\xc3", b"\xc0\x80", b"\xe0\x80\x80", b"\xed\xa0\x80",
-    b"\xf0\x9f\x98\x80", b"\xf4\x90\x80\x80", b"\xff", b"a\0b", b"\x01\x7f",
-)  # fmt: skip
+    b"",
+    b" ",
+    b"x" * 31,
+    b"x" * 32,
+    b"\xc3\xbc",
+    b"\xc3",
+    b"\xc0\x80",
+    b"\xe0\x80\x80",
+    b"\xed\xa0\x80",
+    b"\xf0\x9f\x98\x80",
+    b"\xf4\x90\x80\x80",
+    b"\xff",
+    b"a\0b",
+    b"\x01\x7f",
+)
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=repr)

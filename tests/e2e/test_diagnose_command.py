@@ -30,10 +30,12 @@ def drift(backlash: float = 0.0, twin: bool = False) -> Recording:
     noise = 0.2 * np.random.default_rng(3).standard_normal(t.size)
     columns = {"t": t, "x": x, "dir": side, "rise": 20 + rise, "EXX": GAIN * late - backlash / 2 * side + noise}
     kinds = {
-        "t": Column(role="time", unit="s"), "x": Column(role="position", axis="X", unit="mm"),
-        "dir": Column(role="direction", axis="X"), "rise": Column(role="temperature", unit="degC"),
+        "t": Column(role="time", unit="s"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "dir": Column(role="direction", axis="X"),
+        "rise": Column(role="temperature", unit="degC"),
         "EXX": Column(role="error", component="EXX", unit="um"),
-    }  # fmt: skip
+    }
     if twin:
         columns["EXX_sim"] = GAIN * late
         kinds["EXX_sim"] = Column(role="simulated", component="EXX", unit="um")
@@ -85,7 +87,7 @@ def test_beside_an_error_model_fitted_here(tmp_path: Path) -> None:
     assert first(found) in ("backlash", "friction_hysteresis")
 
 
-FMU = '''
+FMU = """
 import math
 from pythonfmu import Fmi2Causality as C, Fmi2Slave, Fmi2Variability as V, Real
 
@@ -102,7 +104,7 @@ class Model(Fmi2Slave):
         self.state += (self.rise - 20.0 - self.state) * (1 - math.exp(-dt / self.tau))
         self.EXX = self.gain * self.state
         return True
-'''
+"""
 
 
 @pytest.fixture(scope="module")

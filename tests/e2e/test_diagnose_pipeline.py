@@ -75,9 +75,13 @@ def terms(out: Path) -> dict[str, dict[str, float]]:
 
 def test_what_the_simulation_lacks_is_what_the_table_holds(tmp_path: Path) -> None:
     out = piped(
-        tmp_path, axis(), {"kind": "twin", "by": {"kind": "recorded"}}, {"kind": "diagnose"},
-        {"kind": "validate"}, {"kind": "export"},
-    )  # fmt: skip
+        tmp_path,
+        axis(),
+        {"kind": "twin", "by": {"kind": "recorded"}},
+        {"kind": "diagnose"},
+        {"kind": "validate"},
+        {"kind": "export"},
+    )
     assert read(out / "diagnose/acceptance.json")["accepted"][0]["effect"] == "backlash"
     assert terms(out)["backlash"]["lost_motion"] == pytest.approx(LOST, abs=0.4)
     (figures,) = read(out / "validate/validation.json")["components"]
@@ -89,12 +93,20 @@ def test_what_the_simulation_lacks_is_what_the_table_holds(tmp_path: Path) -> No
 
 
 def test_with_a_model_before_both_are_fitted_on_the_whole_deviation(tmp_path: Path) -> None:
-    known = [{"term": "offset"}, {"term": "scale_error", "axis": "X"},
-             {"term": "scale_expansion", "axis": "X", "sensor": "T_nut"}]  # fmt: skip
+    known = [
+        {"term": "offset"},
+        {"term": "scale_error", "axis": "X"},
+        {"term": "scale_expansion", "axis": "X", "sensor": "T_nut"},
+    ]
     out = piped(
-        tmp_path, axis(), {"kind": "fit", "components": [{"component": "EXX", "terms": known}]},
-        {"kind": "twin", "by": {"kind": "error_model"}}, {"kind": "diagnose"}, {"kind": "validate"}, {"kind": "export"},
-    )  # fmt: skip
+        tmp_path,
+        axis(),
+        {"kind": "fit", "components": [{"component": "EXX", "terms": known}]},
+        {"kind": "twin", "by": {"kind": "error_model"}},
+        {"kind": "diagnose"},
+        {"kind": "validate"},
+        {"kind": "export"},
+    )
     found = terms(out)
     assert {"offset", "scale_error", "scale_expansion", "backlash"} <= set(found)
     assert found["backlash"]["lost_motion"] == pytest.approx(LOST, abs=0.4)
@@ -162,14 +174,21 @@ def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was
 # ---------------------------------------------------------------- what is accepted, from findings written by hand
 
 
-def found(effect: str, confidence: float = 0.95, held: tuple[float, float] = (5.0, 1.0), unit="um", component="EXX",
-          **more) -> Diagnosis:  # fmt: skip
+def found(
+    effect: str, confidence: float = 0.95, held: tuple[float, float] = (5.0, 1.0), unit="um", component="EXX", **more
+) -> Diagnosis:
     finding = Finding(effect=effect, confidence=confidence, **more)
     figures = HoldOutFigures(scheme="leave-one-run-out", rms_before_um=held[0], rms_after_um=held[1])
     response = ResponseDiagnosis(
-        component=component, unit=unit, verdict="missing_physics", rms_before_um=5, rms_after_um=1, noise_floor_um=1,
-        holdout=figures, findings=(finding,),
-    )  # fmt: skip
+        component=component,
+        unit=unit,
+        verdict="missing_physics",
+        rms_before_um=5,
+        rms_after_um=1,
+        noise_floor_um=1,
+        holdout=figures,
+        findings=(finding,),
+    )
     return Diagnosis(responses=(response,))
 
 
@@ -243,8 +262,9 @@ def air_term(recording: Recording) -> dict:
 def test_what_the_model_holds_already_is_not_put_in_twice() -> None:
     from errpipe.fitting.spec import ModelSpec
 
-    before = ModelSpec.model_validate({"components": [{"component": "EXX", "terms": [{"term": "offset"},
-                                                       {"term": "backlash", "axis": "X"}]}]})  # fmt: skip
+    before = ModelSpec.model_validate(
+        {"components": [{"component": "EXX", "terms": [{"term": "offset"}, {"term": "backlash", "axis": "X"}]}]}
+    )
     diagnosis = found("backlash", **BACKLASH)
     decisions = _acceptance.decide(diagnosis, axis(), _acceptance.Accept(), whole=True)
     spec = _acceptance.ask(decisions, diagnosis, before)
@@ -274,11 +294,16 @@ def test_findings_that_cannot_be_told_apart_are_refused_the_less_sure_first() ->
 
 def test_an_effect_on_two_axes_is_compensated_on_both() -> None:
     """A finding states a term for each axis; half of it would leave half of the error."""
-    kinds = {"x": Column(role="position", axis="X", unit="mm"), "y": Column(role="position", axis="Y", unit="mm"),
-             "vx": Column(role="velocity", axis="X", unit="mm/s"), "vy": Column(role="velocity", axis="Y", unit="mm/s"),
-             "t": Column(role="time", unit="s"), "run": Column(role="run"),
-             "E_R": Column(role="error", component="E_R", unit="um"),
-             "E_R_sim": Column(role="simulated", component="E_R", unit="um")}  # fmt: skip
+    kinds = {
+        "x": Column(role="position", axis="X", unit="mm"),
+        "y": Column(role="position", axis="Y", unit="mm"),
+        "vx": Column(role="velocity", axis="X", unit="mm/s"),
+        "vy": Column(role="velocity", axis="Y", unit="mm/s"),
+        "t": Column(role="time", unit="s"),
+        "run": Column(role="run"),
+        "E_R": Column(role="error", component="E_R", unit="um"),
+        "E_R_sim": Column(role="simulated", component="E_R", unit="um"),
+    }
     rng = np.random.default_rng(4)
     t = np.tile(np.arange(0.0, 12.0, 0.02), 4)
     run = np.repeat(np.arange(4), t.size // 4)
@@ -299,11 +324,16 @@ def test_an_effect_on_two_axes_is_compensated_on_both() -> None:
     terms_ = _acceptance.terms_of(two)
     assert [type(t).__name__ for t in terms_] == [type(terms_[0]).__name__] * 2
     whole = found("backlash", **{**BACKLASH, "more_terms": ({"term": "backlash", "axis": "Y"},)})
-    spec = _acceptance.ask([_acceptance._decide(whole.responses[0].findings[0], whole.responses[0], axis(),
-                                                _acceptance.Accept())], whole, None)  # fmt: skip
+    spec = _acceptance.ask(
+        [_acceptance._decide(whole.responses[0].findings[0], whole.responses[0], axis(), _acceptance.Accept())],
+        whole,
+        None,
+    )
     assert [(t.term, getattr(t, "axis", "")) for t in spec.components[0].terms] == [
-        ("offset", ""), ("backlash", "X"), ("backlash", "Y")
-    ]  # fmt: skip
+        ("offset", ""),
+        ("backlash", "X"),
+        ("backlash", "Y"),
+    ]
 
 
 # ---------------------------------------------------------------- real recordings
@@ -362,8 +392,12 @@ def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) ->
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert [f["effect"] for f in response["findings"]][:2] == ["coulomb_friction", "viscous_friction"]
     told = {p["name"]: p for f in response["findings"] for p in f["parameters"]}
-    published = [("damping_forward", 157.0), ("damping_forward", 161.0), ("damping_backward", 233.0),
-                 ("damping_backward", 236.0)]  # fmt: skip
+    published = [
+        ("damping_forward", 157.0),
+        ("damping_forward", 161.0),
+        ("damping_backward", 233.0),
+        ("damping_backward", 236.0),
+    ]
     for name, value in published:  # it depends on how sharply dry friction is taken to turn round
         low, high = told[name]["ci95"]
         assert told[name]["unit"] == "N s/m" and low <= value <= high and high - low < 20

@@ -26,7 +26,11 @@ def shown(inputs, nodes, faded=(), **more) -> t.CompensationTable:
     which = [*((n, True) for n in range(len(nodes))), *((n, False) for n in faded)]
     names = [f"N{n}" if keep else f"F{n}" for n, keep in which]
     return t.CompensationTable(
-        position_cycle_s=TICK, ramp_s=0.0, inputs=inputs, nodes=nodes, profiles=(t.Profile(values=(1,), scale=1.0),),
+        position_cycle_s=TICK,
+        ramp_s=0.0,
+        inputs=inputs,
+        nodes=nodes,
+        profiles=(t.Profile(values=(1,), scale=1.0),),
         components=tuple(t.Component(name=name) for name in names),
         pairs=tuple(
             t.Pair(component=name, profile=0, driver=n, keep=keep) for name, (n, keep) in zip(names, which, strict=True)
@@ -35,7 +39,7 @@ def shown(inputs, nodes, faded=(), **more) -> t.CompensationTable:
             t.Output(name=name, correction_unit="um", terms=(t.Monomial(weight=1.0, component=name),)) for name in names
         ),
         **({"slow_every": 2, "fade_s": 4 * TICK} | more),
-    )  # fmt: skip
+    )
 
 
 def rows(**columns) -> list[dict]:
@@ -62,20 +66,125 @@ def readings() -> tuple[t.CompensationTable, list[dict]]:
     table = shown(inputs, (*nodes, *first, t.InputNode(input="stale", slow=True)))
     gone = [None] * 3
     given = rows(
-        stale=[1.0, None, None, None, 2.0, *gone, None, None, 3.0, *gone, *gone, *gone, 4.0, 5.0, 6.0, *gone, None,
-               7.0, 8.0],
-        rate=[BAD, 0.0, 8.0, 16.0, 25.0, 32.0, 32.0, 23.875, 24.0, 40.0, 100.0, 101.0, 102.0, 103.0, 104.0, 105.0,
-              106.0, None, 107.0, BAD, 115.0, 140.0, 139.0, 132.0, BAD, BAD, BAD, BAD, 130.0],
-        range=[None, 0.0, 8.0, -0.125, 8.125, 4.0, 2e30, 1e30, -1e30, -2e30, 1e300, math.inf, -math.inf, -0.0, BAD,
-               8.0],
+        stale=[
+            1.0,
+            None,
+            None,
+            None,
+            2.0,
+            *gone,
+            None,
+            None,
+            3.0,
+            *gone,
+            *gone,
+            *gone,
+            4.0,
+            5.0,
+            6.0,
+            *gone,
+            None,
+            7.0,
+            8.0,
+        ],
+        rate=[
+            BAD,
+            0.0,
+            8.0,
+            16.0,
+            25.0,
+            32.0,
+            32.0,
+            23.875,
+            24.0,
+            40.0,
+            100.0,
+            101.0,
+            102.0,
+            103.0,
+            104.0,
+            105.0,
+            106.0,
+            None,
+            107.0,
+            BAD,
+            115.0,
+            140.0,
+            139.0,
+            132.0,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            130.0,
+        ],
+        range=[
+            None,
+            0.0,
+            8.0,
+            -0.125,
+            8.125,
+            4.0,
+            2e30,
+            1e30,
+            -1e30,
+            -2e30,
+            1e300,
+            math.inf,
+            -math.inf,
+            -0.0,
+            BAD,
+            8.0,
+        ],
         clamped=[BAD, BAD, 3.0, 4.0, -4.0, 4.125, 9.0, -9.0, BAD, 1.0, 2.0, BAD, BAD, -4.5, BAD, BAD, BAD, 0.5, BAD],
-        spare=[None, BAD, 2.0, 2.5, 2.625, 2.5, 3.0, -1.5, -1.625, -2.0, BAD, BAD, 0.75, BAD, BAD, 1.25, BAD, BAD, BAD,
-               1.5],
+        spare=[
+            None,
+            BAD,
+            2.0,
+            2.5,
+            2.625,
+            2.5,
+            3.0,
+            -1.5,
+            -1.625,
+            -2.0,
+            BAD,
+            BAD,
+            0.75,
+            BAD,
+            BAD,
+            1.25,
+            BAD,
+            BAD,
+            BAD,
+            1.5,
+        ],
         known=[None, BAD, 5.0, BAD, 1.0, 2000.0, 2.0],
         kept=[BAD, 1.0, 2.0, *[BAD] * 20, 3.0],
-        helped=[BAD, BAD, BAD, 5.0, BAD, BAD, 6.0, BAD, BAD, BAD, BAD, BAD, BAD, 7.0, BAD, BAD, 8.0, BAD, BAD, BAD,
-                BAD],
-    )  # fmt: skip
+        helped=[
+            BAD,
+            BAD,
+            BAD,
+            5.0,
+            BAD,
+            BAD,
+            6.0,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            7.0,
+            BAD,
+            BAD,
+            8.0,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+        ],
+    )
     return table, given
 
 
@@ -91,14 +200,69 @@ def fading() -> tuple[t.CompensationTable, list[dict]]:
     table = shown(inputs, (t.ConstantNode(value=1.0), t.InputNode(input="a")), faded=(0, 1), fade_s=8 * TICK)
     calm = [0.0] * 8
     given = rows(
-        a=[5.0, 5.0, 3.0, 1.0, *calm, 9.0, 9.0, 9.0, -9.0, 1.0, 1.0, 1.125, -1.125, 1.0, -1.0, *calm, BAD, BAD, 6.0,
-           6.0, 6.0, *calm, 1.5, 2.0, 2.5, 2.5, *calm, *calm, 7.0, *calm],
-        b=[2.0, *[2.0] * 24, 2.5, 3.0, 3.5, 3.5, BAD, BAD, BAD, BAD, BAD, 2.0, 1.0, 2.0, -0.0, -1.0, -1.0, 0.0, 1.0,
-           *[1.0] * 8, BAD, BAD, BAD, BAD, 1.0],
+        a=[
+            5.0,
+            5.0,
+            3.0,
+            1.0,
+            *calm,
+            9.0,
+            9.0,
+            9.0,
+            -9.0,
+            1.0,
+            1.0,
+            1.125,
+            -1.125,
+            1.0,
+            -1.0,
+            *calm,
+            BAD,
+            BAD,
+            6.0,
+            6.0,
+            6.0,
+            *calm,
+            1.5,
+            2.0,
+            2.5,
+            2.5,
+            *calm,
+            *calm,
+            7.0,
+            *calm,
+        ],
+        b=[
+            2.0,
+            *[2.0] * 24,
+            2.5,
+            3.0,
+            3.5,
+            3.5,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            2.0,
+            1.0,
+            2.0,
+            -0.0,
+            -1.0,
+            -1.0,
+            0.0,
+            1.0,
+            *[1.0] * 8,
+            BAD,
+            BAD,
+            BAD,
+            BAD,
+            1.0,
+        ],
         c=[0.0, *[0.0] * 8, -1.0, 2.0, 0.0, *[0.0] * 32, BAD, None, BAD, 0.0],
         d=[0.0, *[0.0] * 45, BAD, BAD, BAD, BAD, BAD, 1.0, 1.0],
         e=[0.0, *[0.0] * 28, BAD, BAD, BAD, BAD, 0.0, *[0.0] * 26, BAD, BAD, 0.0],
-    )  # fmt: skip
+    )
     return table, given
 
 
@@ -106,24 +270,35 @@ def operations() -> tuple[t.CompensationTable, list[dict]]:
     """Each operation at its bounds, fast and slow; what is not finite, EXP beyond -700, POWER near 0 and by 1, 2, 3."""
     of, side = (0,), (1,)
     nodes = (
-        t.InputNode(input="u"), t.InputNode(input="k"),
-        t.SwitchNode(of=of, on=8.0, off=0.0), t.SwitchNode(of=of, on=8.0, off=8.0),
+        t.InputNode(input="u"),
+        t.InputNode(input="k"),
+        t.SwitchNode(of=of, on=8.0, off=0.0),
+        t.SwitchNode(of=of, on=8.0, off=8.0),
         t.ClipNode(of=of, low=0.0, high=8.0),
-        t.DirectionNode(of=of, threshold=0.0), t.DirectionNode(of=of, threshold=8.0, start=-1),
-        t.DirectionNode(of=(0, 1), threshold=8.0), t.DirectionNode(of=(0, 1), threshold=8.0, start=-1, slow=True),
-        t.ApproachNode(of=(0, 5), length=4.0), t.ApproachNode(of=(0, 1), length=2.0**-10),
+        t.DirectionNode(of=of, threshold=0.0),
+        t.DirectionNode(of=of, threshold=8.0, start=-1),
+        t.DirectionNode(of=(0, 1), threshold=8.0),
+        t.DirectionNode(of=(0, 1), threshold=8.0, start=-1, slow=True),
+        t.ApproachNode(of=(0, 5), length=4.0),
+        t.ApproachNode(of=(0, 1), length=2.0**-10),
         t.LagNode(of=of, tau_up=8 * TICK, tau_down=2 * TICK),
         t.LagNode(of=of, tau_up=2 * TICK, tau_down=8 * TICK, start="zero"),
         t.LagNode(of=of, tau_up=0.125, tau_down=0.5, slow=True),
         t.LagNode(of=side, tau_up=TICK, tau_down=TICK, start="zero", slow=True),
-        t.LookupNode(of=of, start=-2.0, step=4.0, values=(-1.0, 5.0, 4.0)), t.FirstNode(of=side, slow=True),
-        t.PowerNode(of=of, exponent=1.0), t.PowerNode(of=of, exponent=2.0), t.PowerNode(of=of, exponent=3.0),
-        t.PowerNode(of=of, exponent=0.0625), t.PowerNode(of=of, exponent=0.5, slow=True),
+        t.LookupNode(of=of, start=-2.0, step=4.0, values=(-1.0, 5.0, 4.0)),
+        t.FirstNode(of=side, slow=True),
+        t.PowerNode(of=of, exponent=1.0),
+        t.PowerNode(of=of, exponent=2.0),
+        t.PowerNode(of=of, exponent=3.0),
+        t.PowerNode(of=of, exponent=0.0625),
+        t.PowerNode(of=of, exponent=0.5, slow=True),
         t.PowerNode(of=side, exponent=16.0),
         t.AffineNode(of=side, offset=0.0, weights=(1e15,)),
-        t.ProductNode(of=(23, 23)), t.ProductNode(of=(23, 23), slow=True),
-        t.AffineNode(of=(24, 0), offset=1.0, weights=(1.0, 1.0)), t.LagNode(of=(24,), tau_up=TICK, tau_down=TICK),
-    )  # fmt: skip
+        t.ProductNode(of=(23, 23)),
+        t.ProductNode(of=(23, 23), slow=True),
+        t.AffineNode(of=(24, 0), offset=1.0, weights=(1.0, 1.0)),
+        t.LagNode(of=(24,), tau_up=TICK, tau_down=TICK),
+    )
     way = [
         None,
         BAD,
@@ -183,10 +358,69 @@ def operations() -> tuple[t.CompensationTable, list[dict]]:
     way += [1.0, 2.0, 2.0, 2.5, 2.5, 3.0, 3.0, 3.25, 3.25, 1.4142135623730951, 0.5]  # approach where nothing moved
     way += [9.0, 9.68359375, 9.68359375, 5.0, 5.68408203125, 5.0]  # 700 and 700.5 lengths
     way += [10.484375]  # a logarithm in which the last term of the series shows
-    known = [None, None, None, BAD, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0,
-             0.0, 0.5, 2.0**-64, 0.0, 2.0**-65, -(2.0**-64), 0.0, 2.0, 2.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
-             0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 3.0, 3.0, -3.0, 900.0, 900.0, 1.0, -900.0, 0.0, 0.0,
-             *[0.0] * 11, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0]  # fmt: skip
+    known = [
+        None,
+        None,
+        None,
+        BAD,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        1.0,
+        -1.0,
+        -1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.5,
+        2.0**-64,
+        0.0,
+        2.0**-65,
+        -(2.0**-64),
+        0.0,
+        2.0,
+        2.0,
+        0.0,
+        0.0,
+        2.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        -1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        3.0,
+        3.0,
+        -3.0,
+        900.0,
+        900.0,
+        1.0,
+        -900.0,
+        0.0,
+        0.0,
+        *[0.0] * 11,
+        1.0,
+        0.0,
+        1.0,
+        1.0,
+        0.0,
+        0.0,
+    ]
     return shown((channel("u"), channel("k", default=0.0)), nodes, slow_every=2), rows(u=way, k=known)
 
 
@@ -194,9 +428,11 @@ def sums() -> tuple[t.CompensationTable, list[dict]]:
     """A deviation that is not finite, one of exactly 1e30; profiles at their ends, periodic ones on their seams."""
     inputs = (channel("x"), channel("y"))
     nodes = (
-        t.ConstantNode(value=1.0), t.InputNode(input="y"), t.AffineNode(of=(1,), offset=0.0, weights=(1e15,)),
+        t.ConstantNode(value=1.0),
+        t.InputNode(input="y"),
+        t.AffineNode(of=(1,), offset=0.0, weights=(1e15,)),
         t.ProductNode(of=(2, 2)),
-    )  # fmt: skip
+    )
     profiles = (
         t.Profile(input="x", start=0.0, step=4.0, values=(0, 1000, -600, 250), scale=2.0**-7),
         t.Profile(input="x", start=-2.0, step=4.0, values=(100, 300, -200, 100), scale=2.0**-7, periodic=True),
@@ -204,20 +440,49 @@ def sums() -> tuple[t.CompensationTable, list[dict]]:
     )
     parts = {"A": (0, 0), "P": (1, 0), "Q": (1, 1), "B": (2, 3)}
     terms = {
-        "A": (t.Monomial(weight=-2.0, component="A"),), "P": (t.Monomial(weight=1.0, component="P"),),
+        "A": (t.Monomial(weight=-2.0, component="A"),),
+        "P": (t.Monomial(weight=1.0, component="P"),),
         "PQ": (t.Monomial(weight=1.0, component="P", factors=(1,)), t.Monomial(weight=0.5, component="Q")),
         "B": (t.Monomial(weight=1.0, component="B"),),
         "-B": (t.Monomial(weight=-1.0, component="B"),),
         "BB": (t.Monomial(weight=1.0, component="P"), t.Monomial(weight=1.0, component="B", factors=(2, 2, 2, 2))),
-    }  # fmt: skip
+    }
     table = t.CompensationTable(
-        position_cycle_s=TICK, slow_every=1, ramp_s=0.0, fade_s=0.0, inputs=inputs, nodes=nodes, profiles=profiles,
+        position_cycle_s=TICK,
+        slow_every=1,
+        ramp_s=0.0,
+        fade_s=0.0,
+        inputs=inputs,
+        nodes=nodes,
+        profiles=profiles,
         components=tuple(t.Component(name=name) for name in parts),
         pairs=tuple(t.Pair(component=name, profile=p, driver=n) for name, (p, n) in parts.items()),
         outputs=tuple(t.Output(name=name, correction_unit="um", terms=own) for name, own in terms.items()),
-    )  # fmt: skip
-    x = [0.0, 12.0, -0.125, 12.125, 4.0, 8.0, 2.0, 10.0, -2.0, -6.0, -14.0, -14.125, -13.875, 22.0, 21.875, 34.0, -26.0,
-         HIGH, -HIGH, 11.875, -0.0, 6.5]  # fmt: skip
+    )
+    x = [
+        0.0,
+        12.0,
+        -0.125,
+        12.125,
+        4.0,
+        8.0,
+        2.0,
+        10.0,
+        -2.0,
+        -6.0,
+        -14.0,
+        -14.125,
+        -13.875,
+        22.0,
+        21.875,
+        34.0,
+        -26.0,
+        HIGH,
+        -HIGH,
+        11.875,
+        -0.0,
+        6.5,
+    ]
     y = [0.0, 1.0, -1.0, 0.5, 2.0, -2.0, 0.0, 1.0, 0.0]
     return table, rows(x=x, y=y)
 
@@ -226,19 +491,27 @@ def motion() -> tuple[t.CompensationTable, list[dict], list[int]]:
     """Slew 4 um, acceleration 1 um per cycle, magnitude 20 um: arrivals exactly at them, goals that move, ramps."""
     limits = [
         {"slew": s, "acceleration": a, "magnitude": m}
-        for s in (None, 4.0 / TICK) for a in (None, 1.0 / TICK**2) for m in (None, 20.0)
-    ]  # fmt: skip
+        for s in (None, 4.0 / TICK)
+        for a in (None, 1.0 / TICK**2)
+        for m in (None, 20.0)
+    ]
     limits += [{"acceleration": 4.0 / TICK**2}, {"slew": 1.0 / TICK, "acceleration": 0.25 / TICK**2}]
     limits += [{"magnitude": 0.5}]
     table = t.CompensationTable(
-        position_cycle_s=TICK, slow_every=1, ramp_s=8 * TICK, fade_s=0.0, inputs=(channel("a"),),
-        nodes=(t.InputNode(input="a"),), profiles=(t.Profile(values=(1,), scale=1.0),),
-        components=(t.Component(name="C"),), pairs=(t.Pair(component="C", profile=0, driver=0),),
+        position_cycle_s=TICK,
+        slow_every=1,
+        ramp_s=8 * TICK,
+        fade_s=0.0,
+        inputs=(channel("a"),),
+        nodes=(t.InputNode(input="a"),),
+        profiles=(t.Profile(values=(1,), scale=1.0),),
+        components=(t.Component(name="C"),),
+        pairs=(t.Pair(component="C", profile=0, driver=0),),
         outputs=tuple(
             t.Output(name=f"O{n}", correction_unit="um", terms=(t.Monomial(weight=1.0, component="C"),), **more)
             for n, more in enumerate(limits)
         ),
-    )  # fmt: skip
+    )
     way = [*[0.0] * 9, 1.0, 3.0, 6.0, 10.0, 14.0, 18.0, 21.0, 23.0, 24.0, 24.0, 20.0, 16.0, *[-30.0] * 25]
     way += [*range(-30, 0, 3), *range(0, 24, 4), *range(24, -24, -2), *[5.0] * 20, 20.0, 20.125, -20.0, -20.125]
     r = np.random.default_rng(3)

@@ -19,8 +19,14 @@ from typing import Any
 from tests.contract import second_cycle, second_functions, second_reader
 from tests.golden import vectors
 
-SIDES: dict[type, type] = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
-                           ast.NotEq: ast.Eq}  # fmt: skip
+SIDES: dict[type, type] = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+}
 SIGNS: dict[type, type] = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 # What is not a rule of the cycle: rounding to single precision, names, faults and sources (no part of the vectors).
 LEFT_OUT = {"_rounded", "__init__", "reset", "cycle", "Cycle"}

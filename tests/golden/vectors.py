@@ -37,9 +37,25 @@ HEAD = """# Golden vectors of the compensation table, binary form, version 1 (ec
 # sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N: random tables that use everything.
 """
 NAMES = (
-    "straight", "curves", "thermal", "reversal", "limits", "volumetric", "mixed-6", "mixed-13",
-    "readings", "fading", "operations", "sums", "motion", "mixed-1", "mixed-28", "mixed-81", "mixed-174", "mixed-181",
-)  # fmt: skip
+    "straight",
+    "curves",
+    "thermal",
+    "reversal",
+    "limits",
+    "volumetric",
+    "mixed-6",
+    "mixed-13",
+    "readings",
+    "fading",
+    "operations",
+    "sums",
+    "motion",
+    "mixed-1",
+    "mixed-28",
+    "mixed-81",
+    "mixed-174",
+    "mixed-181",
+)
 MIXED = {6: 60, 13: 60, 1: 200, 28: 200, 81: 200, 174: 200, 181: 200}  # seed: cycles
 # What binary32 may lose of a deviation: um or urad, or a share of the table's largest, which is more where powers of
 # large numbers are multiplied.
@@ -105,11 +121,19 @@ def thermal() -> Block:
     spare = (t.Substitute(input="T_bed", weight=0.5), t.Substitute(input="T_air", weight=0.5))
     inputs = [
         axis("X"),
-        warm("T_nut", max_rate=100.0, stale_after_s=0.035, hold_s=0.055, substitute=spare, substitute_offset=1.5,
-             valid=(15.0, 40.0), margin=5.0),
+        warm(
+            "T_nut",
+            max_rate=100.0,
+            stale_after_s=0.035,
+            hold_s=0.055,
+            substitute=spare,
+            substitute_offset=1.5,
+            valid=(15.0, 40.0),
+            margin=5.0,
+        ),
         warm("T_bed", hold_s=0.025),
         warm("T_air", fade_on_default=False),
-    ]  # fmt: skip
+    ]
     slow = d.Lag(of=d.rise("T_nut"), tau_up=0.5, tau_down=0.9)
     fast = d.Lag(of=d.above("T_bed", 20.0), tau_up=0.04, tau_down=0.02, start="zero")
     pairs = (
@@ -119,9 +143,14 @@ def thermal() -> Block:
         Lowered(d.Affine(weights=(0.3,), of=(d.Input(name="T_air"),))),
     )
     table = compile_table(
-        [ComponentSource("EXX", "um", pairs)], inputs=inputs, travel={"X": (0.0, 1000.0)}, position_cycle_s=0.01,
-        thermal_cycle_s=0.02, ramp_s=0.0, fade_s=0.1,
-    )  # fmt: skip
+        [ComponentSource("EXX", "um", pairs)],
+        inputs=inputs,
+        travel={"X": (0.0, 1000.0)},
+        position_cycle_s=0.01,
+        thermal_cycle_s=0.02,
+        ramp_s=0.0,
+        fade_s=0.1,
+    )
     rows: list[dict] = []
     for k in range(60):
         row = {"x": 40.0 * (k % 25), "T_nut": 21.0 + 0.4 * k, "T_bed": 20.0 + 0.2 * k, "T_air": 19.0}
@@ -164,10 +193,17 @@ def limits() -> Block:
         ComponentSource(name, "um", (Lowered(d.ONE, "X", lambda x: 0.1 * x),)) for name in ("EXX", "EYX", "EZX")
     ] + [ComponentSource("EBX", "urad", (Lowered(d.ONE, "X", lambda x: 0.05 * x),))]
     table = compile_table(
-        source, inputs=[axis("X")], travel={"X": (0.0, 1000.0)}, ramp_s=0.008,
-        limits={"EXX": Limits(60.0, None, None), "EYX": Limits(200.0, 4000.0, None), "EZX": Limits(200.0, 4000.0, 4e5),
-                "EBX": Limits(200.0, None, 2e5)},
-    )  # fmt: skip
+        source,
+        inputs=[axis("X")],
+        travel={"X": (0.0, 1000.0)},
+        ramp_s=0.008,
+        limits={
+            "EXX": Limits(60.0, None, None),
+            "EYX": Limits(200.0, 4000.0, None),
+            "EZX": Limits(200.0, 4000.0, 4e5),
+            "EBX": Limits(200.0, None, 2e5),
+        },
+    )
     way = [0.0] * 3 + [300.0] * 25 + [900.0] * 45 + [20.0 * k for k in range(45, 0, -1)] + [500.0] * 40
     enable = [1] * 130 + [0] * (len(way) - 130)
     return block("limits", table, [{"x": x} for x in way], enable)
@@ -189,18 +225,28 @@ def volumetric() -> Block:
         ComponentSource("EZZ", "um", (Lowered(growth), Lowered(d.Product(of=(heavy, capped))))),
     ]
     outputs = [
-        OutputSource("E_X", (
-            MonomialSource(1.0, "EXX"), MonomialSource(1e-3, "EBX", (arm,)),
-            MonomialSource(-1e-3, "C0Y", (d.Input(name="y"),)),
-            MonomialSource(0.2, "EXX", (turn, turn, capped, heavy)),
-        ), "X"),
+        OutputSource(
+            "E_X",
+            (
+                MonomialSource(1.0, "EXX"),
+                MonomialSource(1e-3, "EBX", (arm,)),
+                MonomialSource(-1e-3, "C0Y", (d.Input(name="y"),)),
+                MonomialSource(0.2, "EXX", (turn, turn, capped, heavy)),
+            ),
+            "X",
+        ),
         OutputSource("E_Z", (MonomialSource(1.0, "EZZ"), MonomialSource(0.5, "EZZ", (turn, capped))), "Z"),
         OutputSource("E_B", (MonomialSource(1.0, "EBX"),), "B", "urad", "deg"),
-    ]  # fmt: skip
+    ]
     table = compile_table(
-        components, inputs=[axis("X"), axis("Y"), axis("Z"), tool, speed], outputs=outputs, ramp_s=0.0,
-        travel=dict.fromkeys("XYZ", (0.0, 1000.0)), thermal_cycle_s=0.002, error_bound=0.1,
-    )  # fmt: skip
+        components,
+        inputs=[axis("X"), axis("Y"), axis("Z"), tool, speed],
+        outputs=outputs,
+        ramp_s=0.0,
+        travel=dict.fromkeys("XYZ", (0.0, 1000.0)),
+        thermal_cycle_s=0.002,
+        error_bound=0.1,
+    )
     rng = np.random.default_rng(7)
     rows = []
     for k in range(50):

@@ -52,12 +52,28 @@ def problems(text: str, model: object = Model) -> list[str]:
 @pytest.mark.parametrize(
     "text, value",
     [
-        ("1e-3", 1e-3), ("no", "no"), ("on", "on"), ("12:30", "12:30"), ("2024-01-01", "2024-01-01"), ("010", 10),
-        ("0x1F", 31), ("0o17", 15), ("+3", 3), ("-.5", -0.5), ("5.", 5.0), ("1_000", "1_000"), ("~", None), ("", None),
-        ("TRUE", True), ("-.inf", float("-inf")),
-        ("1" * 30, float("1" * 30)), ("0b1", "0b1"), ("e3", "e3"), ("<<", "<<"),
+        ("1e-3", 1e-3),
+        ("no", "no"),
+        ("on", "on"),
+        ("12:30", "12:30"),
+        ("2024-01-01", "2024-01-01"),
+        ("010", 10),
+        ("0x1F", 31),
+        ("0o17", 15),
+        ("+3", 3),
+        ("-.5", -0.5),
+        ("5.", 5.0),
+        ("1_000", "1_000"),
+        ("~", None),
+        ("", None),
+        ("TRUE", True),
+        ("-.inf", float("-inf")),
+        ("1" * 30, float("1" * 30)),
+        ("0b1", "0b1"),
+        ("e3", "e3"),
+        ("<<", "<<"),
     ],
-)  # fmt: skip
+)
 def test_plain_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:
     found = plain(text)
     assert found == value and type(found) is type(value)
@@ -73,24 +89,34 @@ def test_quoted_scalars_are_texts() -> None:
     [
         ("", "f.yaml:1:1  the file is empty"),
         ("# only a comment\n", "f.yaml:1:1  the file is empty"),
-        ("a: 1\na: 2\nb: {c: 1, c: 2}", "f.yaml:2:1  a: stands twice in one mapping (first in line 1)\n"
-         "f.yaml:3:11  b.c: stands twice in one mapping (first in line 3)"),
-        ("a: !!python/name:os.system x",
-         "f.yaml:1:4  a: has the tag tag:yaml.org,2002:python/name:os.system (tags are not read)"),
+        (
+            "a: 1\na: 2\nb: {c: 1, c: 2}",
+            "f.yaml:2:1  a: stands twice in one mapping (first in line 1)\n"
+            "f.yaml:3:11  b.c: stands twice in one mapping (first in line 3)",
+        ),
+        (
+            "a: !!python/name:os.system x",
+            "f.yaml:1:4  a: has the tag tag:yaml.org,2002:python/name:os.system (tags are not read)",
+        ),
         ("a: 1\n---\nb: 2", "f.yaml:2:1  a second document starts here (one is allowed)"),
         ("%YAML 1.1\n---\na: 1", "f.yaml:2:1  asks for YAML 1.1 (1.2 is read)"),
         ("a: b: c", "f.yaml:1:5  not YAML: mapping values are not allowed here"),
-        ("a: [1, 2",
-         "f.yaml:1:9  not YAML: expected ',' or ']', but got '<stream end>', while parsing a flow sequence"),
-        ("a:\n\t- b",
-         "f.yaml:2:1  not YAML: found character '\\t' that cannot start any token, while scanning for the next token"),
+        (
+            "a: [1, 2",
+            "f.yaml:1:9  not YAML: expected ',' or ']', but got '<stream end>', while parsing a flow sequence",
+        ),
+        (
+            "a:\n\t- b",
+            "f.yaml:2:1  not YAML: found character '\\t' that cannot start any token, "
+            "while scanning for the next token",
+        ),
         ("a: \x07", "f.yaml:1:4  not YAML: the character U+0007 is not allowed"),
         ("? [a]\n: 1", "f.yaml:1:3  a key is a list, a mapping or an alias (a text is needed)"),
         ("a: *b", "f.yaml:1:4  a: the alias *b names nothing above."),
         ("a: &b [*b]", "f.yaml:1:8  a[0]: the alias *b stands inside what it names"),
         ('a: "\\ud800"', "f.yaml:1:4  a: half of a surrogate pair is not a character"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_plain_yaml_is_refused_with_its_place(text: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse(text, "f.yaml").validate(dict)
@@ -156,24 +182,31 @@ name: Green
     "text, message",
     [
         ("[1]", "f.yaml:1:1  found a list (a mapping is needed)"),
-        ("version: 1\ncount: '3'",
-         "f.yaml:2:8  count: found the text '3' (a whole number is needed). Did you mean 3, without quotes?"),
+        (
+            "version: 1\ncount: '3'",
+            "f.yaml:2:8  count: found the text '3' (a whole number is needed). Did you mean 3, without quotes?",
+        ),
         ("version: 1\ncount: 2.5", "f.yaml:2:8  count: found the number 2.5 (a whole number is needed)"),
-        ("version: 1\ntitle: 5",
-         "f.yaml:2:8  title: found the number 5 (a text is needed). Did you mean '5', in quotes?"),
-        ("version: 1\ntitle: true",
-         "f.yaml:2:8  title: found true (a text is needed). Did you mean 'true', in quotes?"),
+        (
+            "version: 1\ntitle: 5",
+            "f.yaml:2:8  title: found the number 5 (a text is needed). Did you mean '5', in quotes?",
+        ),
+        (
+            "version: 1\ntitle: true",
+            "f.yaml:2:8  title: found true (a text is needed). Did you mean 'true', in quotes?",
+        ),
         ("version: 1\ntitle:", "f.yaml:2:7  title: found nothing (a text is needed)"),
         ("version: 1\nspread: often", "f.yaml:2:9  spread: found the text 'often' (a number or one of auto is needed)"),
         ("version: 1\nspread: .nan", "f.yaml:2:9  spread: nan is not a finite number"),
         ("version: 1\nterms: {kind: line}", "f.yaml:2:8  terms: found a mapping (a list is needed)"),
-        ("version: 1\nterms: [{kind: step, height: 1, sides: [1]}]",
-         "f.yaml:2:33  terms[0].sides[1]: is missing"),
-        ("version: 1\nterms: [{kind: step, height: 1, sides: [1, 1]}]",
-         "f.yaml:2:44  terms[0].sides[1]: equals the first side"),
+        ("version: 1\nterms: [{kind: step, height: 1, sides: [1]}]", "f.yaml:2:33  terms[0].sides[1]: is missing"),
+        (
+            "version: 1\nterms: [{kind: step, height: 1, sides: [1, 1]}]",
+            "f.yaml:2:44  terms[0].sides[1]: equals the first side",
+        ),
         ("title: x", "f.yaml:1:1  version: is missing (1)"),
     ],
-)  # fmt: skip
+)
 def test_single_problems(text: str, message: str) -> None:
     assert problems(text) == [message]
 
@@ -188,12 +221,22 @@ def test_what_is_missing_points_at_the_key_of_its_parent() -> None:
 @pytest.mark.parametrize(
     "text, unit, value",
     [
-        ("20 um", "um", 20.0), ("0.02 mm", "um", 20.0), ("20um", "mm", 0.02), ("68 degF", "degC", 20.0),
-        ("293.15 K", "degC", 20.0), ("9 delta_degF", "K", 5.0), ("-1e3 mm/s", "m/s", -1.0), ("2 h", "s", 7200.0),
-        ("1.1 inch", "mm", 27.94), ("3 bogus", "bogus", 3.0), ("1 bar", "hPa", 1000.0), ("5 %", "1", 0.05),
-        ("0.1 m", "mm", 100.0), ("0.3 m", "mm", 300.0),
+        ("20 um", "um", 20.0),
+        ("0.02 mm", "um", 20.0),
+        ("20um", "mm", 0.02),
+        ("68 degF", "degC", 20.0),
+        ("293.15 K", "degC", 20.0),
+        ("9 delta_degF", "K", 5.0),
+        ("-1e3 mm/s", "m/s", -1.0),
+        ("2 h", "s", 7200.0),
+        ("1.1 inch", "mm", 27.94),
+        ("3 bogus", "bogus", 3.0),
+        ("1 bar", "hPa", 1000.0),
+        ("5 %", "1", 0.05),
+        ("0.1 m", "mm", 100.0),
+        ("0.3 m", "mm", 300.0),
     ],
-)  # fmt: skip
+)
 def test_quantities_are_rounded_once(text: str, unit: str, value: float) -> None:
     assert convert(text, unit) == value
 
@@ -324,10 +367,45 @@ def test_values_can_be_assigned_and_keep_their_origin() -> None:
 # ---------------------------------------------------------------- anything at all
 
 _BITS = st.sampled_from(
-    ["a", "kind", ": ", ":", "- ", "\n", "\n  ", "[", "]", "{", "}", ", ", "&x ", "*x", "!!t ", "'", '"', "|", ">", "#",
-     "---\n", "%YAML 1.1\n", "1e-3", "~", "\t", "? ", "<<: ", "${A}", "version: 1\n", "terms:\n", "\ufeff", "\x00",
-     "ü", "@", "`", "..."]
-)  # fmt: skip
+    [
+        "a",
+        "kind",
+        ": ",
+        ":",
+        "- ",
+        "\n",
+        "\n  ",
+        "[",
+        "]",
+        "{",
+        "}",
+        ", ",
+        "&x ",
+        "*x",
+        "!!t ",
+        "'",
+        '"',
+        "|",
+        ">",
+        "#",
+        "---\n",
+        "%YAML 1.1\n",
+        "1e-3",
+        "~",
+        "\t",
+        "? ",
+        "<<: ",
+        "${A}",
+        "version: 1\n",
+        "terms:\n",
+        "\ufeff",
+        "\x00",
+        "ü",
+        "@",
+        "`",
+        "...",
+    ]
+)
 
 
 @settings(deadline=None)

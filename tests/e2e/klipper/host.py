@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-SHIM = '''
+SHIM = """
 import importlib, pkgutil, sys
 import klippy
 for found in pkgutil.iter_modules(klippy.__path__):
@@ -28,7 +28,7 @@ for part in ("kinematics", "extras"):
             setattr(package, name.split(".")[1], sys.modules[name])
 from klippy.klippy import main
 sys.exit(main())
-'''
+"""
 
 COMMANDS = """identify offset=%u count=%c
 get_config
@@ -85,14 +85,22 @@ def dictionary() -> str:
     known = {"identify_response offset=%u data=%.*s": 0}
     return json.dumps(
         {
-            "app": "Klipper", "version": "test", "build_versions": "none", "license": "none",
-            "config": {"CLOCK_FREQ": 50000000, "MCU": "linux", "STATS_SUMSQ_BASE": 256, "STEPPER_BOTH_EDGE": 1,
-                       "STEPPER_STEP_BOTH_EDGE": 1},
+            "app": "Klipper",
+            "version": "test",
+            "build_versions": "none",
+            "license": "none",
+            "config": {
+                "CLOCK_FREQ": 50000000,
+                "MCU": "linux",
+                "STATS_SUMSQ_BASE": 256,
+                "STEPPER_BOTH_EDGE": 1,
+                "STEPPER_STEP_BOTH_EDGE": 1,
+            },
             "enumerations": {"pin": {"gpiochip0/gpio0": [0, 32]}, "static_string_id": {"none": 2}},
             "commands": {line: n for n, line in enumerate(COMMANDS.splitlines(), 1)},
             "responses": known | {line: n for n, line in enumerate(RESPONSES.splitlines(), 60)},
         }
-    )  # fmt: skip
+    )
 
 
 def printer(travel: dict[str, tuple[float, float]], included: str) -> str:

@@ -73,8 +73,10 @@ def test_a_warm_day_moves_z_by_what_is_read_back(klippy, tmp_path, capsys):
         print("\nKlipper host, Z per warmth: " + ", ".join(f"{k:+g} K {v:+.3f} um" for k, v in found.items()))
     for rise, moved in found.items():
         want = read.correction(
-            "Z", {"X": np.full(1, 50.0), "Y": np.full(1, 50.0), "Z": np.full(1, -100.0)}, np.ones(1),
+            "Z",
+            {"X": np.full(1, 50.0), "Y": np.full(1, 50.0), "Z": np.full(1, -100.0)},
+            np.ones(1),
             {line.sensor: np.full(1, line.reference + rise)},
-        )  # fmt: skip
+        )
         assert moved == pytest.approx(1e3 * want[0], abs=0.0011)
     assert found[10.0] == pytest.approx(-20.0, abs=0.05)  # 20 um too high: told to go 20 um less high

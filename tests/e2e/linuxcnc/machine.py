@@ -46,10 +46,14 @@ def chain() -> Chain:
         "Z": {"kind": "linear", "travel": TRAVEL["Z"], "reference": (250, 0, 150), "datum": 0},
     }
     facts = {
-        "machine": 1, "name": "closed-loop", "chain": ["workpiece", "X'", "Y'", "bed", "Z", "spindle", "tool"],
-        "axes": axes, "workpiece": (0, 0, -400), "spindle": {"position": (250, 200, 0), "growth": True},
+        "machine": 1,
+        "name": "closed-loop",
+        "chain": ["workpiece", "X'", "Y'", "bed", "Z", "spindle", "tool"],
+        "axes": axes,
+        "workpiece": (0, 0, -400),
+        "spindle": {"position": (250, 200, 0), "growth": True},
         "tool": {"length": TOOL},
-    }  # fmt: skip
+    }
     return compile_chain(Machine.model_validate(facts))
 
 
@@ -78,10 +82,20 @@ def table() -> t.CompensationTable:
         for a, (lo, hi) in TRAVEL.items()
     ]
     inputs += [
-        t.TableInput(name=n, kind="sensor", unit="degC", low=-20, high=90, default=COLD, max_rate=50.0, hold_s=1.0,
-                     valid=(15.0, 40.0), margin=5.0)
+        t.TableInput(
+            name=n,
+            kind="sensor",
+            unit="degC",
+            low=-20,
+            high=90,
+            default=COLD,
+            max_rate=50.0,
+            hold_s=1.0,
+            valid=(15.0, 40.0),
+            margin=5.0,
+        )
         for n in ("T screw", "T spindle")
-    ]  # fmt: skip
+    ]
     inputs += [t.TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=400, default=TOOL)]
     inputs += [
         t.TableInput(name=f"tool_offset_{a}", kind="tool", unit="mm", low=-300, high=300, default=0) for a in AXES
@@ -93,10 +107,16 @@ def table() -> t.CompensationTable:
         for o in compensation.outputs(chain(), used=tuple(pairs))
     ]
     return tables.compile_table(
-        [tables.ComponentSource(n, chain().unit(n), p) for n, p in pairs.items()], inputs=inputs, outputs=outputs,
-        travel=TRAVEL, error_bound=0.01, position_cycle_s=CYCLE, thermal_cycle_s=THERMAL_CYCLE, ramp_s=0.2,
+        [tables.ComponentSource(n, chain().unit(n), p) for n, p in pairs.items()],
+        inputs=inputs,
+        outputs=outputs,
+        travel=TRAVEL,
+        error_bound=0.01,
+        position_cycle_s=CYCLE,
+        thermal_cycle_s=THERMAL_CYCLE,
+        ramp_s=0.2,
         machine="closed-loop",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -184,8 +204,11 @@ net spindle lowpass.1.out => sampler.0.pin.7
 net beat errpipe.heartbeat => sampler.0.pin.8
 net status errpipe.status => sampler.0.pin.9
 """
-PINS = {"T screw": "net screw => errpipe.in-t-screw", "T spindle": "net spindle => errpipe.in-t-spindle",
-        "tool_length": f"setp errpipe.in-tool-length {TOOL}"}  # fmt: skip
+PINS = {
+    "T screw": "net screw => errpipe.in-t-screw",
+    "T spindle": "net spindle => errpipe.in-t-spindle",
+    "tool_length": f"setp errpipe.in-tool-length {TOOL}",
+}
 PINS |= {f"tool_offset_{a}": f"setp errpipe.in-tool-offset-{a.lower()} 0" for a in AXES}
 
 
@@ -253,21 +276,33 @@ def lattice(points: int = 3) -> str:
 
 
 def run(
-    folder: Path, way: str, made: t.CompensationTable | None = None, program: str = "", least_s: float = 0.0,
+    folder: Path,
+    way: str,
+    made: t.CompensationTable | None = None,
+    program: str = "",
+    least_s: float = 0.0,
     read: tuple[str, ...] = (),
-) -> Record:  # fmt: skip
+) -> Record:
     """One session: way is off, screw, hal or shift. Raises AssertionError with LinuxCNC's words where it fails."""
     made = made or table()
     screws = LinuxcncScrew.write(made) if way == "screw" else {}
     files = {
-        "sim.ini": ini(way, tuple(screws)), "sim.tbl": "", "core.hal": CORE, "connect.hal": connections(way, made),
-        "program.ngc": program or lattice(), **LinuxcncHal.write(made), **screws,
-    }  # fmt: skip
+        "sim.ini": ini(way, tuple(screws)),
+        "sim.tbl": "",
+        "core.hal": CORE,
+        "connect.hal": connections(way, made),
+        "program.ngc": program or lattice(),
+        **LinuxcncHal.write(made),
+        **screws,
+    }
     plan = {
-        "settle_s": 0.5, "program_s": 120, "least_s": least_s, "read": read,
+        "settle_s": 0.5,
+        "program_s": 120,
+        "least_s": least_s,
+        "read": read,
         "heat": {"lowpass.0.load": 0, "lowpass.1.load": 0, "lowpass.0.in": SCREW_HOT, "lowpass.1.in": SPINDLE_HOT},
         "cool": {"lowpass.0.in": COLD, "lowpass.1.in": COLD},
-    }  # fmt: skip
+    }
     for name, text in (files | {"plan.json": json.dumps(plan)}).items():
         (folder / name).write_text(text)
     shutil.copy(Path(__file__).with_name("ui.py"), folder / "ui.py")
@@ -286,7 +321,12 @@ def _read(folder: Path) -> Record:
     rows = np.loadtxt(folder / "record.txt", comments="overrun")
     command = rows[:, 1:4]
     return Record(
-        number=rows[:, 0].astype(int), command=command, motor=command + 1e-6 * rows[:, 4:7], screw=rows[:, 7],
-        spindle=rows[:, 8], heartbeat=rows[:, 9].astype(int), status=rows[:, 10].astype(int),
+        number=rows[:, 0].astype(int),
+        command=command,
+        motor=command + 1e-6 * rows[:, 4:7],
+        screw=rows[:, 7],
+        spindle=rows[:, 8],
+        heartbeat=rows[:, 9].astype(int),
+        status=rows[:, 10].astype(int),
         facts=json.loads((folder / "facts.json").read_text()),
-    )  # fmt: skip
+    )

@@ -53,9 +53,12 @@ def alone() -> Iterator[Path]:
 def environment(folder: Path) -> dict[str, str]:
     """For LinuxCNC's programs: Debian's Python (its hal and linuxcnc modules), no display, files they may write."""
     env = {
-        "PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(folder), "LANG": "C.UTF-8",
-        "RTAPI_FIFO_PATH": str(folder / ".fifo"), MARK: str(folder),
-    }  # fmt: skip
+        "PATH": "/usr/bin:/bin:/usr/sbin:/sbin",
+        "HOME": str(folder),
+        "LANG": "C.UTF-8",
+        "RTAPI_FIFO_PATH": str(folder / ".fifo"),
+        MARK: str(folder),
+    }
     if os.geteuid() == 0:
         env["RTAPI_UID"] = str(NOBODY)
         for path in (folder, *folder.rglob("*")):
@@ -85,9 +88,14 @@ def quiet(command: list[str], env: dict[str, str], folder: Path, seconds: float)
     """Run a command that may leave a daemon behind: no pipes, which the daemon would hold open for ever."""
     with (folder / "talk.txt").open("ab") as talk:
         process = subprocess.run(
-            ["timeout", "-k", "5", str(seconds), *command], cwd=folder, env=env, stdin=subprocess.DEVNULL,
-            stdout=talk, stderr=talk, check=False,
-        )  # fmt: skip
+            ["timeout", "-k", "5", str(seconds), *command],
+            cwd=folder,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=talk,
+            stderr=talk,
+            check=False,
+        )
     return process.returncode
 
 
@@ -106,9 +114,13 @@ def install(component: Path) -> Path:
     """Compile a component and put it where LinuxCNC looks; returns the module, to be removed by the caller."""
     env = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(component.parent), "LANG": "C.UTF-8"}
     subprocess.run(
-        ["halcompile", "--install", component.name], cwd=component.parent, env=env, check=True, capture_output=True,
+        ["halcompile", "--install", component.name],
+        cwd=component.parent,
+        env=env,
+        check=True,
+        capture_output=True,
         timeout=120,
-    )  # fmt: skip
+    )
     return MODULES / f"{component.stem}.so"
 
 

@@ -32,31 +32,53 @@ def table() -> t.CompensationTable:
     inputs = [
         t.TableInput(name="x", kind="position", axis="X", unit="mm", low=-50, high=550, default=0),
         t.TableInput(name="y", kind="position", axis="Y", unit="mm", low=-50, high=450, default=0),
-        t.TableInput(name="T nut", kind="sensor", unit="degC", low=-20, high=90, default=20, max_rate=50.0, hold_s=0.01,
-                     valid=(15, 40), margin=5),
+        t.TableInput(
+            name="T nut",
+            kind="sensor",
+            unit="degC",
+            low=-20,
+            high=90,
+            default=20,
+            max_rate=50.0,
+            hold_s=0.01,
+            valid=(15, 40),
+            margin=5,
+        ),
         t.TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=300, default=100),
-    ]  # fmt: skip
+    ]
     warm = d.Lag(of=d.above("T nut", 20.0), tau_up=0.05, tau_down=0.09)
     components = [
-        tables.ComponentSource("EXX", "um", (
-            Lowered(d.ONE, "X", lambda x: 12.0 * np.sin(x / 60.0)),
-            Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -3.0)),
-            Lowered(warm, "X", lambda x: 0.011 * x),
-        )),
+        tables.ComponentSource(
+            "EXX",
+            "um",
+            (
+                Lowered(d.ONE, "X", lambda x: 12.0 * np.sin(x / 60.0)),
+                Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -3.0)),
+                Lowered(warm, "X", lambda x: 0.011 * x),
+            ),
+        ),
         tables.ComponentSource("EBX", "urad", (Lowered(d.ONE, "X", lambda x: 20.0 * np.cos(x / 90.0)),)),
         tables.ComponentSource("EYY", "um", (Lowered(d.ONE, "Y", lambda y: 8.0 * np.sin(y / 70.0)),)),
-    ]  # fmt: skip
+    ]
     outputs = [
-        tables.OutputSource("E_X", (
-            tables.MonomialSource(1.0, "EXX"), tables.MonomialSource(-1e-3, "EBX", (d.Input(name="tool_length"),)),
-        ), "X"),
+        tables.OutputSource(
+            "E_X",
+            (tables.MonomialSource(1.0, "EXX"), tables.MonomialSource(-1e-3, "EBX", (d.Input(name="tool_length"),))),
+            "X",
+        ),
         tables.OutputSource("E_Y", (tables.MonomialSource(1.0, "EYY"),), "Y"),
-    ]  # fmt: skip
+    ]
     return tables.compile_table(
-        components, inputs=inputs, outputs=outputs, travel={"X": (0, 500), "Y": (0, 400)},
+        components,
+        inputs=inputs,
+        outputs=outputs,
+        travel={"X": (0, 500), "Y": (0, 400)},
         limits={"E_X": tables.Limits(magnitude=12.0, slew=4000.0, acceleration=2e6)},
-        position_cycle_s=PERIOD_NS * 1e-9, thermal_cycle_s=20 * PERIOD_NS * 1e-9, ramp_s=0.02, fade_s=0.01,
-    )  # fmt: skip
+        position_cycle_s=PERIOD_NS * 1e-9,
+        thermal_cycle_s=20 * PERIOD_NS * 1e-9,
+        ramp_s=0.02,
+        fade_s=0.01,
+    )
 
 
 def stimulus() -> np.ndarray:
@@ -129,9 +151,12 @@ def stream(folder, readings):
             subprocess.run(["timeout", "30", "halstreamer", "-c", "0"], stdin=given, env=env, cwd=folder, check=True)
         with (folder / "out.txt").open("w") as taken:
             sampler = subprocess.Popen(
-                ["timeout", "60", "halsampler", "-c", "0", "-n", str(len(readings)), "-t"], stdout=taken, env=env,
-                cwd=folder, stdin=subprocess.DEVNULL,
-            )  # fmt: skip
+                ["timeout", "60", "halsampler", "-c", "0", "-n", str(len(readings)), "-t"],
+                stdout=taken,
+                env=env,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+            )
             time.sleep(0.2)
             assert session.quiet(["halcmd", "start"], env, folder, 10) == 0
             assert sampler.wait(70) == 0

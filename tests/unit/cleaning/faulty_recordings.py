@@ -40,9 +40,11 @@ def warm_up(seed=0, rows=600, runs=2, noise=0.05, step=0.0):
             slow[i] = slow[i - 1] + (hot[i] - slow[i - 1]) * 60 / 3600
         room = 20 + 1.5 * np.sin(2 * np.pi * t / 86400 + run)
         sensors = {
-            "T_bearing": room + hot, "T_motor": room + 0.7 * hot + 0.2 * slow,
-            "T_column": room + 0.4 * slow, "T_room": room,
-        }  # fmt: skip
+            "T_bearing": room + hot,
+            "T_motor": room + 0.7 * hot + 0.2 * slow,
+            "T_column": room + 0.4 * slow,
+            "T_room": room,
+        }
         sensors = {n: v + noise * rng.standard_normal(rows) for n, v in sensors.items()}
         if step:
             sensors = {n: np.round(v / step) * step for n, v in sensors.items()}

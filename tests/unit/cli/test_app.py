@@ -93,11 +93,15 @@ def test_without_arguments_it_shows_the_help(capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     "error, code",
     [
-        (DataError("bad data"), 3), (GateError("no better"), 4), (VerifyError("damaged"), 6),
+        (DataError("bad data"), 3),
+        (GateError("no better"), 4),
+        (VerifyError("damaged"), 6),
         (ConfigError([Problem("a.yaml", 7, 11, "x", "wrong")]), 2),
-        (PermissionError(13, "Permission denied", "x.csv"), 2), (KeyError("oops"), 1), (KeyboardInterrupt(), 130),
+        (PermissionError(13, "Permission denied", "x.csv"), 2),
+        (KeyError("oops"), 1),
+        (KeyboardInterrupt(), 130),
     ],
-)  # fmt: skip
+)
 def test_every_error_has_its_code_and_one_document(
     error: BaseException, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -152,8 +156,11 @@ def test_run_then_plan(where: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "p.yaml", "--set", "scale.factor=3 um"]) == 0
     heard = capsys.readouterr()
     assert heard.out.splitlines() == [
-        "take: lines 3", "scale: numbers 3", "thirds: numbers 3", "sum: total 57, had_lines true",
-    ]  # fmt: skip
+        "take: lines 3",
+        "scale: numbers 3",
+        "thirds: numbers 3",
+        "sum: total 57, had_lines true",
+    ]
     assert heard.err.splitlines()[:2] == ["take: runs (has not run)", "take: done, 1 file written"]
     assert "\r" not in heard.err
     assert (where / "out" / "p" / "sum" / "sum.json").exists()
@@ -219,8 +226,11 @@ def test_check_reports_all_files(where: Path, capsys: pytest.CaptureFixture[str]
     heard = capsys.readouterr()
     assert heard.out == ""
     assert [line.split("  ")[0] for line in heard.err.splitlines()] == [
-        "q.yaml:3:25", "r.yaml:1:11", "r.yaml:2:1", "r.yaml:3:9",
-    ]  # fmt: skip
+        "q.yaml:3:25",
+        "r.yaml:1:11",
+        "r.yaml:2:1",
+        "r.yaml:3:9",
+    ]
     assert main(["check", "q.yaml", "--no-data"]) == 0
     capsys.readouterr()
     assert main(["check", "r.yaml", "--format", "github"]) == 2

@@ -1,6 +1,6 @@
 """Recordings of 20 000 rows in several shapes, and what it takes to diagnose one: time and memory of a fresh process.
 
-    python -m tests.unit.diagnosis.long SHAPE        one line of JSON
+python -m tests.unit.diagnosis.long SHAPE        one line of JSON
 """
 
 from __future__ import annotations
@@ -31,9 +31,8 @@ def _kind(role: str, **more: Any) -> dict[str, Any]:
 def _sensors(t: np.ndarray) -> tuple[dict, dict]:
     """Six temperatures that rise and swing, each in its own time."""
     columns = {
-        f"T_{k}": 20 + (1 + k) * (np.sin(t / (3500 + 1500 * k) + k) + 1 - np.exp(-t / 9000))
-        for k in range(len(WHERE))
-    }  # fmt: skip
+        f"T_{k}": 20 + (1 + k) * (np.sin(t / (3500 + 1500 * k) + k) + 1 - np.exp(-t / 9000)) for k in range(len(WHERE))
+    }
     return columns, {n: _kind("temperature", unit="degC", location=w) for n, w in zip(columns, WHERE, strict=True)}
 
 
@@ -66,10 +65,20 @@ def grid() -> Recording:
     run = i * 8 // ROWS
     t = i * 4.0 + run * 5000.0
     place = {a: rng.choice(np.linspace(0, s, 11), ROWS) for a, s in (("x", 600), ("y", 400), ("z", 300))}
-    columns = {"run": [str(r + 1) for r in run], "t": t, **place, "load": np.array([0.0, 200.0])[run % 2],
-               "tool": np.array([50.0, 150.0, 250.0, 350.0])[run % 4], "T_bed": 20 + 2 * np.sin(t / 9000)}  # fmt: skip
-    kinds = {"run": _kind("run"), "t": _kind("time", unit="s"), "load": _kind("load", unit="kg"),
-             "tool": _kind("overhang", unit="mm")}  # fmt: skip
+    columns = {
+        "run": [str(r + 1) for r in run],
+        "t": t,
+        **place,
+        "load": np.array([0.0, 200.0])[run % 2],
+        "tool": np.array([50.0, 150.0, 250.0, 350.0])[run % 4],
+        "T_bed": 20 + 2 * np.sin(t / 9000),
+    }
+    kinds = {
+        "run": _kind("run"),
+        "t": _kind("time", unit="s"),
+        "load": _kind("load", unit="kg"),
+        "tool": _kind("overhang", unit="mm"),
+    }
     kinds["T_bed"] = _kind("temperature", unit="degC", location="bed")
     kinds |= {n: _kind("position", axis=n.upper(), unit="mm") for n in place}
     for name, gap in (("E_X", 20e-3 * place["y"]), ("E_Y", -1e-7 * (600 - place["x"]) ** 3)):
@@ -94,9 +103,12 @@ SHAPES = {  # what it is -> (the recording, the effect that its first response l
 def measured(shape: str) -> dict[str, Any]:
     """Seconds, CPU seconds and peak memory (MB) of a fresh process that diagnoses this shape, and what it named."""
     told = subprocess.run(
-        [sys.executable, "-m", "tests.unit.diagnosis.long", shape], check=True, capture_output=True, text=True,
+        [sys.executable, "-m", "tests.unit.diagnosis.long", shape],
+        check=True,
+        capture_output=True,
+        text=True,
         cwd=Path(__file__).parents[3],
-    )  # fmt: skip
+    )
     return json.loads(told.stdout)
 
 

@@ -34,16 +34,27 @@ def axis(seed: int = 0, runs: int = 6, hidden=None, gains=(1.0, 1.0), noise: flo
     error = gains[0] * lead + gains[1] * drift + extra + noise * rng.standard_normal(n)
     columns = {"run": [str(r + 1) for r in run], **columns, "EXX": np.round(error, 2), "EXX_sim": np.round(sim, 3)}
     kinds = {
-        "run": {"role": "run"}, "t": {"role": "time", "unit": "s"},
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
         "x": {"role": "position", "axis": "X", "unit": "mm"},
-        "dir": {"role": "direction", "axis": "X"}, "T_bed": {"role": "temperature", "unit": "degC", "location": "bed"},
+        "dir": {"role": "direction", "axis": "X"},
+        "T_bed": {"role": "temperature", "unit": "degC", "location": "bed"},
         "T_nut": {"role": "temperature", "unit": "degC", "location": "ball-screw nut"},
         "T_air": {"role": "temperature", "unit": "degC", "location": "air beside the beam"},
         "EXX": {"role": "error", "component": "EXX", "unit": "um"},
         "EXX_sim": {"role": "simulated", "component": "EXX", "unit": "um"},
-    }  # fmt: skip
-    constants = {"X": {"role": "axis", "kind": "linear", "travel": (0, 600), "screw_lead": 10.0, "drive_end": 0.0,
-                       "encoder_period": 0.02, "unit": "mm"}}  # fmt: skip
+    }
+    constants = {
+        "X": {
+            "role": "axis",
+            "kind": "linear",
+            "travel": (0, 600),
+            "screw_lead": 10.0,
+            "drive_end": 0.0,
+            "encoder_period": 0.02,
+            "unit": "mm",
+        }
+    }
     return recording(columns, kinds, constants)
 
 
@@ -60,12 +71,13 @@ def spindle(seed: int = 0, hidden=None, gain: float = 1.0, noise: float = 0.3) -
     extra = hidden(columns) if hidden else 0.0
     columns |= {"E_Z": gain * sim + extra + noise * rng.standard_normal(n), "E_Z_sim": sim}
     kinds = {
-        "t": {"role": "time", "unit": "s"}, "rpm": {"role": "spindle_speed", "unit": "rpm"},
+        "t": {"role": "time", "unit": "s"},
+        "rpm": {"role": "spindle_speed", "unit": "rpm"},
         "T_bed": {"role": "temperature", "unit": "degC", "location": "bed"},
         "T_room": {"role": "temperature", "unit": "degC", "location": "room"},
         "E_Z": {"role": "error", "component": "E_Z", "unit": "um"},
         "E_Z_sim": {"role": "simulated", "component": "E_Z", "unit": "um"},
-    }  # fmt: skip
+    }
     return recording(columns, kinds)
 
 
@@ -81,12 +93,13 @@ def trace(seed: int = 0, hidden=None, noise: float = 2.0) -> Recording:
     extra = hidden({"x": x, "v": v}) if hidden else 0.0
     columns |= {"F_X": sim + extra + noise * rng.standard_normal(t.size), "F_X_sim": sim}
     kinds = {
-        "t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
         "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
         "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
         "F_X": {"role": "error", "component": "F_X", "unit": "N"},
         "F_X_sim": {"role": "simulated", "component": "F_X", "unit": "N"},
-    }  # fmt: skip
+    }
     return recording(columns, kinds)
 
 
@@ -114,10 +127,11 @@ def mornings(seed: int = 0, hidden=None, days: int = 10, noise: float = 0.3, pau
     columns = {"run": [f"d{d}" for d in day], **columns}
     columns |= {"E_Z": sim + extra + noise * rng.standard_normal(t.size), "E_Z_sim": sim}
     kinds = {
-        "run": {"role": "run"}, "t": {"role": "time", "unit": "s"},
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
         "T_room": {"role": "temperature", "unit": "degC", "location": "room"},
         "T_bearing": {"role": "temperature", "unit": "degC", "location": "spindle bearing"},
         "E_Z": {"role": "error", "component": "E_Z", "unit": "um"},
         "E_Z_sim": {"role": "simulated", "component": "E_Z", "unit": "um"},
-    }  # fmt: skip
+    }
     return recording(columns, kinds)

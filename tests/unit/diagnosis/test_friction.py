@@ -60,9 +60,12 @@ def test_only_a_stribeck_part_against_the_dry_friction_gives_way():
         return Finding(effect=effect, confidence=0.8, parameters=(parameter,))
 
     law = friction.ByDirection(
-        "X", "v", 0.0, friction.Fitted(np.array([95.0, 160.0, 236.0, 20.0, 21.0]), np.eye(5), 2.2),
+        "X",
+        "v",
+        0.0,
+        friction.Fitted(np.array([95.0, 160.0, 236.0, 20.0, 21.0]), np.eye(5), 2.2),
         friction.Fitted(np.ones(4), np.eye(4), 2.8),
-    )  # fmt: skip
+    )
     dry = of("coulomb_friction", "force", 20.0)
     against = friction.told_by_direction([dry, of("stribeck_friction", "extra", -8.0)], law)
     assert [f.effect for f in against] == ["coulomb_friction", "viscous_friction"]

@@ -69,9 +69,11 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
     assert found.p < whiteness.ALARM
     alarming = whiteness.structured(found)
     expected = {
-        "a kink in one temperature": ("T_nut", "level"), "one run": ("run", "level"),
-        "the other direction in one place": ("x", "by direction"), "order": ("order of the rows", "Ljung-Box"),
-    }[what]  # fmt: skip
+        "a kink in one temperature": ("T_nut", "level"),
+        "one run": ("run", "level"),
+        "the other direction in one place": ("x", "by direction"),
+        "order": ("order of the rows", "Ljung-Box"),
+    }[what]
     assert expected in [(t.against, t.how) for t in alarming]
     assert alarming[0].against in found.says and "not all noise" in found.says
 

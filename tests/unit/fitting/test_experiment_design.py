@@ -54,9 +54,10 @@ def test_each_criterion_wins_its_own_game():
     d = design.propose([], OPTIONS.model_copy(update={"criterion": "D"}))
     rows = np.vstack([design.basis(p, OPTIONS) for p in design.usage(OPTIONS)])
     usual = design.customary(OPTIONS)[-1]
-    assert design.uncertainty(design.information([i], OPTIONS), rows) <= design.uncertainty(
-        design.information([d], OPTIONS), rows
-    ) + 1e-9  # fmt: skip
+    assert (
+        design.uncertainty(design.information([i], OPTIONS), rows)
+        <= design.uncertainty(design.information([d], OPTIONS), rows) + 1e-9
+    )
     assert design.uncertainty(design.information([i], OPTIONS), rows) < 0.7 * design.uncertainty(
         design.information([usual], OPTIONS), rows
     )
@@ -81,8 +82,10 @@ def test_the_promised_uncertainty_is_the_one_that_comes():
     missed = []
     for _ in range(200):
         gains = rng.normal(0, OPTIONS.prior, rows.shape[1])
-        readings = [design.basis(p, OPTIONS) @ gains + rng.normal(0, OPTIONS.noise, len(design.basis(p, OPTIONS)))
-                    for p in plans]  # fmt: skip
+        readings = [
+            design.basis(p, OPTIONS) @ gains + rng.normal(0, OPTIONS.noise, len(design.basis(p, OPTIONS)))
+            for p in plans
+        ]
         missed.append(rows @ (design.fit(plans, readings, OPTIONS) - gains))
     promised = design.uncertainty(design.information(plans, OPTIONS), rows)
     assert_allclose(np.sqrt(np.mean(np.square(missed))), promised, rtol=0.1)

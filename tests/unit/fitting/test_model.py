@@ -272,8 +272,12 @@ def test_a_level_and_a_level_per_run_say_the_same(axis):
 
 def test_lowered_pairs_add_up_to_the_model(axis):
     wave = {"term": "harmonics", "axis": "X", "period": 10.0}
-    mixed = {"term": "profile_driver", "axis": "X", "profile": {"kind": "polynomial", "degree": 3, "lowest": 0},
-             "driver": [{"input": "T_bed", "reference": 20.0, "lag": True}]}  # fmt: skip
+    mixed = {
+        "term": "profile_driver",
+        "axis": "X",
+        "profile": {"kind": "polynomial", "degree": 3, "lowest": 0},
+        "driver": [{"input": "T_bed", "reference": 20.0, "lag": True}],
+    }
     spec = spec_of(OFFSET, BOW, wave, SCALE, BACKLASH, mixed)
     model = fit(with_response(axis, truth(axis), 0.4), spec, calibrate=False)
     pairs = lower(model)["EXX"]

@@ -23,12 +23,15 @@ def recording() -> Recording:
         frames.append(
             pd.DataFrame(
                 {
-                    "run": f"r{k}", "t": t + 86400.0 * k, "T_carrier": carrier,
-                    "T_spare": carrier + rng.normal(0, 0.05, 50), "T_stranger": stranger,
+                    "run": f"r{k}",
+                    "t": t + 86400.0 * k,
+                    "T_carrier": carrier,
+                    "T_spare": carrier + rng.normal(0, 0.05, 50),
+                    "T_stranger": stranger,
                     "E_Z": 4.0 * (carrier - carrier[0]) + rng.normal(0, 0.2, 50),
                 }
             )
-        )  # fmt: skip
+        )
     columns = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
     columns |= {n: Column(role="temperature", unit="degC") for n in ("T_carrier", "T_spare", "T_stranger")}
     columns["E_Z"] = Column(role="error", component="E_Z", unit="um")

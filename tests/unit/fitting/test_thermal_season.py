@@ -38,12 +38,16 @@ def machine(runs: int = 8, warm: float = 0.0, seed: int = 0, rows: int = 120, ro
         frames.append(
             pd.DataFrame(
                 {
-                    "run": f"r{k}", "season": "warm" if warm else "cold", "t": t + k * 86400.0 + warm * 1e7,
-                    "T_room": room, "T_spindle": spindle, "T_bed": bed,
+                    "run": f"r{k}",
+                    "season": "warm" if warm else "cold",
+                    "t": t + k * 86400.0 + warm * 1e7,
+                    "T_room": room,
+                    "T_spindle": spindle,
+                    "T_bed": bed,
                     "E_D": 45.0 + rng.normal(0, 3) + growth + rng.normal(0, 0.3, rows),
                 }
             )
-        )  # fmt: skip
+        )
     columns = {
         "run": Column(role="run"),
         "season": Column(role="group", of="season"),

@@ -369,7 +369,10 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
         subprocess.run([sys.executable, "-c", GENERATE, str(rows), str(source)], check=True)
         done = subprocess.run(
             [sys.executable, "-c", CONVERT, str(source), str(tmp_path / "out")],
-            check=True, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )  # fmt: skip
+            check=True,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
         peaks.append(int(done.stdout))
     assert peaks[1] < 1000 and peaks[1] - peaks[0] < 100, peaks

@@ -42,9 +42,12 @@ def random_chain(rng: np.random.Generator) -> Chain:
         }
     machine = Machine.model_validate(
         {
-            "machine": 1, "name": "random", "chain": ["workpiece", *map(str, links), "tool"], "axes": axes,
+            "machine": 1,
+            "name": "random",
+            "chain": ["workpiece", *map(str, links), "tool"],
+            "axes": axes,
             "spindle": {"position": tuple(rng.uniform(-500, 500, 3)), "growth": True, "tilt": True},
             "tool": {"length": float(rng.uniform(0, 300)), "direction": tuple(rng.normal(size=3))},
         }
-    )  # fmt: skip
+    )
     return compile_chain(machine)

@@ -19,12 +19,29 @@ def _named(protocol):
 
 
 (
-    circles, telescoping, multilateration, cloud, diagonals, step_diagonals, ball_plate, ball_array, hole_pattern,
-    r_test, rotary_ballbar,
-) = map(_named, runs_of.PROTOCOLS)  # fmt: skip
+    circles,
+    telescoping,
+    multilateration,
+    cloud,
+    diagonals,
+    step_diagonals,
+    ball_plate,
+    ball_array,
+    hole_pattern,
+    r_test,
+    rotary_ballbar,
+) = map(_named, runs_of.PROTOCOLS)
 THREE_AXES = (
-    circles, telescoping, multilateration, cloud, diagonals, step_diagonals, ball_plate, ball_array, hole_pattern,
-)  # fmt: skip
+    circles,
+    telescoping,
+    multilateration,
+    cloud,
+    diagonals,
+    step_diagonals,
+    ball_plate,
+    ball_array,
+    hole_pattern,
+)
 FIVE_AXES = (r_test, rotary_ballbar)
 
 

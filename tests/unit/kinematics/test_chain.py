@@ -16,9 +16,14 @@ from errpipe.kinematics.chain import compile_chain
 from errpipe.kinematics.synthesis import exact, first_order
 
 RIGID = {
-    "cmm": 21, "gantry": 21, "vertical-centre": 21, "horizontal-centre-ni-1997": 21, "turning-centre": 13,
-    "five-axis-table-table": 43, "five-axis-head-head": 43,
-}  # fmt: skip
+    "cmm": 21,
+    "gantry": 21,
+    "vertical-centre": 21,
+    "horizontal-centre-ni-1997": 21,
+    "turning-centre": 13,
+    "five-axis-table-table": 43,
+    "five-axis-head-head": 43,
+}
 
 
 def three_axes(**changes) -> Machine:
@@ -50,8 +55,12 @@ def test_rigid_body_components_are_counted_from_the_chain(name):
 
 def test_the_paper_counts_thirty_two():
     assert ready("horizontal-centre-ni-1997").counts() == {
-        "error_motions": 18, "location": 3, "drift": 6, "spindle": 5, "total": 32,
-    }  # fmt: skip
+        "error_motions": 18,
+        "location": 3,
+        "drift": 6,
+        "spindle": 5,
+        "total": 32,
+    }
 
 
 @pytest.mark.parametrize("name", RIGID)

@@ -20,10 +20,17 @@ def table_of(chain, errors):
     pairs = compensation.lowered(errors)
     outputs = compensation.outputs(chain, used=tuple(pairs))
     inputs = [
-        TableInput(name=a, kind="position", axis=a, unit="mm" if chain.machine.axes[a].kind == "linear" else "deg",
-                   low=lo - 1, high=hi + 1, default=float(np.clip(0, lo, hi)))
+        TableInput(
+            name=a,
+            kind="position",
+            axis=a,
+            unit="mm" if chain.machine.axes[a].kind == "linear" else "deg",
+            low=lo - 1,
+            high=hi + 1,
+            default=float(np.clip(0, lo, hi)),
+        )
         for a, (lo, hi) in zip(chain.axes, chain.travel, strict=True)
-    ]  # fmt: skip
+    ]
     inputs += [TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=500, default=100)]
     inputs += [
         TableInput(name=f"tool_offset_{d}", kind="tool", unit="mm", low=-300, high=300, default=0) for d in "XYZ"

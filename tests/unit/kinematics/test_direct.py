@@ -71,10 +71,13 @@ def test_positioning_is_zero_at_the_datum_straightness_has_no_line_angles_no_off
     found = direct.identify(
         recording(
             {"x": X, "EXX": error("EXX"), "EYX": error("EYX"), "EBX": error("EBX")},
-            x=P, EXX=5 + 0.01 * P, EYX=4 + 0.03 * P + 2 * np.cos(P / 100), EBX=7 + 0.02 * P,
+            x=P,
+            EXX=5 + 0.01 * P,
+            EYX=4 + 0.03 * P + 2 * np.cos(P / 100),
+            EBX=7 + 0.02 * P,
         ),
         zero={"X": 400.0},
-    )  # fmt: skip
+    )
     assert np.interp(400, P, found.curves["EXX"].mean) == pytest.approx(0.0, abs=1e-9)
     assert abs(np.polyfit(P, found.curves["EYX"].mean, 1)).max() < 1e-9
     assert found.curves["EYX"].slope == pytest.approx(30.0, abs=3)  # 0.03 um/mm, the cosine's share aside
@@ -95,10 +98,13 @@ def test_slopes_against_one_square_are_squareness():
     nan = np.full(rows, np.nan)
     turn = 40e-3  # the square itself stands 40 urad askew: same share in both
     data = recording(
-        columns, run=["1"] * rows + ["2"] * rows, x=np.r_[frames[0][0][:, 0], nan], y=np.r_[nan, frames[1][0][:, 1]],
+        columns,
+        run=["1"] * rows + ["2"] * rows,
+        x=np.r_[frames[0][0][:, 0], nan],
+        y=np.r_[nan, frames[1][0][:, 1]],
         EYX=np.r_[frames[0][1][:, 1] + turn * frames[0][0][:, 0], nan],
         EXY=np.r_[nan, frames[1][1][:, 0] - turn * frames[1][0][:, 1]],
-    )  # fmt: skip
+    )
     value, error_ = direct.identify(data, chain=chain).squareness["C0Y"]
     assert value == pytest.approx(17.0, abs=1e-6)
     assert error_ < 1e-6

@@ -194,8 +194,11 @@ def test_readings_that_sat_out_are_left_with_the_noise():
     chain, _, recording = played_x(ABBE, noise=0.3, angle_noise=0.5)
     name, folds = held_out.folds(recording)
     assert name == "leave-one-run-out" and len(folds) == 3
-    left = [x for _, train, test in folds for x in held_out.judge(
-        chain, recording, train, test, lasers={"EXX": direct.Laser(**ABBE)})]  # fmt: skip
+    left = [
+        x
+        for _, train, test in folds
+        for x in held_out.judge(chain, recording, train, test, lasers={"EXX": direct.Laser(**ABBE)})
+    ]
     exx = np.concatenate([x.after for x in left if x.component == "EXX"])
     before = np.concatenate([x.before for x in left if x.component == "EXX"])
     assert np.sqrt(np.mean(exx**2)) < 0.3 * 1.2 < 0.1 * np.sqrt(np.mean(before**2))
@@ -246,8 +249,12 @@ def test_a_component_the_machine_does_not_have_is_named():
 
 
 def _without_x():
-    given = {"machine": 1, "name": "turning", "chain": ["workpiece", "bed", "Z", "tool"],
-             "axes": {"Z": {"kind": "linear", "travel": [0, 100]}}}  # fmt: skip
+    given = {
+        "machine": 1,
+        "name": "turning",
+        "chain": ["workpiece", "bed", "Z", "tool"],
+        "axes": {"Z": {"kind": "linear", "travel": [0, 100]}},
+    }
     return compile_chain(Machine.model_validate(given))
 
 

@@ -15,9 +15,36 @@ from errpipe.pipeline.spec import load_pipeline
 from tests.unit.pipeline.stages_for_tests import STAGES, lay_out
 
 NAMES = [
-    "plain.csv", "a b", "a#b", "a$b", "a=b", "a:b", "a%b", "a|b", "a&b", "c&", "a?b", "a*b", "a[b]", "~a", "a\\b",
-    "a\\ b", "a\\#c", "a\\%b", "ü", "(x)", "a(1).csv", "{x}", "q'uote", '"dq"', "a,b", "a!b", "@a", "-a", "a+b",
-]  # fmt: skip
+    "plain.csv",
+    "a b",
+    "a#b",
+    "a$b",
+    "a=b",
+    "a:b",
+    "a%b",
+    "a|b",
+    "a&b",
+    "c&",
+    "a?b",
+    "a*b",
+    "a[b]",
+    "~a",
+    "a\\b",
+    "a\\ b",
+    "a\\#c",
+    "a\\%b",
+    "ü",
+    "(x)",
+    "a(1).csv",
+    "{x}",
+    "q'uote",
+    '"dq"',
+    "a,b",
+    "a!b",
+    "@a",
+    "-a",
+    "a+b",
+]
 
 
 def make(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -62,10 +62,12 @@ def test_a_summary_is_there_also_when_nothing_runs(where: Path) -> None:
         (["scale.factor=3"], {"scale": ["params.factor 2.0 -> 3.0"], "sum": ["input scale/parts/0.json changed"]}),
         (["thirds.parts=1"], {"thirds": ["params.parts 2 -> 1"], "sum": ["input thirds/parts/1.json is gone"]}),
         (["scale.pause=0.001"], {"scale": ["params.pause 0.0 -> 0.001"]}),  # same bytes out: sum need not run
-        (["sum.from={parts: [thirds]}"], {"sum": ["from.parts [\"scale\",\"thirds\"] -> [\"thirds\"]",
-                                                  "input scale/parts/0.json is gone"]}),
+        (
+            ["sum.from={parts: [thirds]}"],
+            {"sum": ['from.parts ["scale","thirds"] -> ["thirds"]', "input scale/parts/0.json is gone"]},
+        ),
     ],
-)  # fmt: skip
+)
 def test_parameters_that_change(where: Path, sets: list[str], reasons: dict[str, list[str]]) -> None:
     go(where)
     planned = would(where, *sets)

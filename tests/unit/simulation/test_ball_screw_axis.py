@@ -64,8 +64,12 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path, simulated):
     sums = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         folder.write(tmp_path / name, ball_screw_axis.simulate(seed).recording)
-        sums.append([hashlib.sha256((tmp_path / name / f).read_bytes()).hexdigest()
-                     for f in ("recording.csv", "recording.yaml")])  # fmt: skip
+        sums.append(
+            [
+                hashlib.sha256((tmp_path / name / f).read_bytes()).hexdigest()
+                for f in ("recording.csv", "recording.yaml")
+            ]
+        )
     assert sums[0] == sums[1] and sums[0][0] != sums[2][0]
     assert folder.write(tmp_path / "a", simulated.recording) is False
 

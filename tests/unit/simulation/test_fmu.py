@@ -261,8 +261,11 @@ def test_missing_readings_are_filled_between_and_told(model: Path) -> None:
 
 def test_by_name_columns_drive_inputs_of_their_name(model: Path) -> None:
     recording = recorded()
-    kinds = {"rise": recording.manifest.columns["T"], "t": recording.manifest.columns["t"],
-             "z": recording.manifest.columns["E_Z"]}  # fmt: skip
+    kinds = {
+        "rise": recording.manifest.columns["T"],
+        "t": recording.manifest.columns["t"],
+        "z": recording.manifest.columns["E_Z"],
+    }
     frame = recording.frame.rename(columns={"T": "rise", "E_Z": "z"})[["rise", "t", "z"]]
     alike = Recording(recording.manifest.model_copy(update={"columns": kinds}), frame)
     how = external.by_name(alike, model)

@@ -21,25 +21,47 @@ INPUT, SUBSTITUTE, NODE, OPERAND, LOOKUP, PROFILE, VALUE, COMPONENT, PAIR, OUTPU
 def sound() -> t.CompensationTable:
     """Every kind of record, every flag set somewhere and clear elsewhere."""
     nodes = (
-        t.ConstantNode(value=1.0), t.InputNode(input="x"), t.InputNode(input="T", slow=True),
-        t.AffineNode(of=(2,), offset=-20.0, weights=(1.0,), slow=True), t.FirstNode(of=(3,), slow=True),
+        t.ConstantNode(value=1.0),
+        t.InputNode(input="x"),
+        t.InputNode(input="T", slow=True),
+        t.AffineNode(of=(2,), offset=-20.0, weights=(1.0,), slow=True),
+        t.FirstNode(of=(3,), slow=True),
         t.LagNode(of=(3,), tau_up=60.0, tau_down=90.0, start="zero", slow=True),
         t.LagNode(of=(1,), tau_up=0.1, tau_down=0.2),
-        t.ProductNode(of=(3, 5), slow=True), t.PowerNode(of=(3,), exponent=2.0, slow=True),
-        t.ClipNode(of=(3,), low=-5.0, high=5.0, slow=True), t.SwitchNode(of=(3,), on=1.0, off=0.5, slow=True),
-        t.DirectionNode(of=(1,), threshold=0.01), t.ApproachNode(of=(1, 11), length=0.5),
+        t.ProductNode(of=(3, 5), slow=True),
+        t.PowerNode(of=(3,), exponent=2.0, slow=True),
+        t.ClipNode(of=(3,), low=-5.0, high=5.0, slow=True),
+        t.SwitchNode(of=(3,), on=1.0, off=0.5, slow=True),
+        t.DirectionNode(of=(1,), threshold=0.01),
+        t.ApproachNode(of=(1, 11), length=0.5),
         t.LookupNode(of=(3,), start=0.0, step=5.0, values=(0.0, 1.0, 3.0), slow=True),
         t.LookupNode(of=(1,), start=0.0, step=50.0, values=(1.0, 2.0)),
         t.LagNode(of=(1,), tau_up=1e-6, tau_down=1e-6),  # so short that nothing remains: factors of 0
-    )  # fmt: skip
+    )
     return t.CompensationTable(
-        machine="vmc ü", title="every kind", version="1", fingerprint="ab" * 32, position_cycle_s=0.001, slow_every=100,
+        machine="vmc ü",
+        title="every kind",
+        version="1",
+        fingerprint="ab" * 32,
+        position_cycle_s=0.001,
+        slow_every=100,
         inputs=(
             t.TableInput(name="x", kind="position", axis="X", unit="mm", low=-10.0, high=510.0, default=0.0),
             t.TableInput(
-                name="T", kind="sensor", unit="degC", low=-40.0, high=100.0, max_rate=2.0, stale_after_s=5.0,
-                substitute=(t.Substitute(input="U", weight=1.0),), substitute_offset=0.5, hold_s=60.0, default=20.0,
-                valid=(15.0, 30.0), margin=5.0, fade_on_default=True,
+                name="T",
+                kind="sensor",
+                unit="degC",
+                low=-40.0,
+                high=100.0,
+                max_rate=2.0,
+                stale_after_s=5.0,
+                substitute=(t.Substitute(input="U", weight=1.0),),
+                substitute_offset=0.5,
+                hold_s=60.0,
+                default=20.0,
+                valid=(15.0, 30.0),
+                margin=5.0,
+                fade_on_default=True,
             ),
             t.TableInput(name="U", kind="sensor", unit="degC", low=-40.0, high=100.0, default=20.0),
             t.TableInput(name="tool", kind="tool", unit="mm", low=0.0, high=300.0, default=0.0, optional=True),
@@ -52,19 +74,24 @@ def sound() -> t.CompensationTable:
         ),
         components=(t.Component(name="EXX"), t.Component(name="EBX", unit="urad")),
         pairs=(
-            t.Pair(component="EXX", profile=0, driver=0), t.Pair(component="EXX", profile=1, driver=13, keep=True),
+            t.Pair(component="EXX", profile=0, driver=0),
+            t.Pair(component="EXX", profile=1, driver=13, keep=True),
             t.Pair(component="EBX", profile=2, driver=7),
         ),
         outputs=(
             t.Output(
-                name="X", axis="X", magnitude=100.0, slew=500.0, acceleration=5000.0,
+                name="X",
+                axis="X",
+                magnitude=100.0,
+                slew=500.0,
+                acceleration=5000.0,
                 terms=(t.Monomial(weight=1.0, component="EXX"), t.Monomial(weight=1e-3, component="EBX", factors=(1,))),
             ),
             t.Output(
                 name="B", axis="B", unit="urad", correction_unit="deg", terms=(t.Monomial(weight=1.0, component="EBX"),)
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 # (what, section, record, byte of the record, struct format, value)

@@ -52,9 +52,14 @@ def test_slow_is_what_no_fast_input_reaches():
     mixed = d.Product(of=(lag, short, d.above("T", 20)))
     table = compiled(Lowered(mixed), inputs=[force, sensor("T")])
     assert [(n.op, n.slow) for n in table.nodes] == [
-        ("input", True), ("lag", True), ("input", False), ("lag", False), ("input", True), ("affine", True),
+        ("input", True),
+        ("lag", True),
+        ("input", False),
+        ("lag", False),
+        ("input", True),
+        ("affine", True),
         ("product", False),
-    ]  # fmt: skip
+    ]
 
 
 def test_directions_take_the_input_that_knows():
@@ -163,7 +168,7 @@ def test_long_titles_are_shortened_at_a_letter():
 
 
 def test_cost_grows_with_what_a_table_holds():
-    from tests.bench.bench_tables import machine
+    from bench.bench_tables import machine
 
     small, _ = bounds.cost(ten_um_too_long())
     always, thermal = bounds.cost(machine(thermal=True))

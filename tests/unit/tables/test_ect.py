@@ -56,8 +56,18 @@ def test_fields_lie_where_the_format_page_says():
     assert data[64:70] == b"vmc-1\0" and data[128:130] == b"X\0" and data[256:260] == b"0.1\0"
     sections = [struct.unpack_from("<IIII", data, 320 + 16 * n) for n in range(11)]
     assert [s[:2] for s in sections] == [
-        (1, 152), (2, 16), (3, 56), (4, 16), (5, 8), (6, 72), (7, 4), (8, 24), (9, 16), (10, 88), (11, 32),
-    ]  # fmt: skip
+        (1, 152),
+        (2, 16),
+        (3, 56),
+        (4, 16),
+        (5, 8),
+        (6, 72),
+        (7, 4),
+        (8, 24),
+        (9, 16),
+        (10, 88),
+        (11, 32),
+    ]
     assert [s[2] for s in sections] == [1, 0, 1, 0, 0, 1, 2, 1, 1, 1, 1]
     assert sections[0][3] == 512 and all(s[3] % 8 == 0 for s in sections) and len(data) % 8 == 0
     values = struct.unpack_from("<2i", data, sections[6][3])
@@ -66,10 +76,15 @@ def test_fields_lie_where_the_format_page_says():
 
 def test_the_kernels_records_are_the_files_records():
     pairs = (
-        (pack.INPUT_RECORD, layout.INPUT), (pack.WEIGHTED, layout.SUBSTITUTE), (pack.WEIGHTED, layout.OPERAND),
-        (pack.NODE_RECORD, layout.NODE), (pack.PROFILE_RECORD, layout.PROFILE), (pack.PAIR_RECORD, layout.PAIR),
-        (pack.OUTPUT_RECORD, layout.OUTPUT), (pack.TERM_RECORD, layout.TERM),
-    )  # fmt: skip
+        (pack.INPUT_RECORD, layout.INPUT),
+        (pack.WEIGHTED, layout.SUBSTITUTE),
+        (pack.WEIGHTED, layout.OPERAND),
+        (pack.NODE_RECORD, layout.NODE),
+        (pack.PROFILE_RECORD, layout.PROFILE),
+        (pack.PAIR_RECORD, layout.PAIR),
+        (pack.OUTPUT_RECORD, layout.OUTPUT),
+        (pack.TERM_RECORD, layout.TERM),
+    )
     for dtype, record in pairs:
         assert dtype.itemsize == record.size
     table = everything(5)
@@ -155,7 +170,7 @@ def test_fingerprint_is_the_checksum_a_controller_shows(tmp_path):
 
 
 def test_profiles_on_one_grid_stand_side_by_side():
-    from tests.bench.bench_tables import machine
+    from bench.bench_tables import machine
 
     program = pack.program(machine())
     assert program.same_grid.sum() >= 15

@@ -23,12 +23,16 @@ def made(slow_every: int, nodes, max_rate: float | None = RATE, driver: int = -1
     )
     nodes = tuple(n.model_copy(update={"slow": slow_every > 1}) for n in nodes)
     return t.CompensationTable(
-        position_cycle_s=0.01, slow_every=slow_every, ramp_s=0.0, inputs=inputs, nodes=nodes,
+        position_cycle_s=0.01,
+        slow_every=slow_every,
+        ramp_s=0.0,
+        inputs=inputs,
+        nodes=nodes,
         profiles=(t.Profile(input="x", start=0.0, step=1000.0, values=(0, 10000)),),
         components=(t.Component(name="EXX"),),
         pairs=(t.Pair(component="EXX", profile=0, driver=len(nodes) - 1),),
         outputs=(t.Output(name="X", axis="X", terms=(t.Monomial(weight=1.0, component="EXX"),)),),
-    )  # fmt: skip
+    )
 
 
 T = t.InputNode(input="T")

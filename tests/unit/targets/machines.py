@@ -20,8 +20,11 @@ INPUTS = [
 def compile_(*components):
     return tables.compile_table(
         [tables.ComponentSource(name, "um", tuple(pairs)) for name, pairs in components],
-        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=INPUTS,
+        travel=AXES,
+        error_bound=0.002,
+        machine="test",
+    )
 
 
 def straight(axis, um, span=500.0, driver=d.ONE):
@@ -57,8 +60,11 @@ def bent():
             tables.OutputSource("Y", (tables.MonomialSource(1.0, "EYX"),), "Y"),
             tables.OutputSource("Z", (tables.MonomialSource(1.0, "EZX"),), "Z"),
         ],
-        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=INPUTS,
+        travel=AXES,
+        error_bound=0.002,
+        machine="test",
+    )
 
 
 def warm():
@@ -72,8 +78,11 @@ def warm():
             tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"),), "X"),
             tables.OutputSource("Z", (tables.MonomialSource(1.0, "EZZ"),), "Z"),
         ],
-        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=INPUTS,
+        travel=AXES,
+        error_bound=0.002,
+        machine="test",
+    )
 
 
 def tilting():
@@ -84,13 +93,13 @@ def tilting():
     lever = tables.MonomialSource(1e-3, "EBX", (d.Input(name="z"),))
     tilt = Lowered(d.ONE, "X", lambda x: 40.0 * np.sin(np.pi * x / 1000.0))
     return tables.compile_table(
-        [
-            tables.ComponentSource("EXX", "um", (straight("X", 10.0),)),
-            tables.ComponentSource("EBX", "urad", (tilt,)),
-        ],
+        [tables.ComponentSource("EXX", "um", (straight("X", 10.0),)), tables.ComponentSource("EBX", "urad", (tilt,))],
         outputs=[tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"), lever), "X")],
-        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=INPUTS,
+        travel=AXES,
+        error_bound=0.002,
+        machine="test",
+    )
 
 
 def two_outputs():
@@ -104,8 +113,11 @@ def two_outputs():
             tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"),), "X"),
             tables.OutputSource("X warm", (tables.MonomialSource(1.0, "EXT"),), "X"),
         ],
-        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=INPUTS,
+        travel=AXES,
+        error_bound=0.002,
+        machine="test",
+    )
 
 
 def too_far(axis, driver=d.ONE):
@@ -116,5 +128,8 @@ def too_far(axis, driver=d.ONE):
     return tables.compile_table(
         [tables.ComponentSource(f"E{axis}X", "um", tuple(pairs))],
         outputs=[tables.OutputSource(axis, (tables.MonomialSource(1.0, f"E{axis}X"),), axis)],
-        inputs=INPUTS, travel=AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=INPUTS,
+        travel=AXES,
+        error_bound=0.002,
+        machine="test",
+    )

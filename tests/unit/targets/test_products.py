@@ -18,8 +18,12 @@ from tests.unit.targets import machines
 (CEC,) = [t for t in TARGETS if t.name == "sinumerik_cec"]
 FILE = "NC_CEC.INI"
 # Which tables' own values reach the sum: those that multiply and those that are multiplied by.
-READINGS = {"all tables add": (True, True), "products only": (False, False), "the second adds": (False, True),
-            "the first adds": (True, False)}  # fmt: skip
+READINGS = {
+    "all tables add": (True, True),
+    "products only": (False, False),
+    "the second adds": (False, True),
+    "the first adds": (True, False),
+}
 
 
 class Control:
@@ -143,8 +147,13 @@ def test_two_outputs_of_one_axis_add_up_in_every_format():
     """10 um and 4 um too long at X = +500: every format moves X by -14 um, and its loss counts both."""
     table = machines.two_outputs()
     for target in TARGETS:
-        if target.name in ("klipper_sections", "beckhoff_crosscomp", "beckhoff_temperature", "sinumerik_temperature",
-                           "beckhoff_volumetric"):  # the last takes components, not outputs
+        if target.name in (
+            "klipper_sections",
+            "beckhoff_crosscomp",
+            "beckhoff_temperature",
+            "sinumerik_temperature",
+            "beckhoff_volumetric",
+        ):  # the last takes components, not outputs
             continue
         read = target.read_back(target.write(table))
         at = {"X": np.array([0.0, 500.0]), "Y": np.zeros(2), "Z": np.zeros(2)}

@@ -23,9 +23,11 @@ from tests.unit.targets import machines
 ROUNDING_UM = {"fanuc_pitch": 1.0, "beckhoff_crosscomp": 0.2, "beckhoff_ssfk": 0.15}
 WARM = 10.0  # K, at which a machine of the temperature formats is 10 um too long
 OTHERS = {
-    "beckhoff_crosscomp": ("Y", 0.0), "klipper_sections": ("Z", 0.0),
-    "beckhoff_temperature": ("X", WARM), "sinumerik_temperature": ("X", WARM),
-}  # fmt: skip
+    "beckhoff_crosscomp": ("Y", 0.0),
+    "klipper_sections": ("Z", 0.0),
+    "beckhoff_temperature": ("X", WARM),
+    "sinumerik_temperature": ("X", WARM),
+}
 
 
 def by_target(target) -> tuple[str, float]:

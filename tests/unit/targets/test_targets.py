@@ -8,14 +8,32 @@ from errpipe.targets import TARGETS, _sample
 from tests.unit.targets import machines
 
 SCREW = {
-    "beckhoff_ssfk", "beckhoff_volumetric", "c_runtime", "fanuc_pitch", "heidenhain_com", "iec_st", "linuxcnc_hal",
+    "beckhoff_ssfk",
+    "beckhoff_volumetric",
+    "c_runtime",
+    "fanuc_pitch",
+    "heidenhain_com",
+    "iec_st",
+    "linuxcnc_hal",
     "linuxcnc_screw",
-    "mach4_screw_map", "sinumerik_cec", "sinumerik_lec", "smoothie_pitch", "twincat_nc_table",
-}  # fmt: skip
+    "mach4_screw_map",
+    "sinumerik_cec",
+    "sinumerik_lec",
+    "smoothie_pitch",
+    "twincat_nc_table",
+}
 BOTH_WAYS = {
-    "beckhoff_ssfk", "c_runtime", "fanuc_pitch", "heidenhain_com", "iec_st", "linuxcnc_hal", "linuxcnc_screw",
-    "mach4_screw_map", "sinumerik_cec", "twincat_nc_table",
-}  # fmt: skip
+    "beckhoff_ssfk",
+    "c_runtime",
+    "fanuc_pitch",
+    "heidenhain_com",
+    "iec_st",
+    "linuxcnc_hal",
+    "linuxcnc_screw",
+    "mach4_screw_map",
+    "sinumerik_cec",
+    "twincat_nc_table",
+}
 CROSS = {"beckhoff_crosscomp", "c_runtime", "heidenhain_com", "iec_st", "linuxcnc_hal", "sinumerik_cec"}
 WARM = {"beckhoff_temperature", "sinumerik_temperature"}
 ROUNDING_UM = {"fanuc_pitch": 1.0, "beckhoff_crosscomp": 0.2, "beckhoff_ssfk": 0.15}

@@ -36,8 +36,11 @@ def bent_and_warm():
             tables.OutputSource("X", (tables.MonomialSource(1.0, "EXX"), lean), "X"),
             tables.OutputSource("Y", (tables.MonomialSource(1.0, "EYX"),), "Y"),
         ],
-        inputs=machines.INPUTS, travel=machines.AXES, error_bound=0.002, machine="test",
-    )  # fmt: skip
+        inputs=machines.INPUTS,
+        travel=machines.AXES,
+        error_bound=0.002,
+        machine="test",
+    )
 
 
 @pytest.mark.parametrize("names", [SINUMERIK, BECKHOFF], ids=lambda n: n[0].split("_")[0])

@@ -69,10 +69,12 @@ def circle(first: float) -> Recording:
     x, y = 50 * np.cos(angle), 50 * np.sin(angle)
     frame = pd.DataFrame({"t": t, "x": x, "y": y, "vx": -np.pi / 2 * y, "E_R": np.zeros(t.size)})
     columns = {
-        "t": KINDS["t"], "x": Column(role="position", axis="X", unit="mm"),
+        "t": KINDS["t"],
+        "x": Column(role="position", axis="X", unit="mm"),
         "y": Column(role="position", axis="Y", unit="mm"),
-        "vx": Column(role="velocity", axis="X", unit="mm/s"), "E_R": Column(role="error", component="E_R", unit="um"),
-    }  # fmt: skip
+        "vx": Column(role="velocity", axis="X", unit="mm/s"),
+        "E_R": Column(role="error", component="E_R", unit="um"),
+    }
     return Recording(Manifest(recording=1, tables=("r.csv",), columns=columns), frame)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from errpipe.formats import manifest_folder
-from tests.trials.assemble import MOSTLY_EXPLAINED, TIERS
-from tests.trials.generate import MIX, PROTOCOLS, generate, occurring, one_case, plan
-from tests.trials.score import sealed_answers
+from trials.first.assemble import MOSTLY_EXPLAINED, TIERS
+from trials.first.generate import MIX, PROTOCOLS, generate, occurring, one_case, plan
+from trials.score import sealed_answers
 
 EFFECTS = 36
 
@@ -71,8 +71,19 @@ def test_the_oracle_reaches_the_noise(drawn):
 
 
 def test_keys_say_what_the_public_sample_says(drawn):
-    fields = {"unit", "verdict", "effects", "truth", "drivers", "where", "params", "before_rms", "oracle_after_rms",
-              "noise_rms", "in_the_simulation"}  # fmt: skip
+    fields = {
+        "unit",
+        "verdict",
+        "effects",
+        "truth",
+        "drivers",
+        "where",
+        "params",
+        "before_rms",
+        "oracle_after_rms",
+        "noise_rms",
+        "in_the_simulation",
+    }
     for key in sealed_answers(drawn):
         assert set(key) == {"case", "tier", "protocol", "responses"}
         for response in key["responses"].values():
@@ -116,7 +127,7 @@ def test_hidden_effects_have_the_size_of_their_tier(tier):
 
 
 def test_no_textbook_effect_explains_a_mechanism_outside_the_vocabulary():
-    from tests.trials.lookalikes import compare
+    from trials.first.lookalikes import compare
 
     for number in range(4):
         _, bench, stories, _ = one_case(12, number, "novel", None, list(PROTOCOLS))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.trials import bodies, friction
-from tests.trials.air import index_minus_one, path_error
-from tests.trials.lookalikes import lagged
-from tests.trials.servo import follow
+from trials.first import bodies, friction
+from trials.first.air import index_minus_one, path_error
+from trials.first.lookalikes import lagged
+from trials.first.servo import follow
 
 
 def test_an_insulated_bar_keeps_its_heat():

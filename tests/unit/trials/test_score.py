@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from tests.trials.generate import generate
-from tests.trials.judge import covers, judge, read
-from tests.trials.score import Tampered, figures, markdown, score, sealed_answers
+from trials.first.generate import generate
+from trials.judge import covers, judge, read
+from trials.score import Tampered, figures, markdown, score, sealed_answers
 
 SAMPLE = Path(os.environ.get("ERRPIPE_BLIND_TRIALS", "../shared/blind-trials"))
 NAMES = [
@@ -43,14 +43,18 @@ def perfect(key: dict) -> dict:
     for component, k in key["responses"].items():
         findings = [
             {
-                "effect": group[0], "confidence": 0.95, "drivers": k["drivers"].get(group[0], []), "where": k["where"],
+                "effect": group[0],
+                "confidence": 0.95,
+                "drivers": k["drivers"].get(group[0], []),
+                "where": k["where"],
                 "parameters": [
                     {"name": n, "value": p["value"], "unit": p["unit"], "ci95": [p["value"] * 0.9, p["value"] * 1.1]}
-                    for n, p in k["params"].items() if n.split(".")[0] == group[0]
+                    for n, p in k["params"].items()
+                    if n.split(".")[0] == group[0]
                 ],
             }
             for group in k["effects"]
-        ]  # fmt: skip
+        ]
         holdout = {"scheme": "x", "rms_before_um": 1.0, "rms_after_um": k["noise_rms"]}
         responses.append({"component": component, "verdict": k["verdict"][0], "holdout": holdout, "findings": findings})
     return {"diagnosis": 1, "recording": "x", "responses": responses}
@@ -167,7 +171,7 @@ def test_agrees_with_the_public_judge(drawn, tmp_path, monkeypatch):
 
 
 def test_a_greedy_regression_finds_the_easy_half_only(drawn, tmp_path):
-    from tests.trials.baseline import diagnose
+    from trials.baseline import diagnose
 
     for key in sealed_answers(drawn):
         write(tmp_path, key["case"], diagnose(drawn / "cases" / key["case"]))

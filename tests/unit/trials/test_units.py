@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.trials.units import ratio
+from trials.units import ratio
 
 
 @pytest.mark.parametrize(

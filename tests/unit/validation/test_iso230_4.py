@@ -39,14 +39,19 @@ def _recording(
         frames.append(
             pd.DataFrame({"run": label, "a": x, "b": y, "feed": FEED, "E_R": e + rng.normal(0, noise, count)})
         )
-    manifest = Manifest.model_validate({
-        "recording": 1, "tables": ["t.csv"],
-        "columns": {
-            "run": {"role": "run"}, "a": {"role": "position", "axis": plane[0], "unit": "mm"},
-            "b": {"role": "position", "axis": plane[1], "unit": "mm"}, "feed": {"role": "feed", "unit": "mm/min"},
-            "E_R": {"role": "error", "component": "E_R", "unit": "um"},
-        },
-    })  # fmt: skip
+    manifest = Manifest.model_validate(
+        {
+            "recording": 1,
+            "tables": ["t.csv"],
+            "columns": {
+                "run": {"role": "run"},
+                "a": {"role": "position", "axis": plane[0], "unit": "mm"},
+                "b": {"role": "position", "axis": plane[1], "unit": "mm"},
+                "feed": {"role": "feed", "unit": "mm/min"},
+                "E_R": {"role": "error", "component": "E_R", "unit": "um"},
+            },
+        }
+    )
     return Recording(manifest, pd.concat(frames, ignore_index=True))
 
 

@@ -29,9 +29,14 @@ def recording() -> Recording:
     rng = np.random.default_rng(4)
     frames = []
     for k, (day, season) in enumerate(
-        [("2017-01-30", "winter"), ("2017-01-31", "winter"), ("2017-02-01", "winter"), ("2017-02-02", "spring"),
-         ("2017-02-03", "spring")]
-    ):  # fmt: skip
+        [
+            ("2017-01-30", "winter"),
+            ("2017-01-31", "winter"),
+            ("2017-02-01", "winter"),
+            ("2017-02-02", "spring"),
+            ("2017-02-03", "spring"),
+        ]
+    ):
         t = np.arange(60) * 300.0
         a = 20 + (4 + k) * (1 - np.exp(-t / 5000))
         b = a + rng.normal(0, 0.02, 60) if season == "winter" else 40 - a
@@ -134,13 +139,15 @@ def test_nothing_wins_ties_and_a_model_that_hurts_one_season_never_wins():
 def test_compare_runs_everyone_on_left_out_groups(recording):
     folds = holdout.folds(recording, "leave-one-group-out:season")
     told = champion.compare(
-        recording, "E_D", folds,
+        recording,
+        "E_D",
+        folds,
         (
             champion.Candidate("do nothing", champion.nothing),
             champion.Candidate("a", Slope),
             champion.Candidate("b", on_b),
         ),
-    )  # fmt: skip
+    )
     assert told["champion"] == "a" and told["rms"]["do nothing"] == told["groups"]
     with pytest.raises(DataError):
         champion.compare(recording, "E_D", [], ())

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.bench_tables import machine
 from errpipe import tables
 from errpipe.errors import VerifyError
 from errpipe.kernels import table_cycle
 from errpipe.tables import bounds, ect, pack
 from errpipe.targets.c_runtime import CRuntime
-from tests.bench.bench_tables import machine
 from tests.unit.tables.made import everything, stimulus, ten_um_too_long
 
 HERE = Path(__file__).parent

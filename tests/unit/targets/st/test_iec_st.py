@@ -11,10 +11,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from bench.bench_tables import machine
 from errpipe.errors import VerifyError
 from errpipe.tables import ect
 from errpipe.targets import iec_st
-from tests.bench.bench_tables import machine
 from tests.unit.tables.made import everything, stimulus, ten_um_too_long
 from tests.unit.targets.c.test_c_runtime import damaged, numba_stream, python_takes
 from tests.unit.targets.st import translate

@@ -1,6 +1,6 @@
 """For scale: what a greedy regression over the textbook forms says of the same cases.
 
-    python -m tests.trials.baseline OUT_DIR        # OUT_DIR as `generate` wrote it
+    python -m trials.baseline OUT_DIR        # OUT_DIR as `generate` wrote it
 
 It scales the simulation, then adds the best form as long as that pays. It knows no reversal spikes, faults or clocks.
 """
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from .case import Array, Bench, Column
-from .lookalikes import Target, forms, possible
+from .first.case import Array, Bench, Column
+from .first.lookalikes import Target, forms, possible
 from .score import markdown, score, wrong_ones
 
 PROTOCOL_BY_TITLE = {

@@ -69,7 +69,7 @@ def bench_single_call() -> None:
     """One evaluation of a model of eight temperatures: the table's cycle against scikit-learn's predict."""
     from sklearn.linear_model import LinearRegression
 
-    from tests.bench.bench_tables import bench_cycle
+    from bench.bench_tables import bench_cycle
 
     rng = np.random.default_rng(2)
     x = rng.normal(size=(500, 8))

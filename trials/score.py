@@ -1,6 +1,6 @@
 """Judge diagnoses of generated cases.
 
-    python -m tests.trials.score OUT_DIR DIAGNOSES_DIR [--json FILE]
+    python -m trials.score OUT_DIR DIAGNOSES_DIR [--json FILE]
 
 OUT_DIR is what `generate` wrote; DIAGNOSES_DIR/<id>/diagnosis.json is what errpipe said.
 """
@@ -17,7 +17,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from .assemble import TIERS
+from .first.assemble import TIERS
 from .judge import Judged, judge, read
 
 

@@ -1,6 +1,6 @@
 """Draw cases, diagnose them with errpipe, judge the answers.
 
-python -m tests.trials.run --seed 7 --cases 130 --jobs 2 [--second] [--keep DIR] [--json FILE] [--markdown FILE]
+python -m trials.run --seed 7 --cases 130 --jobs 2 [--second] [--keep DIR] [--json FILE] [--markdown FILE]
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import perf_counter
 
-from .generate import generate, split
+from .first.generate import generate, split
 from .score import document, figures, markdown, score, wrong_ones
 
 
@@ -44,8 +44,8 @@ def diagnose_all(cases: Path, out: Path, jobs: int) -> list[tuple[str, float, st
 
 def generate_second(out: Path, seed: int, count: int, tiers: str | None, effects: str | None, protocols: str | None):
     """Cases of the second generator, laid out and sealed as the first one's are."""
-    from tests.trials_second.generate import TIERS, cases
-    from tests.trials_second.write import write_case
+    from trials.second.generate import TIERS, cases
+    from trials.second.write import write_case
 
     (out / "answers").mkdir(parents=True)
     wanted = (split(tiers) or list(TIERS), split(effects), split(protocols))

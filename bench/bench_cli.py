@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from time import perf_counter
 
-PIPELINE = Path(__file__).parents[2] / "pipelines" / "ball-screw-axis.yaml"
+PIPELINE = Path(__file__).parents[1] / "pipelines" / "ball-screw-axis.yaml"
 ROUNDS = 7
 WANTED = {"errpipe --help": 0.2, "run with nothing to do": 0.5}
 

@@ -1,4 +1,4 @@
-"""Compare cases with the public sample: python -m tests.trials_second.compare CASES [PUBLIC].
+"""Compare cases with the public sample: python -m trials.second.compare CASES [PUBLIC].
 
 Prints rows, runs, shares of empty cells and the ratios of the keys, per protocol and per tier.
 """

@@ -75,9 +75,16 @@ STEPS = {  # of the display, um or N
 }
 # Effects that may act on one stretch of the axis only.
 STRETCH = {
-    "backlash", "pitch_cyclic", "interpolation", "friction_hysteresis", "screw_windup", "coulomb_friction",
-    "viscous_friction", "torque_ripple", "straightness",
-}  # fmt: skip
+    "backlash",
+    "pitch_cyclic",
+    "interpolation",
+    "friction_hysteresis",
+    "screw_windup",
+    "coulomb_friction",
+    "viscous_friction",
+    "torque_ripple",
+    "straightness",
+}
 
 
 class Unfit(Exception):

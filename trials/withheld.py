@@ -1,6 +1,6 @@
 """Every hidden effect taken out of the library in turn: does the diagnosis then admit that it does not know?
 
-python -m tests.trials.withheld --seed 7 --cases 72 --jobs 2 [--json FILE]
+python -m trials.withheld --seed 7 --cases 72 --jobs 2 [--json FILE]
 
 Cases with one hidden effect are diagnosed by a library that lacks it, and all names that its key accepts.
 """
@@ -15,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from .generate import generate
+from .first.generate import generate
 from .score import sealed_answers
 
 SURE = 0.8  # confidence from which a name counts as a claim
@@ -62,12 +62,15 @@ def run(folder: Path, jobs: int) -> list[dict[str, Any]]:
 def figures(said: list[dict[str, Any]]) -> dict[str, Any]:
     """Shares of the cases: admitted as unknown, named surely, named with little confidence, taken for nothing."""
     kinds = Counter(
-        "admitted" if s["said"] == "unknown"
-        else "named surely" if s["confidence"] >= SURE
-        else "named with doubt" if s["verdict"] == "missing_physics"
+        "admitted"
+        if s["said"] == "unknown"
+        else "named surely"
+        if s["confidence"] >= SURE
+        else "named with doubt"
+        if s["verdict"] == "missing_physics"
         else "taken for nothing missing"
         for s in said
-    )  # fmt: skip
+    )
     return {"cases": len(said), **{k: kinds[k] / len(said) for k in sorted(kinds)}}
 
 

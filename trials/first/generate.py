@@ -1,6 +1,6 @@
 """Draw blind cases.
 
-    python -m tests.trials.generate OUT_DIR --seed 7 --cases 130 [--tiers plain,null] [--effects backlash]
+    python -m trials.first.generate OUT_DIR --seed 7 --cases 130 [--tiers plain,null] [--effects backlash]
                                     [--protocols "circular test"]
 
 Writes OUT_DIR/cases/<id>/{recording.yaml,recording.csv}, OUT_DIR/answers/<id>.json and OUT_DIR/answers.sha256.

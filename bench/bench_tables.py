@@ -1,4 +1,4 @@
-"""How fast tables are: python -m tests.bench.bench_tables. Every figure is a ratio of two runs side by side."""
+"""How fast tables are: python -m bench.bench_tables. Every figure is a ratio of two runs side by side."""
 
 from __future__ import annotations
 
@@ -52,9 +52,18 @@ def machine(thermal: bool = False) -> t.CompensationTable:
         for n in range(8):
             name = f"T{n}"
             inputs.append(
-                t.TableInput(name=name, kind="sensor", unit="degC", low=-20, high=120, default=20, max_rate=5.0,
-                             valid=(10, 50), margin=5)
-            )  # fmt: skip
+                t.TableInput(
+                    name=name,
+                    kind="sensor",
+                    unit="degC",
+                    low=-20,
+                    high=120,
+                    default=20,
+                    max_rate=5.0,
+                    valid=(10, 50),
+                    margin=5,
+                )
+            )
             lagged = d.Lag(of=d.above(name, 20.0), tau_up=900.0 + 100 * n, tau_down=1500.0)
             slope = Lowered(lagged, AXES[n % 3], lambda x: 0.011 * x)
             old = components[7 * (n % 3)]
@@ -67,8 +76,11 @@ def machine(thermal: bool = False) -> t.CompensationTable:
 
 def _lever(terms: dict, name: str, letter: str) -> None:
     """An angle times its two arms, urad * mm = nm."""
-    for out, arm, sign in {"A": (("Y", "z", -1), ("Z", "y", 1)), "B": (("X", "z", 1), ("Z", "x", -1)),
-                           "C": (("X", "y", -1), ("Y", "x", 1))}[letter]:  # fmt: skip
+    for out, arm, sign in {
+        "A": (("Y", "z", -1), ("Z", "y", 1)),
+        "B": (("X", "z", 1), ("Z", "x", -1)),
+        "C": (("X", "y", -1), ("Y", "x", 1)),
+    }[letter]:
         terms[out].append(MonomialSource(sign * 1e-3, name, (d.Input(name=arm),)))
 
 
@@ -101,8 +113,11 @@ def bench_lattice(points: int = 300_000) -> dict[str, float]:
     columns = np.ascontiguousarray(where.T)
     evaluator.rows(columns)
     ours, theirs = side_by_side(lambda: evaluator.rows(columns), lambda: lattice(where))
-    return {"table_ns_per_point": 1e9 * ours / points, "regular_grid_interpolator_ns": 1e9 * theirs / points,
-            "times_faster": theirs / ours}  # fmt: skip
+    return {
+        "table_ns_per_point": 1e9 * ours / points,
+        "regular_grid_interpolator_ns": 1e9 * theirs / points,
+        "times_faster": theirs / ours,
+    }
 
 
 def bench_curve(points: int = 1_000_000) -> dict[str, float]:
@@ -116,8 +131,11 @@ def bench_curve(points: int = 1_000_000) -> dict[str, float]:
     nodes, values = p.start + p.step * np.arange(len(p.values)), np.array(p.values) * p.scale
     evaluator.rows(where)
     ours, theirs = side_by_side(lambda: evaluator.rows(where), lambda: np.interp(where[0], nodes, values))
-    return {"table_ns_per_point": 1e9 * ours / points, "numpy_interp_ns": 1e9 * theirs / points,
-            "times_faster": theirs / ours}  # fmt: skip
+    return {
+        "table_ns_per_point": 1e9 * ours / points,
+        "numpy_interp_ns": 1e9 * theirs / points,
+        "times_faster": theirs / ours,
+    }
 
 
 def bench_cycle(cycles: int = 200_000) -> dict[str, float]:
@@ -159,8 +177,19 @@ def _address(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-CURVE = np.dtype([("start", "f8"), ("inverse_step", "f8"), ("scale", "f8"), ("factor", "f8"), ("knots", "u8"),
-                  ("axis", "i4"), ("last", "i4"), ("component", "i4"), ("same_grid", "i4")])  # fmt: skip
+CURVE = np.dtype(
+    [
+        ("start", "f8"),
+        ("inverse_step", "f8"),
+        ("scale", "f8"),
+        ("factor", "f8"),
+        ("knots", "u8"),
+        ("axis", "i4"),
+        ("last", "i4"),
+        ("component", "i4"),
+        ("same_grid", "i4"),
+    ]
+)
 TERM = np.dtype([("weight", "f8"), ("output", "i4"), ("component", "i4"), ("axis", "i4"), ("_", "i4")])
 
 
@@ -181,8 +210,17 @@ def bench_c(points: int = 300_000) -> dict[str, float]:
         place = knots.ctypes.data + 8 * int(firsts[pair["profile"]])
         factor = evaluator._node_fixed[pair["node"]]
         same = program.same_grid[pair["profile"]]
-        row_values = (own["start"], own["inverse_step"], own["scale"], factor, place, own["input"], own["count"] - 1,
-                      pair["component"], same)  # fmt: skip
+        row_values = (
+            own["start"],
+            own["inverse_step"],
+            own["scale"],
+            factor,
+            place,
+            own["input"],
+            own["count"] - 1,
+            pair["component"],
+            same,
+        )
         for name, value in zip(CURVE.names, row_values, strict=True):
             row[name] = value
     for pair in program.pairs:
@@ -200,8 +238,17 @@ def bench_c(points: int = 300_000) -> dict[str, float]:
     out = np.empty((3, points))
 
     def run(function):
-        function(_address(curves), len(curves), _address(terms), len(terms), _address(fixed), len(fixed),
-                 _address(columns), ctypes.c_long(points), _address(out))  # fmt: skip
+        function(
+            _address(curves),
+            len(curves),
+            _address(terms),
+            len(terms),
+            _address(fixed),
+            len(fixed),
+            _address(columns),
+            ctypes.c_long(points),
+            _address(out),
+        )
 
     ours = evaluator.rows(columns)
     for function in (library.by_point, library.by_block):
@@ -210,8 +257,12 @@ def bench_c(points: int = 300_000) -> dict[str, float]:
     numba, point = side_by_side(lambda: evaluator.rows(columns), lambda: run(library.by_point))
     again, block = side_by_side(lambda: evaluator.rows(columns), lambda: run(library.by_block))
     c = min(point, block)
-    return {"numba_ns_per_point": 1e9 * min(numba, again) / points, "c_by_point_ns": 1e9 * point / points,
-            "c_by_block_ns": 1e9 * block / points, "numba_times_c": min(numba, again) / c}  # fmt: skip
+    return {
+        "numba_ns_per_point": 1e9 * min(numba, again) / points,
+        "c_by_point_ns": 1e9 * point / points,
+        "c_by_block_ns": 1e9 * block / points,
+        "numba_times_c": min(numba, again) / c,
+    }
 
 
 def bench_c_cycle(cycles: int = 200_000) -> dict[str, float]:
@@ -230,8 +281,17 @@ def bench_c_cycle(cycles: int = 200_000) -> dict[str, float]:
     out, status = np.empty((2, cycles, 3)), np.empty(cycles, dtype=np.uint32)
 
     def run():
-        library.stream(data, ctypes.c_size_t(len(data)), ctypes.c_size_t(cycles), _address(readings), None, None,
-                       _address(out[0]), _address(out[1]), _address(status))  # fmt: skip
+        library.stream(
+            data,
+            ctypes.c_size_t(len(data)),
+            ctypes.c_size_t(cycles),
+            _address(readings),
+            None,
+            None,
+            _address(out[0]),
+            _address(out[1]),
+            _address(status),
+        )
 
     run()
     each = best(run) / cycles

@@ -1,4 +1,4 @@
-"""All benches one after the other, each in its own process: `make bench`, or `python -m tests.bench [NAME...]`."""
+"""All benches one after the other, each in its own process: `make bench`, or `python -m bench [NAME...]`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def main(names: list[str]) -> int:
     code = 0
     for name in [f"bench_{name}" for name in names] or found:
         print(f"== {name.removeprefix('bench_')}", flush=True)
-        code |= subprocess.run([sys.executable, "-m", f"tests.bench.{name}"], check=False).returncode != 0
+        code |= subprocess.run([sys.executable, "-m", f"bench.{name}"], check=False).returncode != 0
     return int(code)
 
 

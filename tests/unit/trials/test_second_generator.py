@@ -15,10 +15,10 @@ import pytest
 from ruamel.yaml import YAML
 
 from errpipe.formats import manifest_folder
-from tests.trials_second import generate, perfect
-from tests.trials_second.compare import figures, spread
-from tests.trials_second.contact import dahl, maxwell_slip, play
-from tests.trials_second.heat import bodies, lagged, refractivity, rod
+from trials.second import generate, perfect
+from trials.second.compare import figures, spread
+from trials.second.contact import dahl, maxwell_slip, play
+from trials.second.heat import bodies, lagged, refractivity, rod
 
 ROOT = Path(__file__).parents[3]
 PUBLIC = Path(os.environ.get("ERRPIPE_BLIND_TRIALS", ROOT.parent / "shared" / "blind-trials"))

@@ -1,4 +1,4 @@
-"""Diagnoses made from keys, to try a judge: python -m tests.trials_second.perfect CASES DIAGNOSES."""
+"""Diagnoses made from keys, to try a judge: python -m trials.second.perfect CASES DIAGNOSES."""
 
 from __future__ import annotations
 
@@ -22,13 +22,7 @@ def finding(effect: str, key: dict) -> dict:
     ]
     sure = 0.6 if effect == "unknown" else 0.95
     drivers = key["drivers"].get(effect, [])
-    return {
-        "effect": effect,
-        "confidence": sure,
-        "drivers": drivers,
-        "where": key["where"] or {},
-        "parameters": stated,
-    }
+    return {"effect": effect, "confidence": sure, "drivers": drivers, "where": key["where"] or {}, "parameters": stated}
 
 
 def diagnosis(key: dict) -> dict:

@@ -1,6 +1,6 @@
 """Volumetric evaluation with 21 components: against vectorised numpy and against the memory floor.
 
-    python tests/bench/bench_kinematics.py
+    python bench/bench_kinematics.py
 
 Prints ratios; the same points, curves and answer on both sides (checked to 1e-9 um). Best of several rounds.
 """
@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "kinematics"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit" / "kinematics"))
 from machines import ready
 
 from errpipe.kernels import volumetric as k
@@ -84,9 +84,12 @@ def measure() -> dict[str, float]:
     out = np.empty((POINTS, 3))
     k.touch(q, tip, out)
     times = best(
-        9, lambda: volume(q, tip, out), lambda: k.touch(q, tip, out),
-        lambda: with_numpy(errors, q, tip, False), lambda: with_numpy(errors, q, tip, True),
-    )  # fmt: skip
+        9,
+        lambda: volume(q, tip, out),
+        lambda: k.touch(q, tip, out),
+        lambda: with_numpy(errors, q, tip, False),
+        lambda: with_numpy(errors, q, tip, True),
+    )
     names = ("errpipe", "memory floor", "numpy, np.interp per curve", "numpy, six curves gathered at once")
     return dict(zip(names, (t / POINTS * 1e9 for t in times), strict=True))
 

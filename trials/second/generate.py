@@ -1,4 +1,4 @@
-"""Draw blind cases: python -m tests.trials_second.generate OUT --seed N --cases 72 (see --help)."""
+"""Draw blind cases: python -m trials.second.generate OUT --seed N --cases 72 (see --help)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a cycle costs inside a controller: python -m tests.bench.bench_controllers.
+"""What a cycle costs inside a controller: python -m bench.bench_controllers.
 
 The table of `bench_tables` (21 components, 8 lagged sensors, synthesis) as LinuxCNC's HAL component in a 1 kHz thread;
 HAL counts the clocks of every call. Between two calls the caches belong to others, so that a call costs several times
@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.bench_tables import machine
 from errpipe.tables import bounds
 from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
-from tests.bench.bench_tables import machine
 from tests.e2e.linuxcnc import session
 
 CYCLES = 5000
@@ -69,10 +69,14 @@ def bench_hal_component() -> dict[str, float]:
     ns = 1e3 * found / mhz
     usual = float(np.median(ns))
     return {
-        "cycle_ns": usual, "cycle_ns_99.9_percent": float(np.quantile(ns, 0.999)), "tmax_ns": float(ns.max()),
-        "tmax_clocks": float(found.max()), "share_of_1_ms": usual / 1e6, "share_of_125_us": usual / 125e3,
+        "cycle_ns": usual,
+        "cycle_ns_99.9_percent": float(np.quantile(ns, 0.999)),
+        "tmax_ns": float(ns.max()),
+        "tmax_clocks": float(found.max()),
+        "share_of_1_ms": usual / 1e6,
+        "share_of_125_us": usual / 125e3,
         "operations": float(bounds.cost(table)[0].operations),
-    }  # fmt: skip
+    }
 
 
 def main() -> int:

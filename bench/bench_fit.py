@@ -1,4 +1,4 @@
-"""Streaming fit against numpy's lstsq in memory: python -m tests.bench.bench_fit. Times and peak memory of one run.
+"""Streaming fit against numpy's lstsq in memory: python -m bench.bench_fit. Times and peak memory of one run.
 
 Each side runs in a process of its own, so that its peak memory is its own; the rows are made chunk by chunk from the
 same seeds, which costs both the same.
@@ -52,9 +52,7 @@ def in_memory() -> tuple[float, np.ndarray]:
 
 def alone(side: str) -> dict:
     """One side in a fresh process: seconds, peak memory in MB above that of the imports, coefficients."""
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.bench.bench_fit", side], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-m", "bench.bench_fit", side], capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
