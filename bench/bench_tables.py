@@ -14,8 +14,8 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, MonomialSource, OutputSource, batch, compile_table
-from errpipe.terms._base import Lowered
 
 HERE = Path(__file__).parent
 AXES = ("X", "Y", "Z")

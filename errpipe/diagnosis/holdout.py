@@ -11,7 +11,7 @@ from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.judge import Case
 from errpipe.diagnosis.left_out import ZEROED, LeftOut, spoken_for
 from errpipe.diagnosis.search import Search
-from errpipe.terms._base import sessions
+from errpipe.drivers.sessions import sessions
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,10 @@ import numpy as np
 from errpipe.diagnosis.evidence import Listed, Table
 from errpipe.diagnosis.slacks import STARTS, slacks
 from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import position
+from errpipe.drivers.sessions import sessions
 from errpipe.terms import TERMS as ALL_TERMS
-from errpipe.terms._base import Term, position, sessions
+from errpipe.terms import Term
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
 

@@ -16,7 +16,7 @@ from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MOST, Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import sessions
+from errpipe.drivers.sessions import sessions
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
 MISSING = 10.0  # log Bayes factor for the first finding

@@ -10,8 +10,7 @@ import numpy as np
 from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.diagnosis import ChangePoint, Regime, Where
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import direction
-from errpipe.terms._place import axes, position_name
+from errpipe.drivers.motion import axes, direction, position_name
 
 LEAST_ROWS = 10
 BLOCKS = 120  # stretches of time whose means are searched for changes

@@ -16,8 +16,7 @@ import numpy as np
 from errpipe.diagnosis.hypotheses import Hypothesis, Library, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import position
-from errpipe.terms._place import axes, position_name
+from errpipe.drivers.motion import axes, position, position_name
 
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and so many of each effect

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
-from errpipe.terms._base import sessions
 
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
 MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged: more would cost time and tell nothing new

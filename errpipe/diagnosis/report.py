@@ -18,7 +18,7 @@ from errpipe.domain.diagnosis import (
     Significance,
     Where,
 )
-from errpipe.terms._base import Term
+from errpipe.terms import Term
 
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains

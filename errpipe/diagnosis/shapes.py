@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import direction
-from errpipe.terms._place import axes, position_name
+from errpipe.drivers.motion import axes, direction, position_name
 
 TIME_WAVES = 40
 PLACE_WAVES = 24

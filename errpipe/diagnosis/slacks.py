@@ -14,9 +14,11 @@ import numpy as np
 
 from errpipe.domain.driver import Input, Lag
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.motion import direction, position, share
+from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
-from errpipe.terms._base import Term, direction, drive, position, sessions
-from errpipe.terms._place import share
+from errpipe.terms import Term
 
 WAVY = 0.07  # freedom of each smooth deformation along an axis
 DEGREES = range(1, 8)

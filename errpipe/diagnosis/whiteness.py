@@ -17,8 +17,7 @@ from errpipe.diagnosis.evidence import whiten
 from errpipe.diagnosis.judge import Case, residual
 from errpipe.domain.diagnosis import Whiteness, WhitenessTest
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import direction
-from errpipe.terms._place import axes
+from errpipe.drivers.motion import axes, direction
 
 BINS = 6  # levels of an input between which the residual's mean may differ
 LAGS = 20  # rows apart up to which the order is tested (Ljung-Box)

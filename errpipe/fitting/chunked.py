@@ -23,7 +23,7 @@ from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.streaming import StreamingFit
 from errpipe.fitting.validity import box
 from errpipe.kernels import whitening
-from errpipe.terms._base import Term
+from errpipe.terms import Term
 
 Chunks = Callable[[], Iterable[Recording]]
 NORMAL90 = 1.645

@@ -18,8 +18,7 @@ from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.uncertainty import half_width
 from errpipe.fitting.validity import box
-from errpipe.terms import TERMS
-from errpipe.terms._base import Term, plain
+from errpipe.terms import TERMS, Term, plain
 from errpipe.terms.run_offset import RunOffset
 
 BY_ID = {t.model_fields["term"].default: t for t in TERMS}

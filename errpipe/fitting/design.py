@@ -15,7 +15,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
 from errpipe.fitting.identifiability import Named
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms import Parameter, Term
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ComponentModel, ErrorModel
+from errpipe.drivers.lowered import Lowered
 from errpipe.fitting.components import term_of
-from errpipe.terms._base import Lowered
 
 
 def lower(model: ErrorModel) -> dict[str, list[Lowered]]:

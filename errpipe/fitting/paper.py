@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations_with_replacement
 
-from errpipe.terms._base import Term
-from errpipe.terms._profiles import Line
+from errpipe.terms import Line, Term
 from errpipe.terms.chebyshev import Chebyshev
 from errpipe.terms.offset import Offset
 from errpipe.terms.profile_driver import Factor, ProfileDriver

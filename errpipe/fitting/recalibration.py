@@ -19,8 +19,8 @@ from pydantic import Field
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Frozen, Recording
+from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
-from errpipe.terms._base import drive
 
 
 class RecalibrationOptions(Frozen):

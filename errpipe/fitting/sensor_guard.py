@@ -22,11 +22,12 @@ from errpipe.domain import driver as d
 from errpipe.domain import sensor_fault
 from errpipe.domain import sensor_guard as g
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
 from errpipe.fitting import sensor_apart, sensor_witness
 from errpipe.fitting.sensor_apart import LEAST_NOISE
 from errpipe.fitting.sensor_rows import LAGS, Healthy, centred, lagged, left_out, ridge_weights, rises, rows_of, seldom
-from errpipe.terms._base import drive, sessions
 
 FILTER = 300.0  # s: machines warm up over minutes and more, noise and switching heaters are quicker
 FREEZE = 300.0  # s

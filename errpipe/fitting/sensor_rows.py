@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import sessions
+from errpipe.drivers.sessions import sessions
 
 SHIFT = 36000.0  # s: estimates are learnt from what changes within one
 LAGS = (300.0, 900.0, 3600.0, 14400.0)  # s: heat reaches one sensor later than another, some much later

@@ -11,7 +11,8 @@ from errpipe.domain import driver as d
 from errpipe.domain import sensor_fault, sensor_reading
 from errpipe.domain import sensor_guard as g
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import drive, sessions
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.sessions import sessions
 
 
 @dataclass(frozen=True)

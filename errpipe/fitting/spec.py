@@ -8,8 +8,7 @@ from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.fitting.holdout import HoldOut
-from errpipe.terms import TERMS
-from errpipe.terms._base import Term
+from errpipe.terms import TERMS, Term
 
 if TYPE_CHECKING:
     AnyTerm = Term

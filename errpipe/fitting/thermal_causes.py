@@ -25,8 +25,8 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError, did_you_mean
-from errpipe.terms._base import drive
 
 _ROOM = re.compile(r"ambient|room|\bair\b|shop|hall|environment", re.IGNORECASE)
 _SPINDLE = re.compile(r"spindle|headstock|motor|bearing", re.IGNORECASE)

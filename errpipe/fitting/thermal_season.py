@@ -30,6 +30,7 @@ from errpipe import __version__
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_local, thermal_network
 from errpipe.fitting.design import response_name
@@ -37,8 +38,7 @@ from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, rms, since_start, slope
 from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.validity import box, distance
-from errpipe.terms import ProfileDriver
-from errpipe.terms._base import drive, plain
+from errpipe.terms import ProfileDriver, plain
 
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction

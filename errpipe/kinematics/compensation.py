@@ -13,10 +13,10 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.synthesis import SynthesisOutput, SynthesisTerm
+from errpipe.drivers.lowered import Lowered
 from errpipe.kinematics import polynomials, synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
-from errpipe.terms._base import Lowered
 
 SINE_STEP = 0.5  # deg; straight lines between are then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
 

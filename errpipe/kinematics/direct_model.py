@@ -13,9 +13,7 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParamet
 from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
 from errpipe.kinematics import direct, records
-from errpipe.terms import Backlash, Offset, ProfileDriver, SmoothCurve
-from errpipe.terms._base import Term, plain
-from errpipe.terms._profiles import Line
+from errpipe.terms import Backlash, Line, Offset, ProfileDriver, SmoothCurve, Term, plain
 
 SEGMENTS = 48  # of the spline that takes a curve up
 CLOSE = 0.02  # um, urad: how near the spline must come to the identified curve

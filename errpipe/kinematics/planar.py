@@ -19,10 +19,10 @@ import numpy as np
 
 from errpipe.domain.driver import ONE, Input, Lookup
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import DataError
 from errpipe.kinematics import evidence
 from errpipe.kinematics.basis import beam_modes, wave_numbers
-from errpipe.terms._base import Lowered
 
 FAMILIES = ("scale and squareness", "curves", "map", "own map")
 TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # um rms; power; noise um

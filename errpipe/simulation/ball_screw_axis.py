@@ -14,7 +14,7 @@ import pandas as pd
 
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.simulation import heat
-from errpipe.terms._base import Term
+from errpipe.terms import Term
 
 TRAVEL = (0.0, 800.0)
 LEAD = 10.0

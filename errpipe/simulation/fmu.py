@@ -3,7 +3,7 @@
 FMPy runs the FMU in a process of its own with a time and a memory limit (`fmu_worker`): it may crash or hang, and what
 comes of it is a message. That process has the rights of the user: run no FMU that you would not run as a program.
 
-Rows that follow in time share a state; a new session (see `terms._base.sessions`) starts the FMU anew, at its time 0.
+Rows that follow in time share a state; a new session (see `drivers.sessions`) starts the FMU anew, at its time 0.
 Inputs are handed over in the FMU's own units, outputs come back as deviations in the response's unit. A few tunable
 parameters may be recalibrated by bounded least squares before anything is called missing; the datum of the recording
 stays out of that: a constant between recording and simulation moves no parameter.
@@ -30,10 +30,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.simulation.fmu_recalibration import recalibrated
 from errpipe.simulation.fmu_units import SPELLINGS, convert
-from errpipe.terms._base import sessions
 from errpipe.yamlfile import Options
 
 MOST_STEPS = 5_000_000  # communication steps of one session

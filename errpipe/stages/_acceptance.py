@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting.spec import ModelSpec
-    from errpipe.terms._base import Term
+    from errpipe.terms import Term
 
 ARTEFACTS = {
     "air_refraction": "it is the air in the beam of the measuring laser, not the machine: correct the reading",

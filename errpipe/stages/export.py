@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.domain.sensor_guard import SensorGuard
     from errpipe.domain.table import CompensationTable
-    from errpipe.terms._base import Lowered
+    from errpipe.drivers.lowered import Lowered
 
 
 class Export(Stage):

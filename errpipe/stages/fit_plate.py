@@ -143,8 +143,7 @@ def _lookup(name: str, positions: Any, values: Any):
 
 def _term(factors: tuple):
     from errpipe.domain.error_model import FittedParameter, FittedTerm
-    from errpipe.terms import ProfileDriver
-    from errpipe.terms._base import plain
+    from errpipe.terms import ProfileDriver, plain
 
     gain = FittedParameter(name="gain", value=1.0, unit="um")
     return FittedTerm(term=plain(ProfileDriver(driver=factors)), parameters=(gain,))

@@ -62,9 +62,9 @@ def _of_table(table: CompensationTable, path: Path):
 
 def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:
     """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
+    from errpipe.drivers.sessions import sessions
     from errpipe.fitting.components import from_run_start
     from errpipe.tables import batch
-    from errpipe.terms._base import sessions
 
     columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
     replay = batch.evaluate(table, columns, recording.time(), sessions(recording))

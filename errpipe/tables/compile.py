@@ -14,10 +14,10 @@ import numpy as np
 from errpipe.domain import components as iso
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError
 from errpipe.tables import bounds
 from errpipe.tables.gridding import grid, interpolation_error, quantise
-from errpipe.terms._base import Lowered
 
 # A lag this many thermal cycles long runs in thermal cycles: a single-precision controller would lose it in a
 # position cycle, where it moves by less than a rounding.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from errpipe.terms._base import Example, Parameter, Term, plain
+from errpipe.terms._profiles import Curve, Line
 from errpipe.terms.air_refraction import AirRefraction
 from errpipe.terms.ambient_drift import AmbientDrift
 from errpipe.terms.angular_abbe import AngularAbbe
@@ -45,6 +47,8 @@ from errpipe.terms.tool_wear import ToolWear
 from errpipe.terms.torque_ripple import TorqueRipple
 from errpipe.terms.viscous_friction import ViscousFriction
 from errpipe.terms.workpiece_load import WorkpieceLoad
+
+__all__ = ["TERMS", "Curve", "Example", "Line", "Parameter", "Term", "plain"]
 
 TERMS = (
     ScaleError,

@@ -10,16 +10,15 @@ parameters. A term knows columns and units; it never knows how it will be solved
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from errpipe.domain import driver as d
 from errpipe.domain.recording import Frozen, Recording
-from errpipe.kernels import responses
+from errpipe.drivers.lowered import Lowered
 
 
 @dataclass(frozen=True)
@@ -31,20 +30,6 @@ class Parameter:
     typical: tuple[float, float]
     bounds: tuple[float, float] = (-np.inf, np.inf)
     meaning: str = ""
-
-
-@dataclass(frozen=True)
-class Lowered:
-    """One compiled pair: profile(position of `axis`) * driver(state), in the response's unit.
-
-    profile: vectorised function of positions in mm (deg), or None for the constant 1.
-    period: repeat length of the profile, where it has one.
-    """
-
-    driver: d.Driver
-    axis: str | None = None
-    profile: Callable[[np.ndarray], np.ndarray] | None = None
-    period: float | None = None
 
 
 @dataclass(frozen=True)
@@ -143,125 +128,6 @@ class Term(Frozen):
         """One plain sentence for a person, with numbers and units."""
         parts = [f"{p.name} = {parameters[p.name]:.4g} {p.unit}" for p in (*self.linear(), *self.free())]
         return f"{self.term.replace('_', ' ')}: " + ", ".join(parts)
-
-
-LONGEST_PAUSE = 7200.0  # s; runs further apart than this count as started anew (from taste: a machine at rest forgets)
-
-
-def sessions(recording: Recording) -> np.ndarray:
-    """Integer per row, shape (rows,): runs that follow in time share one, for heat does not stop between them.
-
-    A new session starts where the run changes and time goes back, is missing, or jumps by more than
-    `LONGEST_PAUSE`; without a time column every run is its own.
-    """
-    run = recording.run_codes()
-    if len(run) == 0 or recording.name("time") is None:
-        return run
-    step = np.diff(recording.time())
-    goes_on = (step >= 0) & (step <= LONGEST_PAUSE)
-    return np.r_[0, np.cumsum((run[1:] != run[:-1]) & ~goes_on)].astype(np.int64)
-
-
-def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
-    """Evaluate a driver causally over a recording, shape (rows,). Missing inputs give NaN.
-
-    States (first value, lag, switch, direction, approach) live as long as a session: see `sessions`.
-    """
-    match driver:
-        case d.Constant():
-            return np.full(len(recording), driver.value)
-        case d.Input():
-            return recording.array(driver.name)
-        case d.Affine():
-            total = np.full(len(recording), driver.offset)
-            for weight, of in zip(driver.weights, driver.of, strict=True):
-                total = total + weight * drive(of, recording)
-            return total
-        case d.First():
-            return responses.first_value(sessions(recording), drive(driver.of, recording))
-        case d.Lag():
-            source = drive(driver.of, recording)
-            return _late(driver, source, recording)
-        case d.Product():
-            return np.prod([drive(of, recording) for of in driver.of], axis=0)
-        case d.Power():
-            source = drive(driver.of, recording)
-            return np.sign(source) * np.abs(source) ** driver.exponent
-        case d.Clip():
-            return np.clip(drive(driver.of, recording), driver.low, driver.high)
-        case d.Switch():
-            return responses.switch(sessions(recording), drive(driver.of, recording), driver.on, driver.off)
-        case d.Direction():
-            return direction(recording, driver.axis, driver.threshold, driver.start)
-        case d.Approach():
-            side = direction(recording, driver.axis, driver.threshold, driver.start)
-            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length)
-        case d.Lookup():
-            values = np.asarray(driver.values)
-            return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)
-    raise TypeError(f"unknown driver {driver!r}")
-
-
-PAUSE = 4.0  # times the usual step between rows, from which a series of parts has paused
-
-
-def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray:
-    """A lag's answer, by what the recording says of the time between its rows."""
-    session, t, at_input = sessions(recording), recording.time(), driver.start == "input"
-    taus = (driver.tau_up, driver.tau_down)
-    if recording.between == "inferred" and _runs_on(driver.of, recording):
-        return responses.lag_straight(session, t, source, *taus, at_input)
-    if recording.between == "inferred" and recording.name("cut_length") is not None and len(recording) > 1:
-        usual = float(np.median(np.diff(t)))
-        return responses.lag_paused(session, t, source, *taus, at_input, PAUSE * usual, usual)
-    return responses.lag(session, t, source, *taus, at_input)
-
-
-def _runs_on(driver: d.Driver, recording: Recording) -> bool:
-    """Does a driver depend on nothing but temperatures and pressures, which do not jump between rows?"""
-    names = d.inputs(driver)
-    roles = {recording.manifest.columns[n].role for n in names}
-    return bool(names) and roles <= {"temperature", "pressure"}
-
-
-def direction_column(recording: Recording, axis: str) -> str:
-    """Name of the column that tells an axis' direction: its direction, else velocity, else position column."""
-    for role in ("direction", "velocity", "position", "command"):
-        name = recording.name(role, axis=axis)
-        if name is not None:
-            return name
-    raise KeyError(f"nothing in the recording tells the direction of axis {axis}")
-
-
-def position(recording: Recording, axis: str) -> np.ndarray:
-    """Position of an axis in mm or deg, shape (rows,); the command where no position is recorded."""
-    name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
-    if name is None:
-        raise KeyError(f"the recording has no position of axis {axis}")
-    return recording.array(name)
-
-
-def direction(recording: Recording, axis: str, threshold: float = 0.001, start: int = 1) -> np.ndarray:
-    """Side an axis was last moved from, +1 or -1: its direction column, else its velocity's sign, else its travel."""
-    name = recording.name("direction", axis=axis)
-    if name is not None:
-        return recording.array(name)
-    name = recording.name("velocity", axis=axis)
-    if name is not None:
-        moving = np.sign(recording.array(name))
-        moving[moving == 0] = np.nan
-        held = hold(recording.run_codes(), moving)
-        return np.where(np.isnan(held), float(start), held)
-    return responses.direction_of_travel(sessions(recording), position(recording, axis), threshold, start)
-
-
-def hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Last finite value of each run, shape (rows,); NaN before the first."""
-    index = np.where(np.isnan(values), -1, np.arange(values.size))
-    starts = np.r_[True, run[1:] != run[:-1]]
-    first = np.maximum.accumulate(np.where(starts, np.arange(values.size), 0))
-    last = np.maximum.accumulate(index)
-    return np.where(last >= first, values[np.maximum(last, 0)], np.nan)
 
 
 def plain(term: Term) -> dict[str, Any]:

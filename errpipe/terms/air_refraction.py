@@ -9,9 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Parameter, Term, position
+from errpipe.drivers.motion import position, position_name
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import axes_acting, is_radial, position_name
+from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
 PER_KELVIN, PER_HPA = 0.93, -0.27  # um/m: Edlen's formula near 20 degC, 1013 hPa

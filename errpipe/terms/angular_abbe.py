@@ -10,9 +10,11 @@ from pydantic import Field
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import axes, position, position_name, travel
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import axes, direction_of, own_axis, position_name, travel
+from errpipe.terms._place import direction_of, own_axis
 
 
 class AngularAbbe(Term):

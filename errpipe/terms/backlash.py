@@ -9,9 +9,11 @@ import numpy as np
 
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import direction, direction_column, share
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial, share
+from errpipe.terms._place import axes_acting, is_radial
 
 
 class Backlash(Term):

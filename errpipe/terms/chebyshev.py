@@ -10,11 +10,12 @@ from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import position, position_name
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Example, Lowered, Parameter, Term, position
+from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import position_name
 
 
 class Chebyshev(Term):

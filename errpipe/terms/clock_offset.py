@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Parameter, Term, sessions
+from errpipe.drivers.sessions import sessions
+from errpipe.terms._base import Parameter, Term
 
 
 class ClockOffset(Term):

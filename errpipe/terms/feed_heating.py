@@ -9,11 +9,13 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
-from errpipe.terms._base import Parameter, Term, position, sessions
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import axes_acting, is_radial, position_name
+from errpipe.terms._place import axes_acting, is_radial
 
 
 class FeedHeating(Term):

@@ -10,9 +10,11 @@ from pydantic import Field
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import share
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial, share
+from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._warm import scaled
 
 

@@ -10,21 +10,15 @@ from pydantic import Field
 
 from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import direction, direction_column, position, position_name, share
+from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import approach_overrun
-from errpipe.terms._base import (
-    Example,
-    Lowered,
-    Parameter,
-    Term,
-    direction,
-    direction_column,
-    drive,
-    position,
-    sessions,
-)
+from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial, position_name, share
+from errpipe.terms._place import axes_acting, is_radial
 
 OVERRUN = 0.4  # mm; how far past a target machines run to approach it from the other side (from taste, 0.1..1)
 

@@ -10,7 +10,8 @@ from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term
+from errpipe.drivers.lowered import Lowered
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
 
 

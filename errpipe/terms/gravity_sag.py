@@ -10,8 +10,10 @@ from pydantic import Field
 
 from errpipe.domain.driver import Input, Power
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term
-from errpipe.terms._place import axes, direction_of, own_axis, position_name
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import axes, position_name
+from errpipe.terms._base import Parameter, Term
+from errpipe.terms._place import direction_of, own_axis
 from errpipe.terms._warm import scaled
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from errpipe.domain.driver import Constant
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Example, Lowered, Parameter, Term
+from errpipe.drivers.lowered import Lowered
+from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 
 

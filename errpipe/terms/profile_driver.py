@@ -10,10 +10,12 @@ from pydantic import Discriminator, Field, Tag
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Frozen, Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import position, position_name
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Example, Lowered, Parameter, Term, drive, position
+from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
-from errpipe.terms._place import position_name
 
 
 class Factor(Frozen):

@@ -9,11 +9,13 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import direction, direction_column, share
+from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import since_turn
-from errpipe.terms._base import Example, Parameter, Term, direction, direction_column, sessions
+from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial, share
+from errpipe.terms._place import axes_acting, is_radial
 
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
 

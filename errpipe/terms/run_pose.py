@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Example, Parameter, Term, position
+from errpipe.drivers.motion import position
+from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 
 UM_PER_URAD_MM = 1e-3

@@ -9,9 +9,11 @@ import numpy as np
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import position, position_name, share
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial, position_name, share
+from errpipe.terms._place import axes_acting, is_radial
 
 
 class ScaleError(Term):

@@ -8,9 +8,12 @@ from typing import Literal
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, drive, position
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import position, position_name, share
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial, Reference, Sensor
-from errpipe.terms._place import axes_acting, is_radial, position_name, share
+from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 

@@ -10,9 +10,11 @@ from pydantic import Field
 
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, direction, direction_column, position
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial, position_name, share, travel
+from errpipe.terms._place import axes_acting, is_radial
 
 
 class ScrewWindup(Term):

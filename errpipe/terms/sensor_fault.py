@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.kernels.responses import lag
-from errpipe.terms._base import Parameter, Term, sessions
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._warm import sensors
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import axes, position_name, share
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._place import axes, is_radial, position_name, share
+from errpipe.terms._place import is_radial
 
 
 class ServoMismatch(Term):

@@ -10,7 +10,9 @@ from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input, Lag, Power
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._warm import scaled
 
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, position
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import axes, position, position_name
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes, direction_of, is_radial, own_axis, position_name
+from errpipe.terms._place import direction_of, is_radial, own_axis
 
 
 class Squareness(Term):

@@ -8,7 +8,9 @@ from typing import Literal
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 

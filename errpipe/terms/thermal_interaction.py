@@ -10,7 +10,9 @@ from pydantic import Field
 
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, drive
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 

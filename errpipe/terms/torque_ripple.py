@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Parameter, Term, position
+from errpipe.drivers.motion import axes, position, position_name
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import axes, position_name
 
 
 class TorqueRipple(Term):

@@ -10,8 +10,9 @@ from pydantic import Field
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Lowered, Parameter, Term, position
-from errpipe.terms._place import axes, position_name, travel
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import axes, position, position_name, travel
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._warm import scaled
 
 

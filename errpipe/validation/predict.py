@@ -16,10 +16,10 @@ from pydantic import TypeAdapter
 from errpipe.domain.driver import Driver
 from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
 from errpipe.fitting.components import evaluate
 from errpipe.fitting.validity import distance
-from errpipe.terms._base import drive
 
 _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
 Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]

@@ -23,6 +23,7 @@ LAYERS = (
     ("formats", "cleaning", "validation", "diagnosis", "reporting", "targets", "simulation", "ncprogram"),
     ("fitting", "kinematics", "tables"),
     ("terms",),
+    ("drivers",),
     ("domain", "kernels"),
     ("yamlfile", "jsonfile"),
     ("errors",),
@@ -83,6 +84,9 @@ def breaches(source: str, module: str) -> list[str]:
             if _is_plug_in(module, own) and _is_plug_in(".".join(parts[:3]), own):
                 found.append(f"{where} imports {name}: files of {own} do not lean on each other")
             continue
+        if any(part.startswith("_") and not part.startswith("__") for part in parts[2:]) and own != "stages":
+            found.append(f"{where} imports {name}, which is private to {other}")
+            continue
         if other not in LINE or own not in LINE:
             continue  # errpipe itself: the version
         if LINE[other] < LINE[own]:
@@ -140,6 +144,7 @@ def test_every_package_has_a_line() -> None:
         ("errpipe.domain.table", "importlib.import_module('errpipe.cli.app')", "below cli"),
         ("errpipe.terms.backlash", "from errpipe.terms.squareness import Squareness", "do not lean"),
         ("errpipe.terms.backlash", "from .squareness import Squareness", "do not lean"),
+        ("errpipe.fitting.solve", "from errpipe.terms._base import Term", "private to terms"),
     ],
 )
 def test_a_planted_breach_is_found(module: str, source: str, word: str) -> None:

@@ -252,8 +252,7 @@ def test_an_artefact_is_fitted_beside_but_never_compensated() -> None:
 
 
 def air_term(recording: Recording) -> dict:
-    from errpipe.terms import AirRefraction
-    from errpipe.terms._base import plain
+    from errpipe.terms import AirRefraction, plain
 
     term = next(t for t in AirRefraction.bind(recording, "EXX") if "p" in t.drivers(recording))
     return {"term": plain(term), "drivers": term.drivers(recording), "compensable": False}

@@ -17,9 +17,9 @@ import numpy as np
 from errpipe import jsonfile
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, ect
 from errpipe.tables.reference import Evaluator
-from errpipe.terms._base import Lowered
 from tests.golden import edges
 from tests.unit.tables.made import everything, stimulus
 

@@ -15,13 +15,13 @@ from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.domain.machine import Machine
+from errpipe.drivers.lowered import Lowered
 from errpipe.kinematics import compensation, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.simulation import metrology
 from errpipe.targets.linuxcnc_hal import JOINTS, SHIFT, LinuxcncHal
 from errpipe.targets.linuxcnc_screw import LinuxcncScrew
-from errpipe.terms._base import Lowered
 from tests.e2e.linuxcnc import session
 
 AXES = "XYZ"

@@ -11,10 +11,10 @@ import pytest
 from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.tables import bounds, ect
 from errpipe.tables.reference import Evaluator
 from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
-from errpipe.terms._base import Lowered
 from tests.e2e.linuxcnc import session
 
 pytestmark = [

@@ -5,11 +5,12 @@ from numpy.testing import assert_allclose
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.motion import position
 from errpipe.errors import DataError, NotIdentifiable
 from errpipe.fitting.judging import judge_all
 from errpipe.fitting.lowering import left_behind, lower
 from errpipe.fitting.model import ModelSpec, evaluate, fit
-from errpipe.terms._base import drive, position
 from tests.unit.fitting.axis_recordings import axis_recording, with_response
 
 

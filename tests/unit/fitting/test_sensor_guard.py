@@ -13,10 +13,11 @@ from errpipe.domain import sensor_fault, sensor_reading
 from errpipe.domain import sensor_guard as g
 from errpipe.domain import table as t
 from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import DataError
 from errpipe.fitting import sensor_apart, sensor_guard, sensor_rows, sensor_watch, thermal_season
 from errpipe.tables import ComponentSource, batch, compile_table
-from errpipe.terms._base import Lowered, drive
 from errpipe.validation import champion, sensor_faults
 from tests.unit.fitting import simulated_sensors
 

@@ -90,7 +90,7 @@ def test_ridge_does_not_depend_on_units():
 
 
 def curve(rows, noise, seed, shape):
-    from errpipe.terms._profiles import Curve
+    from errpipe.terms import Curve
 
     rng = np.random.default_rng(seed)
     x = np.linspace(0.0, 500.0, rows)

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_arithmetic, thermal_causes, thermal_network, thermal_season
-from errpipe.terms._base import drive
 
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared" / "real-data"))
 STEP = 140.0

@@ -8,8 +8,8 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, compile_table
-from errpipe.terms._base import Lowered
 
 
 def position(name="x", axis="X", low=-500.0, high=1500.0, **more):

@@ -7,11 +7,11 @@ import pytest
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError
 from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, batch, bounds, compile_table, ect
 from errpipe.tables.gridding import grid, interpolation_error
 from errpipe.tables.reference import Evaluator
-from errpipe.terms._base import Lowered
 from tests.unit.tables.made import everything, position, sensor, ten_um_too_long
 
 TRAVEL = {"X": (0.0, 1000.0)}

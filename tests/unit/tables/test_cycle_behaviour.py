@@ -7,9 +7,9 @@ import pytest
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, Limits, compile_table
 from errpipe.tables.reference import Evaluator
-from errpipe.terms._base import Lowered
 from tests.unit.tables.made import position, sensor
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.drivers.lowered import Lowered
 from errpipe.kernels import table_cycle, table_position
 from errpipe.tables import ComponentSource, arithmetic, batch, compile_table, ect, pack
 from errpipe.tables.reference import Evaluator
-from errpipe.terms._base import Lowered
 from tests.unit.tables.made import everything, position, sensor, stimulus, ten_um_too_long
 
 pytest.importorskip("numba")

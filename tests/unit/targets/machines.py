@@ -5,7 +5,7 @@ import numpy as np
 from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import TableInput
-from errpipe.terms._base import Lowered
+from errpipe.drivers.lowered import Lowered
 
 AXES = {"X": (0.0, 500.0), "Y": (0.0, 400.0), "Z": (-300.0, 0.0)}
 INPUTS = [

@@ -12,10 +12,10 @@ import pytest
 from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import CompensationTable, TableInput
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, VerifyError
 from errpipe.targets import linuxcnc_hal
 from errpipe.targets.linuxcnc_hal import COMPONENT, JOINTS, SHIFT, LinuxcncHal
-from errpipe.terms._base import Lowered
 from tests.unit.targets import machines
 
 PIN = re.compile(r"^pin (?:in|out) \w+ (\w+)", re.M)

@@ -8,12 +8,12 @@ import pytest
 from errpipe import jsonfile, tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import CompensationTable
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import VerifyError
 from errpipe.stages import targets as stage
 from errpipe.stages.verify import verify
 from errpipe.tables import ect
 from errpipe.targets import TARGETS, _sample
-from errpipe.terms._base import Lowered
 from tests.unit.targets import machines
 
 BY_NAME = {t.name: t for t in TARGETS}

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from errpipe.terms import TERMS
-from errpipe.terms._base import Term, drive, plain, position
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.motion import position
+from errpipe.terms import TERMS, Term, plain
 
 KINDS = {kind.model_fields["term"].default: kind for kind in TERMS}
 

@@ -6,8 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.drivers.evaluation import drive
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import drive, plain
+from errpipe.terms import plain
 from errpipe.terms.chebyshev import Chebyshev
 from errpipe.terms.harmonics import Harmonics
 from errpipe.terms.offset import Offset

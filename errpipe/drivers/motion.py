@@ -1,0 +1,78 @@
+"""How an axis moved, as a recording tells it: positions, directions, travel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import hold, sessions
+from errpipe.kernels import responses
+
+
+def axes(recording: Recording, kind: str = "linear") -> tuple[str, ...]:
+    """Axes whose position (or command) is recorded, in manifest order."""
+    found: list[str] = []
+    for name in (*recording.names("position"), *recording.names("command")):
+        letter = str(recording.manifest.columns[name].axis)
+        known = recording.manifest.axis(letter)
+        if letter not in found and ((known.kind if known else None) or "linear") == kind:
+            found.append(letter)
+    return tuple(found)
+
+
+def direction_column(recording: Recording, axis: str) -> str:
+    """Name of the column that tells an axis' direction: its direction, else velocity, else position column."""
+    for role in ("direction", "velocity", "position", "command"):
+        name = recording.name(role, axis=axis)
+        if name is not None:
+            return name
+    raise KeyError(f"nothing in the recording tells the direction of axis {axis}")
+
+
+def position(recording: Recording, axis: str) -> np.ndarray:
+    """Position of an axis in mm or deg, shape (rows,); the command where no position is recorded."""
+    name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
+    if name is None:
+        raise KeyError(f"the recording has no position of axis {axis}")
+    return recording.array(name)
+
+
+def direction(recording: Recording, axis: str, threshold: float = 0.001, start: int = 1) -> np.ndarray:
+    """Side an axis was last moved from, +1 or -1: its direction column, else its velocity's sign, else its travel."""
+    name = recording.name("direction", axis=axis)
+    if name is not None:
+        return recording.array(name)
+    name = recording.name("velocity", axis=axis)
+    if name is not None:
+        moving = np.sign(recording.array(name))
+        moving[moving == 0] = np.nan
+        held = hold(recording.run_codes(), moving)
+        return np.where(np.isnan(held), float(start), held)
+    return responses.direction_of_travel(sessions(recording), position(recording, axis), threshold, start)
+
+
+def position_name(recording: Recording, axis: str) -> str:
+    """Name of the column with an axis' position, else its command."""
+    name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
+    if name is None:
+        raise KeyError(f"the recording has no position of axis {axis}")
+    return name
+
+
+def travel(recording: Recording, axis: str) -> tuple[float, float]:
+    """Travel of an axis in mm (deg): from the constants, else the range its positions cover."""
+    known = recording.manifest.axis(axis)
+    if known is not None and known.travel is not None:
+        return known.travel
+    x = position(recording, axis)
+    low, high = float(np.nanmin(x)), float(np.nanmax(x))
+    return (low, high) if high > low else (low, low + 1.0)
+
+
+def share(recording: Recording, axis: str, radial: bool) -> np.ndarray:
+    """How much of an axis' own deviation shows in the response, shape (rows,): 1, or pos/R in a circular test."""
+    if not radial:
+        return np.ones(len(recording))
+    circle = axes(recording)[:2]
+    radius = np.hypot(*(position(recording, a) for a in circle))
+    return position(recording, axis) / np.where(radius > 0, radius, np.nan)

@@ -1,0 +1,32 @@
+"""Stretches of a recording through which a machine's states live on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+
+LONGEST_PAUSE = 7200.0  # s; runs further apart than this count as started anew (from taste: a machine at rest forgets)
+
+
+def sessions(recording: Recording) -> np.ndarray:
+    """Integer per row, shape (rows,): runs that follow in time share one, for heat does not stop between them.
+
+    A new session starts where the run changes and time goes back, is missing, or jumps by more than
+    `LONGEST_PAUSE`; without a time column every run is its own.
+    """
+    run = recording.run_codes()
+    if len(run) == 0 or recording.name("time") is None:
+        return run
+    step = np.diff(recording.time())
+    goes_on = (step >= 0) & (step <= LONGEST_PAUSE)
+    return np.r_[0, np.cumsum((run[1:] != run[:-1]) & ~goes_on)].astype(np.int64)
+
+
+def hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Last finite value of each run, shape (rows,); NaN before the first."""
+    index = np.where(np.isnan(values), -1, np.arange(values.size))
+    starts = np.r_[True, run[1:] != run[:-1]]
+    first = np.maximum.accumulate(np.where(starts, np.arange(values.size), 0))
+    last = np.maximum.accumulate(index)
+    return np.where(last >= first, values[np.maximum(last, 0)], np.nan)
