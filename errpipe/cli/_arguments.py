@@ -33,9 +33,9 @@ At = typer.Option(
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
 
 
-def load(file: Path, sets: list[str]) -> Any:
+def load_pipeline_file(file: Path, sets: list[str]) -> Any:
     """The pipeline, read with the stages of errpipe. Raises ConfigError, UsageError."""
-    # A hundred models are declared here and all of them stay: looking for garbage meanwhile costs a tenth of the time.
+    # A hundred model classes are built here and all stay alive; garbage collection would cost 10 % of the time.
     gc.disable()
     try:
         from errpipe.pipeline.spec import load_pipeline
@@ -46,12 +46,12 @@ def load(file: Path, sets: list[str]) -> Any:
         gc.enable()
 
 
-def out_of(file: Path, out: Path | None) -> Path:
-    """Where outputs go when the command line does not say."""
+def output_folder(file: Path, out: Path | None) -> Path:
+    """The folder for outputs: `--out`, else out/<name of the pipeline file>."""
     return out if out is not None else Path("out") / file.stem
 
 
-def values(at: list[str]) -> dict[str, float]:
+def input_values(at: list[str]) -> dict[str, float]:
     """The inputs of `--at x=100 --at T_nut=25`. Raises UsageError."""
     found: dict[str, float] = {}
     for text in at:

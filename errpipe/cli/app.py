@@ -2,7 +2,7 @@
 
 A new verb is one file with a function `command`, and one word in VERBS. The function's signature is the
 verb's arguments (typer), its docstring the help: a first line of at most 70 characters, then a block
-that starts with `Example:`. A verb returns nothing; it ends with `say(...)`, or raises an ErrpipeError.
+that starts with `Example:`. A verb returns nothing; it ends with `print_result`, or raises an ErrpipeError.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from errpipe import __version__
-from errpipe.cli.say import complain
+from errpipe.cli.output import print_error
 from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 
 VERBS = (
@@ -117,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if name and name not in VERBS:
             raise UsageError(f"no verb {name!r} (errpipe --help lists them).{did_you_mean(name, VERBS)}")
-        # not click's own main(): it has its own mind about interrupts and closed pipes
+        # not click's own main(): it handles interrupts and closed pipes differently
         command: Any = typer.main.get_command(app)
         with command.make_context("errpipe", arguments) as context:
             command.invoke(context)
@@ -128,7 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return _closed_pipe()
     except (KeyboardInterrupt, typer.Abort):
-        return complain(name, "interrupted; the same command goes on from here", 130, as_json)
+        return print_error(name, "interrupted; the same command goes on from here", 130, as_json)
     except Exception as err:
         if debug:
             import traceback
@@ -140,16 +140,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _refusal(name: str, err: Exception, as_json: bool) -> int:
     """The message and exit code of an exception."""
     if isinstance(err, ErrpipeError):
-        return complain(name, str(err), err.exit_code, as_json, err)
+        return print_error(name, str(err), err.exit_code, as_json, err)
     if isinstance(err, _CLICK_USAGE):
         text = _usage(err)
         line = f"errpipe {name}".strip()
         text = f"{line}: {text[0].lower()}{text[1:]}\n({line} --help shows what is possible)"
-        return complain(name, text, 2, as_json)
+        return print_error(name, text, 2, as_json)
     if isinstance(err, OSError) and err.filename is not None and err.strerror:
-        return complain(name, f"{err.filename}: {err.strerror.lower()}", 2, as_json)
+        return print_error(name, f"{err.filename}: {err.strerror.lower()}", 2, as_json)
     text = f"internal error, please report it: {type(err).__name__}: {err}\n(--debug shows where it happened)"
-    return complain(name, text, 1, as_json)
+    return print_error(name, text, 1, as_json)
 
 
 def _usage(err: Any) -> str:
@@ -161,7 +161,7 @@ def _usage(err: Any) -> str:
 
 
 def _closed_pipe() -> int:
-    """Whoever read our output has gone (`errpipe ... | head`): not an error, but nothing more to say."""
+    """The reader of our output has closed the pipe (`errpipe ... | head`); this is not an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 141
 

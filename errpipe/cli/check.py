@@ -26,7 +26,7 @@ def command(
       errpipe check pipelines/drilled-plates.yaml
       errpipe check pipelines/drilled-plates.yaml --no-data --format github
     """
-    from errpipe.cli.say import say
+    from errpipe.cli.output import print_result
 
     found: list[Problem] = []
     checked = []
@@ -37,11 +37,11 @@ def command(
         except ConfigError as err:
             found += err.problems
     if found and style == "github":
-        say("check", {}, map(_github, sorted(found)), as_json=False)
+        print_result("check", {}, map(_github, sorted(found)), as_json=False)
         raise typer.Exit(2)
     if found:
         raise ConfigError(found)
-    say("check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=json)
+    print_result("check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=json)
 
 
 def _check(path: Path, data: bool) -> str:
@@ -68,10 +68,10 @@ def _check(path: Path, data: bool) -> str:
 
 
 def _check_pipeline(path: Path, data: bool) -> str:
-    from errpipe.cli._arguments import load
+    from errpipe.cli._arguments import load_pipeline_file
     from errpipe.pipeline.spec import missing_inputs
 
-    pipeline = load(path, [])
+    pipeline = load_pipeline_file(path, [])
     missing = missing_inputs(pipeline, pipeline.stages) if data else []
     if missing:
         raise ConfigError(missing)

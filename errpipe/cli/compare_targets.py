@@ -19,6 +19,6 @@ def command(
     Example:
       errpipe compare-targets out/axis/export/table.ect
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("compare-targets", work("targets").compare_targets(table), as_json=json)
+    print_answer("compare-targets", stage_module("targets").compare_targets(table), as_json=json)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from errpipe.cli._arguments import At, Json, values
+from errpipe.cli._arguments import At, Json, input_values
 
 
 def command(
@@ -48,17 +48,17 @@ def command(
     Example:
       errpipe correct part.ngc --table out/axis/export/table.ect --start 0,0,0 --out part-corrected.ngc
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    done = work("correct").correct(
+    done = stage_module("correct").correct(
         program,
         table,
         out,
-        values(at),
+        input_values(at),
         offsets=offset,
         tools=tool,
         start=start,
         chord_error=chord_error,
         longest=longest,
     )
-    answer("correct", done, as_json=json)
+    print_answer("correct", done, as_json=json)

@@ -20,7 +20,7 @@ def command(
       errpipe demo
       errpipe demo --out out/demo
     """
-    from errpipe.cli.progress import Watcher
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
+    from errpipe.cli.progress import ProgressReporter
 
-    answer("demo", work("demo").demo(out, Watcher(str(out)).talk()), as_json=json)
+    print_answer("demo", stage_module("demo").demo(out, ProgressReporter(str(out)).callbacks()), as_json=json)

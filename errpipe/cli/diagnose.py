@@ -25,12 +25,12 @@ def command(
     Example:
       errpipe diagnose examples/vmc-1 --out out/diagnosis
     """
-    from errpipe.cli.progress import Watcher
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
+    from errpipe.cli.progress import ProgressReporter
 
-    watcher = Watcher(str(out))
+    reporter = ProgressReporter(str(out))
     try:
-        found = work("diagnose").diagnose(recording, out, watcher.progress_of("diagnose"), simulation)
+        found = stage_module("diagnose").diagnose(recording, out, reporter.progress_of("diagnose"), simulation)
     finally:
-        watcher.clear()
-    answer("diagnose", found, as_json=json)
+        reporter.clear()
+    print_answer("diagnose", found, as_json=json)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from errpipe.cli._arguments import At, Json, values
+from errpipe.cli._arguments import At, Json, input_values
 
 
 def command(
@@ -20,6 +20,6 @@ def command(
     Example:
       errpipe eval out/axis/export/table.ect --at x=100 --at T_nut=25
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("eval", work("evaluate").evaluate(table, values(at)), as_json=json)
+    print_answer("eval", stage_module("evaluate").evaluate(table, input_values(at)), as_json=json)

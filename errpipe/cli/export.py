@@ -21,6 +21,6 @@ def command(
     Example:
       errpipe export out/axis/export/table.ect --target linuxcnc_screw --out out/linuxcnc
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("export", work("targets").export(table, target, out), as_json=json)
+    print_answer("export", stage_module("targets").export(table, target, out), as_json=json)

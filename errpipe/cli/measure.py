@@ -26,6 +26,6 @@ def command(
     Example:
       errpipe measure examples/machines/vertical-centre.yaml --out plan.ngc
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("measure", work("measure").measure(machine, out, without, positions), as_json=json)
+    print_answer("measure", stage_module("measure").measure(machine, out, without, positions), as_json=json)

@@ -25,11 +25,11 @@ def command(
       errpipe plan pipelines/drilled-plates.yaml --set fit.robust=true
       errpipe plan pipelines/drilled-plates.yaml --exit-code
     """
-    from errpipe.cli._arguments import load, out_of
-    from errpipe.cli.say import say
+    from errpipe.cli._arguments import load_pipeline_file, output_folder
+    from errpipe.cli.output import print_result
     from errpipe.pipeline import runner
 
-    steps = runner.plan(load(pipeline, sets), out_of(pipeline, out), to=to, force=force)
+    steps = runner.plan(load_pipeline_file(pipeline, sets), output_folder(pipeline, out), to=to, force=force)
     pending = any(step.action != "fresh" for step in steps)
     code = 5 if pending and exit_code else 0
     width = max(len(step.name) for step in steps)
@@ -38,5 +38,5 @@ def command(
         "pending": pending,
         "stages": [{"name": s.name, "kind": s.kind, "action": s.action, "reasons": s.reasons} for s in steps],
     }
-    say("plan", result, lines, as_json=json, code=code)
+    print_result("plan", result, lines, as_json=json, code=code)
     raise typer.Exit(code)

@@ -24,6 +24,6 @@ def command(
     Example:
       errpipe predict out/axis/fit/error_model.json examples/vmc-1 --out predicted.csv
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("predict", work("predict").predict(source, recording, out), as_json=json)
+    print_answer("predict", stage_module("predict").predict(source, recording, out), as_json=json)

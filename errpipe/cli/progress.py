@@ -1,4 +1,4 @@
-"""What a run looks like on standard error: a line per stage, and a moving bar where a person watches."""
+"""Progress on standard error: a line per stage, and a moving bar on an interactive terminal."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from errpipe.pipeline.runner import Step, Talk
 _WIDTH = 24
 
 
-def watched(stream: TextIO) -> bool:
-    """Whether a moving bar makes sense: a terminal, not in CI, colours and motion not refused."""
+def is_interactive(stream: TextIO) -> bool:
+    """Whether a moving bar makes sense: a terminal, not in CI, neither NO_COLOR nor TERM=dumb."""
     return (
         stream.isatty()
         and not any(os.environ.get(name) for name in ("CI", "NO_COLOR"))
@@ -22,16 +22,16 @@ def watched(stream: TextIO) -> bool:
     )
 
 
-class Watcher:
-    """Says what the engine does. Stages may run side by side, so every line is written under a lock."""
+class ProgressReporter:
+    """Reports what the engine does. Stages may run in parallel, so every line is written under a lock."""
 
     def __init__(self, out: str, stream: TextIO | None = None):
         self.out = out
         self.stream = stream or sys.stderr
-        self.moving = watched(self.stream)
+        self.moving = is_interactive(self.stream)
         self._lock = Lock()
 
-    def talk(self) -> Talk:
+    def callbacks(self) -> Talk:
         """The callbacks for the engine."""
         return Talk(waiting=self._waiting, started=self._started, progress=self._progress, finished=self._finished)
 
@@ -62,7 +62,7 @@ class Watcher:
         return lambda fraction, text: self._progress(name, fraction, text)
 
     def clear(self) -> None:
-        """Take a bar that still stands off the screen."""
+        """Remove an unfinished bar from the screen."""
         if self.moving:
             with self._lock:
                 self.stream.write("\r\033[K")

@@ -40,18 +40,18 @@ def command(
       errpipe run pipelines/drilled-plates.yaml --to fit --out out/plates
       errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
     """
-    from errpipe.cli._arguments import load, out_of
-    from errpipe.cli.progress import Watcher
-    from errpipe.cli.say import brief, say
+    from errpipe.cli._arguments import load_pipeline_file, output_folder
+    from errpipe.cli.output import print_result, short_value
+    from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline import runner
 
-    spec = load(pipeline, sets)
-    folder = out_of(pipeline, out)
-    watcher = Watcher(str(folder))
+    spec = load_pipeline_file(pipeline, sets)
+    folder = output_folder(pipeline, out)
+    reporter = ProgressReporter(str(folder))
     try:
-        steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=watcher.talk())
+        steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
     finally:
-        watcher.clear()
+        reporter.clear()
     if depfile is not None:
         from errpipe import jsonfile
         from errpipe.pipeline.depfile import depfile as rule
@@ -80,6 +80,8 @@ def command(
             for s in steps
         ],
     }
-    lines = [f"{s.name}: {', '.join(f'{k} {brief(v)}' for k, v in s.summary.items())}" for s in steps if s.summary]
+    lines = [
+        f"{s.name}: {', '.join(f'{k} {short_value(v)}' for k, v in s.summary.items())}" for s in steps if s.summary
+    ]
     pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
-    say("run", result, [*lines, *pages], as_json=json)
+    print_result("run", result, [*lines, *pages], as_json=json)

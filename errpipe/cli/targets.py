@@ -13,6 +13,6 @@ def command(json: bool = Json) -> None:
       errpipe targets
       errpipe targets --json
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("targets", work("targets").targets(), as_json=json)
+    print_answer("targets", stage_module("targets").targets(), as_json=json)

@@ -20,6 +20,6 @@ def command(
     Example:
       errpipe verify out/axis/export
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("verify", work("verify").verify(folder), as_json=json)
+    print_answer("verify", stage_module("verify").verify(folder), as_json=json)

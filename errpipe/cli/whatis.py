@@ -18,6 +18,6 @@ def command(
     Example:
       errpipe whatis out/axis/export/table.ect
     """
-    from errpipe.cli.say import answer, work
+    from errpipe.cli.output import print_answer, stage_module
 
-    answer("whatis", work("whatis").whatis(file), as_json=json)
+    print_answer("whatis", stage_module("whatis").whatis(file), as_json=json)

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: the mismatch on one screen, what was found, who lost, what is left, what to measure next."""
+"""The page of a diagnosis: mismatch, findings, alternatives, residual, what to measure next."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VERDICTS = {
     "unexplained": "something is there that has no name here",
 }
 LAGS = 40
-SHAPE = "a shape without a name"
+UNNAMED = "a shape without a name"
 HOW = ("level", "by run", "by direction", "Ljung-Box")
 
 
@@ -27,13 +27,13 @@ HOW = ("level", "by run", "by direction", "Ljung-Box")
 class Trace:
     """A response's rows for the figures, all of shape (rows,): mismatch before and after, in time order.
 
-    carried: name of a finding -> its contribution on each row; inputs: column -> its value on each row.
+    contributions: name of a finding -> its contribution on each row; inputs: column -> its value on each row.
     """
 
     before: np.ndarray
     after: np.ndarray
     run: np.ndarray
-    carried: Mapping[str, np.ndarray] = field(default_factory=dict)
+    contributions: Mapping[str, np.ndarray] = field(default_factory=dict)
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -72,10 +72,10 @@ def _block(r: ResponseDiagnosis, trace: Trace) -> dict[str, Any]:
         "shape": _shape(r, trace),
         "rivals": _rivals(r),
         "located": _located(r),
-        "most": _most(r) + _runs(r),
+        "largest_share": _largest_share(r) + _between_runs(r),
         "changes": [_change(c, r.unit) for c in r.changes],
         "tests": _tests(r),
-        "left": _left(r, trace),
+        "residual": _residual(r, trace),
     }
 
 
@@ -101,21 +101,21 @@ def _change(c: ChangePoint, unit: str) -> str:
     return f"at {c.column} = {c.at:.5g} its {what} changes from {c.before_um:.3g} to {c.after_um:.3g} {unit}"
 
 
-def _most(r: ResponseDiagnosis) -> str:
-    """The part of the recording that carries most of the mismatch for its size."""
+def _largest_share(r: ResponseDiagnosis) -> str:
+    """The part of the recording with the largest share of the mismatch for its size."""
     rows = max((p.rows for p in r.regimes), default=0)
     shared = [p for p in r.regimes if p.share is not None]
     if not shared:
-        return "Nothing stands out of the noise that could be located."
+        return "No part of the recording has a mismatch above the noise."
     total = max(r.significance.rows if r.significance else rows, 1)
     top = max(shared, key=lambda p: (p.share or 0.0) - p.rows / total)
     if (top.share or 0.0) < 1.25 * top.rows / total:
-        return "It is spread evenly over the recording: no part carries much more than its rows."
+        return "It is spread evenly over the recording: no part has much more than its share of rows."
     share, part = f"{top.share:.0%}", f"{top.rows / total:.0%}"
     return f"Most for its size: {top.what}, with {share} of the energy beyond the noise in {part} of the rows."
 
 
-def _runs(r: ResponseDiagnosis) -> str:
+def _between_runs(r: ResponseDiagnosis) -> str:
     if r.between_runs is None or r.between_runs < 0.3:
         return ""
     return f" {r.between_runs:.0%} of it is one offset per run."
@@ -142,8 +142,10 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
     rows = svg.thin(trace.before.size)
     with svg.figure(7.2, 4.2, rows=2) as (canvas, axes):
         axes[0].plot(rows, trace.before[rows], ".", ms=2.5, color=svg.BEFORE, label="before")
-        for style, (name, values) in zip(itertools.cycle(("-", (0, (3, 1)))), trace.carried.items(), strict=False):
-            label = SHAPE if name == "unknown" else name.replace("_", " ")
+        for style, (name, values) in zip(
+            itertools.cycle(("-", (0, (3, 1)))), trace.contributions.items(), strict=False
+        ):
+            label = UNNAMED if name == "unknown" else name.replace("_", " ")
             axes[0].plot(rows, values[rows], ls=style, lw=1.0, color=svg.INK, label=label)
         axes[0].legend(loc="upper right", fontsize=8)
         axes[1].plot(rows, trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
@@ -162,21 +164,23 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
 
 
 def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
-    """Each named finding beside what only it explains, against what drives it."""
-    named = [f for f in r.findings if f.effect in trace.carried and f.effect != "unknown"]
+    """Each named finding and the partial residual it explains, against its driver."""
+    named = [f for f in r.findings if f.effect in trace.contributions and f.effect != "unknown"]
     drawn = [(f, x) for f in named for x in [_against(f, trace)] if x][:2]
     if not drawn:
         return ""
     rows = svg.thin(trace.before.size)
     with svg.figure(7.2, 2.8, columns=len(drawn)) as (canvas, axes):
         for a, (f, name) in zip(np.atleast_1d(axes), drawn, strict=True):
-            x, fitted = trace.inputs[name][rows], trace.carried[f.effect][rows]
-            a.plot(x, trace.after[rows] + fitted, ".", ms=2.5, color=svg.BEFORE, label="recorded, rest taken away")
+            x, fitted = trace.inputs[name][rows], trace.contributions[f.effect][rows]
+            a.plot(
+                x, trace.after[rows] + fitted, ".", ms=2.5, color=svg.BEFORE, label="recorded, other findings removed"
+            )
             a.plot(x, fitted, ".", ms=2.0, color=svg.AFTER, label=f.effect.replace("_", " "))
             a.set_xlabel(name)
             a.set_ylabel(f"{r.component} ({r.unit})")
             a.legend(fontsize=8)
-        return svg.to_svg(canvas, f"What the findings carry of {r.component}")
+        return svg.to_svg(canvas, f"Contribution of the findings to {r.component}")
 
 
 def _against(f: Finding, trace: Trace) -> str:
@@ -227,10 +231,10 @@ def _located(r: ResponseDiagnosis) -> str:
                 axes.text(1.17 * most, y, f"{p.share:.0%}", va="center", ha="right", fontsize=8)
         axes.set_xlabel(f"rms ({r.unit}); right: share of the mismatch's energy beyond the noise")
         canvas.legend(loc="outside upper right", ncols=3, fontsize=8)
-        return svg.to_svg(canvas, f"Where the mismatch of {r.component} sits")
+        return svg.to_svg(canvas, f"Mismatch of {r.component} by part of the recording")
 
 
-def _left(r: ResponseDiagnosis, trace: Trace) -> str:
+def _residual(r: ResponseDiagnosis, trace: Trace) -> str:
     left = trace.after - trace.after.mean()
     power = float(left @ left) or 1.0
     lags = np.arange(1, min(LAGS, left.size // 3) + 1)
@@ -243,4 +247,4 @@ def _left(r: ResponseDiagnosis, trace: Trace) -> str:
         axes[1].axhspan(-band, band, color=svg.FLOOR, alpha=0.25, lw=0)
         axes[1].set_xlabel("rows apart")
         axes[1].set_ylabel("autocorrelation")
-        return svg.to_svg(canvas, f"What is left of {r.component}")
+        return svg.to_svg(canvas, f"Residual of {r.component}")

@@ -1,4 +1,4 @@
-"""The page a pipeline run ends with: what went in, what was fitted, and what held on rows that had no say."""
+"""The page a pipeline run ends with: its input, its model, and the held-out figures."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from errpipe.reporting import page, svg
 
-LONG = 3 * 86400.0  # s; a longer recording is mostly pauses, and is drawn by rows
+LONG = 3 * 86400.0  # s; a longer recording is mostly pauses and is drawn by row number
 
 
 @dataclass(frozen=True)
 class Response:
-    """One response on rows that had no say in the model that predicts them.
+    """One response on held-out rows: none of them chose or fitted the model that predicts it.
 
     deviation, predicted: shape (rows,), in `unit`; groups: label of the left-out group per row;
-    inputs: label with unit -> values, shape (rows,), the telling one first.
+    inputs: label with unit -> values, shape (rows,), the most important first.
     """
 
     component: str
@@ -81,7 +81,7 @@ def render(report: RunReport) -> str:
 
 
 def before_after(r: Response) -> str:
-    """Deviation and what is left of it, over the input that carries most of it."""
+    """Deviation and residual over the most important input."""
     label, x = next(iter(r.inputs.items()), ("row", np.arange(r.deviation.size, dtype=float)))
     if label.endswith(" in s") and np.ptp(x) > LONG:
         label, x = "row, in order of time", np.arange(r.deviation.size, dtype=float)
@@ -114,7 +114,7 @@ def by_group(r: Response) -> str:
 
 
 def residuals(r: Response, most: int = 9) -> str:
-    """Held-out residual against every input: structure left here is physics left out."""
+    """Held-out residual against every input: structure here is missing physics."""
     chosen = list(r.inputs.items())[:most]
     if not chosen:
         return ""
@@ -136,7 +136,7 @@ def residuals(r: Response, most: int = 9) -> str:
 
 
 def _trend(axes: Any, x: np.ndarray, y: np.ndarray, bins: int = 12) -> None:
-    """Means of equal shares of the rows: a flat line means nothing is left."""
+    """Means of equal shares of the rows: a flat line means no dependence is left."""
     good = np.isfinite(x) & np.isfinite(y)
     if good.sum() < 4 * bins or np.ptp(x[good]) == 0:
         return

@@ -1,4 +1,4 @@
-"""One page per run: what went in, what was removed, what was fitted, what held on rows that had no say."""
+"""One page per run: input, removed rows, fitted terms, held-out figures."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
         {"what": "rows", "value": f"{facts['rows']}, of which {len(recording)} were kept"},
         {"what": "runs", "value": len(recording.run_labels())},
         *({"what": role.replace("_", " "), "value": ", ".join(names)} for role, names in roles.items()),
-        {"what": "who sat out", "value": validation["scheme"]},
+        {"what": "held out", "value": validation["scheme"]},
     ]
     if facts["simulated"]:
         rows.insert(1, {"what": "origin", "value": "simulated by errpipe itself; no machine was measured"})
@@ -117,7 +117,7 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
                 rms_before=figures["rms_before"],
                 rms_after=figures["rms_after"],
                 noise_floor=figures["noise_floor"],
-                terms=[_term(t) for t in component.terms if _tells(t)],
+                terms=[_term(t) for t in component.terms if _is_informative(t)],
                 table=[_group(g) for g in figures["groups"]],
                 scheme=validation["scheme"],
                 notes=_notes(component, figures),
@@ -142,11 +142,11 @@ def _term(fitted: Any) -> dict[str, Any]:
     term = term_of(fitted)
     equation = re.search(r"Equation\s+(.*)", type(term).__doc__ or "")
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    told = equation[1].strip() if equation else ""
-    return {"says": term.says(fitted.values()), "equation": told, "parameters": parameters}
+    formula = equation[1].strip() if equation else ""
+    return {"says": term.says(fitted.values()), "equation": formula, "parameters": parameters}
 
 
-def _tells(fitted: Any) -> bool:
+def _is_informative(fitted: Any) -> bool:
     """Whether a term's parameters say something; a map's curves have a gain of 1 each and a table of their own."""
     return not (fitted.term["term"] == "profile_driver" and [p.value for p in fitted.parameters] == [1.0])
 
@@ -230,7 +230,7 @@ def _causes(path: Path) -> list[Any]:
 
 
 def _plate(path: Path, validation: Mapping[str, Any]) -> list[Any]:
-    """Scale and squareness of a planar map with intervals; its residual beside what measuring a plate twice leaves."""
+    """Scale and squareness of a planar map with intervals; its residual beside a plate measured twice."""
     from errpipe import jsonfile
     from errpipe.reporting.run_report import Table
 
@@ -247,7 +247,7 @@ def _plate(path: Path, validation: Mapping[str, Any]) -> list[Any]:
 
 
 def _floor(twice: Mapping[str, Any], validation: Mapping[str, Any]) -> Any:
-    """The metrology floor of a plate measured twice, beside what the map leaves on holes that had no say."""
+    """The metrology floor of a plate measured twice, beside what the map leaves on held-out holes."""
     from errpipe.reporting.run_report import Table
 
     def rms(key: str) -> float:
@@ -298,11 +298,11 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
         gap = document.get("optimism")
         caption = f"{document['component']} in {document['unit']}, rms unless said otherwise."
         for month in document.get("months", ()):
-            told = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f}"
-            caption += f" {month['month']}, {month['days']} days: {told}."
+            change = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f}"
+            caption += f" {month['month']}, {month['days']} days: {change}."
         if gap:
-            told = f"{gap['random_rows']:.2f}; whole groups left out keep {gap['groups_left_out']:.2f}"
-            caption += f" Random rows would have promised {told}: the gap is optimism."
+            promised = f"{gap['random_rows']:.2f}; whole groups left out keep {gap['groups_left_out']:.2f}"
+            caption += f" Random rows would have promised {promised}: the gap is optimism."
         out.append(Table(heading, ["left out", *(n.replace("_", " ") for n in names)], rows, caption))
     return out
 

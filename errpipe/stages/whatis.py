@@ -1,4 +1,4 @@
-"""What a file is, told in a few lines."""
+"""What a file is, in a few lines."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ def _model(file: Path) -> dict[str, Any]:
         "title": model.title,
         "errpipe": model.version,
         "components": {
-            c.component: [f"{t.term['term']}: " + ", ".join(_told(p) for p in t.parameters) for t in c.terms]
+            c.component: [f"{t.term['term']}: " + ", ".join(_parameter_text(p) for p in t.parameters) for t in c.terms]
             for c in model.components
         },
         "valid": dict(model.validity.ranges),
     }
 
 
-def _told(p: Any) -> str:
+def _parameter_text(p: Any) -> str:
     interval = f" ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g})" if p.ci95 else ""
     return f"{p.name} {p.value:.4g}{interval} {p.unit}"
 

@@ -36,7 +36,9 @@ def test_every_file_is_registered_and_nothing_else(package: str) -> None:
 def test_every_stage_file_is_a_stage_or_the_work_of_a_verb() -> None:
     files = {path.stem for path in (TOP / "stages").glob("*.py") if not path.stem.startswith("_")}
     stages = {home(stage) for stage in import_module("errpipe.stages").STAGES}
-    asked = {name for verb in (TOP / "cli").glob("*.py") for name in re.findall(r'work\("(\w+)"', verb.read_text())}
+    asked = {
+        name for verb in (TOP / "cli").glob("*.py") for name in re.findall(r'stage_module\("(\w+)"', verb.read_text())
+    }
     assert stages <= files and files == stages | (asked & files)
     assert not asked - files, "a verb asks for work that no file does"
 
@@ -69,6 +71,6 @@ def test_every_stage_has_its_own_kind_and_reads_kinds_that_exist() -> None:
 
 
 def test_every_verb_is_a_file_and_every_file_a_verb() -> None:
-    shared = {"app", "say", "progress"}
+    shared = {"app", "output", "progress"}
     files = {path.stem for path in (TOP / "cli").glob("*.py") if not path.stem.startswith("_")} - shared
     assert {name.replace("-", "_") for name in app.VERBS} == files

@@ -108,7 +108,7 @@ def test_every_error_has_its_code_and_one_document(
     def fail(*_: Any, **__: Any) -> None:
         raise error
 
-    monkeypatch.setattr("errpipe.cli._arguments.load", fail)
+    monkeypatch.setattr("errpipe.cli._arguments.load_pipeline_file", fail)
     assert main(["plan", "p.yaml", "--json"]) == code
     heard = capsys.readouterr()
     document = json.loads(heard.out)
@@ -241,7 +241,7 @@ def test_check_reports_all_files(where: Path, capsys: pytest.CaptureFixture[str]
 def test_a_terminal_gets_a_bar_and_a_log_does_not(where: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from io import StringIO
 
-    from errpipe.cli.progress import Watcher
+    from errpipe.cli.progress import ProgressReporter
 
     class Terminal(StringIO):
         def isatty(self) -> bool:
@@ -251,7 +251,7 @@ def test_a_terminal_gets_a_bar_and_a_log_does_not(where: Path, monkeypatch: pyte
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("TERM", "xterm")
     for stream, bar in ((Terminal(), True), (StringIO(), False)):
-        Watcher("out", stream).talk().progress("fit", 0.5, "half")
+        ProgressReporter("out", stream).callbacks().progress("fit", 0.5, "half")
         assert (stream.getvalue() == "\r\033[Kfit [############............] half") is bar
     monkeypatch.setenv("NO_COLOR", "1")
-    assert not Watcher("out", Terminal()).moving
+    assert not ProgressReporter("out", Terminal()).moving

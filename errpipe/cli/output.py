@@ -1,4 +1,4 @@
-"""How verbs speak: results on standard output (text, or one JSON document), talk on standard error.
+"""Results on standard output (text, or one JSON document); messages and progress on standard error.
 
 The JSON document, version 1, is the same for every verb, also when it fails:
 
@@ -21,7 +21,9 @@ from errpipe.errors import ConfigError, UsageError
 DOCUMENT = 1
 
 
-def say(command: str, result: Mapping[str, Any], lines: Iterable[str] = (), *, as_json: bool, code: int = 0) -> None:
+def print_result(
+    command: str, result: Mapping[str, Any], lines: Iterable[str] = (), *, as_json: bool, code: int = 0
+) -> None:
     """Print the result of a verb: `lines` for people, or `result` as the one JSON document."""
     if as_json:
         text = jsonfile.dumps(
@@ -32,28 +34,23 @@ def say(command: str, result: Mapping[str, Any], lines: Iterable[str] = (), *, a
     sys.stdout.write(text)
 
 
-def answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> None:
+def print_answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> None:
     """Print what a stage function returned: its "says" (lines for people), or every key with its value."""
     result = dict(result)
     says = result.pop("says", None)
-    lines = says if says is not None else [f"{key}: {brief(value)}" for key, value in result.items()]
-    say(command, result, [lines] if isinstance(lines, str) else lines, as_json=as_json)
+    lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in result.items()]
+    print_result(command, result, [lines] if isinstance(lines, str) else lines, as_json=as_json)
 
 
-def brief(value: Any) -> str:
+def short_value(value: Any) -> str:
     """A result's value in a line."""
     if isinstance(value, float):
         return f"{value:.4g}"
     return value if isinstance(value, str) else jsonfile.dumps(value, indent=None).strip()
 
 
-def talk(text: str) -> None:
-    """One line on standard error."""
-    sys.stderr.write(text + "\n")
-
-
-def complain(command: str, message: str, code: int, as_json: bool, err: Exception | None = None) -> int:
-    """Say what went wrong; returns the exit code."""
+def print_error(command: str, message: str, code: int, as_json: bool, err: Exception | None = None) -> int:
+    """Print an error message (and the JSON document that holds it); returns the exit code."""
     sys.stdout.flush()
     sys.stderr.write(message + "\n")
     if as_json:
@@ -65,7 +62,7 @@ def complain(command: str, message: str, code: int, as_json: bool, err: Exceptio
     return code
 
 
-def work(module: str) -> Any:
+def stage_module(module: str) -> Any:
     """The stage module behind a verb, imported only now."""
     name = f"errpipe.stages.{module}"
     try:
