@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ErrorModel
-from errpipe.domain.sensor_guard import GuardedSensor, SensorGuard
 from errpipe.domain.table import Kind, TableInput
 from errpipe.errors import GateError
+from errpipe.guard.description import GuardedSensor, SensorGuard
 
 # Role of a column -> kind of the controller's channel, lowest and highest believable reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {

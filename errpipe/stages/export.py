@@ -15,9 +15,9 @@ from errpipe.stages._families import FITS, RECORDINGS
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
-    from errpipe.domain.sensor_guard import SensorGuard
     from errpipe.domain.table import CompensationTable
     from errpipe.drivers.lowered import Lowered
+    from errpipe.guard.description import SensorGuard
 
 
 class Export(Stage):
@@ -98,12 +98,12 @@ def better_than_nothing(model: ErrorModel, path: Path) -> tuple[ErrorModel, list
 
 def _guard(context: Context, recording: Recording, model: ErrorModel) -> SensorGuard:
     """What the sensors say of each other, learnt on the recording; kept beside the table."""
-    from errpipe.fitting import sensor_guard
     from errpipe.fitting.lowering import lower
+    from errpipe.guard import learn
 
     context.progress(0.1, "learning what the sensors say of each other")
     drivers = [pair.driver for pairs in lower(model).values() for pair in pairs]
-    guard = sensor_guard.hold(sensor_guard.learn(recording), recording, drivers)
+    guard = learn.hold(learn.learn(recording), recording, drivers)
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
 
@@ -152,7 +152,7 @@ def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None 
 def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
     from dataclasses import replace
 
-    from errpipe.domain.sensor_reading import guarded
+    from errpipe.guard.replace import guarded
 
     return replace(pair, driver=guarded(pair.driver, guard))
 

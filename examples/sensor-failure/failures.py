@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting import sensor_guard, sensor_watch, thermal_season
+from errpipe.fitting import thermal_season
 from errpipe.formats import manifest_folder
-from errpipe.validation import champion, holdout, sensor_faults
+from errpipe.guard import learn, trials, watch
+from errpipe.validation import champion, holdout
 
 SCHEMES = ("season", "run")
 
@@ -41,7 +42,7 @@ def _with(rows: Recording, names: tuple[str, ...], readings: np.ndarray) -> Reco
 def judge(recording: Recording, component: str, scheme: str, how: dict[str, float]) -> tuple[dict, dict]:
     """Sums over the runs of each season: healthy squares, and per sensor and way what failing it makes of them.
 
-    how: drift, step and start of `sensor_faults.fail`.
+    how: drift, step and start of `trials.fail`.
 
     Result: season -> [runs, runs with an alarm, squares, rows, squares guarded]; (season, sensor, way) -> [detected,
     rows to detection, runs in which another sensor was blamed, squares unguarded, squares guarded].
@@ -51,14 +52,14 @@ def judge(recording: Recording, component: str, scheme: str, how: dict[str, floa
     for train, test in folds(recording, scheme):
         model = thermal_season.fit(recording, component, rows=train)
         learnt_from = recording.take(train)
-        guard = sensor_guard.hold(sensor_guard.learn(learnt_from), learnt_from, [n for _, n in model.terms])
+        guard = learn.hold(learn.learn(learnt_from), learnt_from, [n for _, n in model.terms])
         rows = recording.take(test)
         truth = champion.target(rows, component)
         run = rows.run_codes()
         season = rows.frame["season"].to_numpy()
         labels = {code: season[run == code][0] for code in np.unique(run)}
-        late = sensor_faults.rows_after(rows, how["start"])
-        healthily = sensor_watch.watch(guard, rows)
+        late = trials.rows_after(rows, how["start"])
+        healthily = watch.watch(guard, rows)
         alarms = healthily.fault
         left = truth - model.values(rows)
         names = guard.names()
@@ -72,10 +73,10 @@ def judge(recording: Recording, component: str, scheme: str, how: dict[str, floa
             total[3] += int(np.count_nonzero(mine))
             total[4] += float(np.nansum(held[late & (run == code)] ** 2))
         for i, name in enumerate(names):
-            for way in sensor_faults.WAYS:
+            for way in trials.WAYS:
                 guilty = [i, (i + 1) % len(names)] if way == "swap" else [i]
-                spoilt = sensor_faults.fail(rows, name, way, beside=names[guilty[-1]], **how)
-                seen = sensor_watch.watch(guard, spoilt)
+                spoilt = trials.fail(rows, name, way, beside=names[guilty[-1]], **how)
+                seen = watch.watch(guard, spoilt)
                 bare = truth - model.values(spoilt)
                 guarded = truth - model.values(_with(rows, names, seen.reading))
                 for code, label in labels.items():
@@ -102,7 +103,7 @@ def show(healthy: dict, failed: dict, scheme: str) -> None:
         worst = 0.0
         for name in dict.fromkeys(n for _, n, _ in failed):
             cells = []
-            for way in sensor_faults.WAYS:
+            for way in trials.WAYS:
                 found, wait, wrong, bare, guarded = failed[label, name, way]
                 ratios = [float(np.sqrt(s / rows)) / base for s in (bare, guarded)]
                 worst = max(worst, ratios[1])
@@ -119,9 +120,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("schemes", nargs="*", choices=[*SCHEMES, []], default=[])
     parser.add_argument("--component", default="E_D")
-    parser.add_argument("--drift", type=float, default=sensor_faults.DRIFT, help="K/h")
-    parser.add_argument("--step", type=float, default=sensor_faults.STEP, help="K")
-    parser.add_argument("--start", type=float, default=sensor_faults.START, help="share of a run, 0..1")
+    parser.add_argument("--drift", type=float, default=trials.DRIFT, help="K/h")
+    parser.add_argument("--step", type=float, default=trials.STEP, help="K")
+    parser.add_argument("--start", type=float, default=trials.START, help="share of a run, 0..1")
     told = parser.parse_args()
     recording = manifest_folder.read(told.folder)
     how = {"drift": told.drift, "step": told.step, "start": told.start}

@@ -21,7 +21,7 @@ LAYERS = (
     ("stages",),
     ("pipeline",),
     ("formats", "cleaning", "validation", "diagnosis", "reporting", "targets", "simulation", "ncprogram"),
-    ("fitting", "kinematics", "tables"),
+    ("fitting", "kinematics", "tables", "guard"),
     ("terms",),
     ("drivers",),
     ("domain", "kernels"),

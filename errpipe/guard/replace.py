@@ -1,15 +1,15 @@
 """The guarded reading: a sensor's own while it is believed, else what stands in for it.
 
-The letters are those of `errpipe.domain.sensor_guard`.
+The letters are those of `errpipe.guard.description`.
 """
 
 from __future__ import annotations
 
 from errpipe.domain import composed as c
 from errpipe.domain import driver as d
-from errpipe.domain.sensor_fault import TIE, anybody, as_it_was, fault, found, in_order, stirred, swapped
-from errpipe.domain.sensor_guard import SensorGuard
-from errpipe.domain.sensor_statistics import FAR, delayed, departure, shared, stillness
+from errpipe.guard.blame import TIE, anybody, as_it_was, fault, found, in_order, stirred, swapped
+from errpipe.guard.description import SensorGuard
+from errpipe.guard.statistics import FAR, delayed, departure, shared, stillness
 
 SUSPECT = 0.6  # of the threshold: from here what a reading is off by is no longer remembered
 CLEARED = 0.48  # of the threshold: from here down it is again

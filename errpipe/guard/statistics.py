@@ -1,6 +1,6 @@
 """What a sensor guard looks at: departures from estimates, their quick and slow part, how much alive a reading is.
 
-The letters are those of `errpipe.domain.sensor_guard`.
+The letters are those of `errpipe.guard.description`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from errpipe.domain import composed as c
 from errpipe.domain import driver as d
-from errpipe.domain.sensor_guard import GuardedSensor, SensorGuard, Source
+from errpipe.guard.description import GuardedSensor, SensorGuard, Source
 
 MUTED = 1.0  # per K outside the starts learnt from: of the slow statistic
 FAR = 1e3  # K

@@ -19,15 +19,14 @@ from itertools import combinations
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain import sensor_fault
-from errpipe.domain import sensor_guard as g
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
-from errpipe.fitting import sensor_apart, sensor_witness
-from errpipe.fitting.sensor_apart import LEAST_NOISE
-from errpipe.fitting.sensor_rows import LAGS, Healthy, centred, lagged, left_out, ridge_weights, rises, rows_of, seldom
+from errpipe.guard import blame, weights, witness
+from errpipe.guard import description as g
+from errpipe.guard.rows import LAGS, Healthy, centred, lagged, left_out, ridge_weights, rises, rows_of, seldom
+from errpipe.guard.weights import LEAST_NOISE
 
 FILTER = 300.0  # s: machines warm up over minutes and more, noise and switching heaters are quicker
 FREEZE = 300.0  # s
@@ -72,7 +71,7 @@ def learn(
         )
     rows = Healthy(x, run, t, held_out, filter_s, horizon_s)
     rate = false_alarms / 1000 / len(names) / KINDS  # per hour, sensor and kind of alarm
-    apart, close = sensor_apart.apart(rows, rate), _close(rows)
+    apart, close = weights.apart(rows, rate), _close(rows)
     alive = lagged((x - lagged(x, run, t, freeze_s)) ** 2, run, t, freeze_s)
     begun = x - rises(x, run)
     sensors_out = []
@@ -86,7 +85,7 @@ def learn(
                 name=name,
                 low=float(low - margin),
                 high=float(high + margin),
-                max_rate=float(sensor_fault.RATE * _fastest(x[:, i], run, t)),
+                max_rate=float(blame.RATE * _fastest(x[:, i], run, t)),
                 others=tuple(names[j] for j in others),
                 weights=tuple(float(apart.weights[i, j]) for j in others),
                 sources=tuple(g.Source(name=names[j], lag_s=lag) for lag in (None, *LAGS) for j in others),
@@ -135,9 +134,9 @@ def hold(
     x, run, t, groups = rows_of(recording, names, group)
     rows = Healthy(x, run, t, groups, guard.filter_s, guard.horizon_s)
     shifts = centred(rows.stacked, run, t)
-    seen = sensor_witness.Rows(names, shifts, rows.stacked, groups, (None, *LAGS), rows.lagged, guard.corridor_s)
+    seen = witness.Rows(names, shifts, rows.stacked, groups, (None, *LAGS), rows.lagged, guard.corridor_s)
     sensors = [
-        s.model_copy(update={"witnesses": sensor_witness.witnesses(seen, s.name) if s.name in held else ()})
+        s.model_copy(update={"witnesses": witness.witnesses(seen, s.name) if s.name in held else ()})
         for s in guard.sensors
     ]
     return guard.model_copy(update={"sensors": tuple(sensors)})
@@ -224,7 +223,7 @@ def _still(alive: np.ndarray, run: np.ndarray, t: np.ndarray, per_hour: float, t
     """The stillness that a healthy sensor hardly ever reaches; None where it stands still when healthy."""
     first = np.r_[True, run[1:] != run[:-1]]
     since = t - t[np.maximum.accumulate(np.where(first, np.arange(run.size), 0))]
-    told = since > sensor_fault.WARM_UP * tau
+    told = since > blame.WARM_UP * tau
     if not told.any() or alive[told].min() <= 0:
         return None
     # Near 0 a square of noise is distributed as a power, so minus its logarithm has Gumbel's tail.

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from errpipe.domain import sensor_guard as g
+from errpipe.guard import description as g
 
 WITHIN = 0.9  # of the time a healthy reading departs less from a witness
 WORTH_A_SECOND = 0.75  # times the corridor of the best one sensor: a pair is taken where it is narrower

@@ -9,17 +9,18 @@ import pytest
 
 from errpipe import jsonfile
 from errpipe.domain import driver as d
-from errpipe.domain import sensor_fault, sensor_reading
-from errpipe.domain import sensor_guard as g
 from errpipe.domain import table as t
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import DataError
-from errpipe.fitting import sensor_apart, sensor_guard, sensor_rows, sensor_watch, thermal_season
+from errpipe.fitting import thermal_season
+from errpipe.guard import blame, learn, replace, trials, watch, weights
+from errpipe.guard import description as g
+from errpipe.guard import rows as guard_rows
 from errpipe.tables import ComponentSource, batch, compile_table
-from errpipe.validation import champion, sensor_faults
-from tests.unit.fitting import simulated_sensors
+from errpipe.validation import champion
+from tests.unit.guard import simulated_sensors
 
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared/real-data"))
 NAMES = simulated_sensors.NAMES
@@ -28,15 +29,15 @@ NAMES = simulated_sensors.NAMES
 @pytest.fixture(scope="module")
 def guard():
     """Learnt from 25 runs of 8 hours."""
-    return sensor_guard.learn(simulated_sensors.machine(25, seed=1))
+    return learn.learn(simulated_sensors.machine(25, seed=1))
 
 
 def test_the_guard_is_plain_data(guard):
     text = jsonfile.dumps(guard.model_dump(mode="json"))
     assert g.SensorGuard.model_validate_json(text) == guard
     assert guard.names() == NAMES and 195 < guard.hours < 201
-    assert guard.shows_elsewhere <= sensor_apart.APART
-    again = sensor_guard.learn(simulated_sensors.machine(25, seed=1))
+    assert guard.shows_elsewhere <= weights.APART
+    again = learn.learn(simulated_sensors.machine(25, seed=1))
     assert jsonfile.dumps(again.model_dump(mode="json")) == text
 
 
@@ -44,54 +45,54 @@ def test_thresholds_scale_with_the_unit(guard):
     """Temperatures in tenths of a degree: the same guard, ten times the numbers."""
     source = simulated_sensors.machine(25, seed=1)
     tenths = Recording(source.manifest, source.frame.assign(**{n: source.array(n) * 10 for n in NAMES}))
-    other = sensor_guard.learn(tenths)
+    other = learn.learn(tenths)
     for a, b in zip(guard.sensors, other.sensors, strict=True):
         assert b.quick == pytest.approx(10 * a.quick, rel=1e-6) and b.weights == pytest.approx(a.weights, rel=1e-6)
 
 
 def test_too_little_to_learn_from_is_refused():
     with pytest.raises(DataError, match=r"needs two sensors, two groups and 10 hours .* \(found: 6, 1, 8\.0\)"):
-        sensor_guard.learn(simulated_sensors.machine(1, seed=1))
+        learn.learn(simulated_sensors.machine(1, seed=1))
     with pytest.raises(DataError, match="found: 1, 3"):
-        sensor_guard.learn(simulated_sensors.machine(3, seed=1), ["T_bed"])
+        learn.learn(simulated_sensors.machine(3, seed=1), ["T_bed"])
 
 
 def test_a_ridge_of_its_own_makes_no_fault_harder_to_see_and_keeps_all_apart(guard):
     """Beside the best single ridge for all: the smallest faults that are blamed, and how much shows elsewhere."""
     source = simulated_sensors.machine(25, seed=1)
-    x, run, t, group = sensor_rows.rows_of(source, NAMES, None)
-    rows = sensor_rows.Healthy(x, run, t, group, guard.filter_s, guard.horizon_s)
-    rate = guard.false_alarms / 1000 / len(NAMES) / sensor_guard.KINDS
-    alike = [a for a in sensor_apart._tried(rows, rate) if a.elsewhere() <= sensor_apart.APART]
-    own = sensor_apart.apart(rows, rate)
-    assert own.elsewhere() <= sensor_apart.APART
-    assert sensor_apart._size(own) < 0.95 * min(map(sensor_apart._size, alike))
+    x, run, t, group = guard_rows.rows_of(source, NAMES, None)
+    rows = guard_rows.Healthy(x, run, t, group, guard.filter_s, guard.horizon_s)
+    rate = guard.false_alarms / 1000 / len(NAMES) / learn.KINDS
+    alike = [a for a in weights._tried(rows, rate) if a.elsewhere() <= weights.APART]
+    own = weights.apart(rows, rate)
+    assert own.elsewhere() <= weights.APART
+    assert weights._size(own) < 0.95 * min(map(weights._size, alike))
     assert [s.quick for s in guard.sensors] == pytest.approx(list(own.quick))
 
 
 def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
     """Twice the size that algebra says is blamed on the right sensor, half of it on nobody."""
     fresh = simulated_sensors.machine(3, seed=21)
-    weights = np.zeros((len(NAMES), len(NAMES)))
+    matrix = np.zeros((len(NAMES), len(NAMES)))
     for i, s in enumerate(guard.sensors):
-        weights[i, [NAMES.index(n) for n in s.others]] = s.weights
-    size = sensor_apart.Apart(weights, np.array([s.quick for s in guard.sensors]), np.ones(len(NAMES))).smallest()
+        matrix[i, [NAMES.index(n) for n in s.others]] = s.weights
+    size = weights.Apart(matrix, np.array([s.quick for s in guard.sensors]), np.ones(len(NAMES))).smallest()
     for i, name in enumerate(NAMES):
         for times, told in ((2.0, True), (0.5, False)):
-            failed = sensor_faults.fail(fresh, name, "step", step=times * float(size[i]))
-            blamed = drive(sensor_fault.blamed(guard, name), failed)
+            failed = trials.fail(fresh, name, "step", step=times * float(size[i]))
+            blamed = drive(blame.blamed(guard, name), failed)
             assert bool(blamed.any()) == told, (name, times)
 
 
 def test_where_readings_were_is_not_overwritten_soon_after_one_jumped(guard):
     """The input of the other of two swapped sensors may be held for minutes yet: a third of a horizon is waited."""
     column = guard.sensor("T_column")
-    keen = column.model_copy(update={"max_rate": sensor_fault.RATE * 0.3 / guard.swap_s})  # 0.3 K within minutes
+    keen = column.model_copy(update={"max_rate": blame.RATE * 0.3 / guard.swap_s})  # 0.3 K within minutes
     guard = guard.model_copy(update={"sensors": tuple(keen if s.name == "T_column" else s for s in guard.sensors)})
     healthy = simulated_sensors.machine(1, seed=7)
-    jumped = sensor_faults.fail(healthy, "T_column", "step", step=0.4)
-    settled = drive(sensor_fault.settled(guard), jumped) > 0.5
-    first = int(np.flatnonzero(sensor_faults.rows_after(healthy))[0])  # rows of 60 s
+    jumped = trials.fail(healthy, "T_column", "step", step=0.4)
+    settled = drive(blame.settled(guard), jumped) > 0.5
+    first = int(np.flatnonzero(trials.rows_after(healthy))[0])  # rows of 60 s
     assert settled[first - 1] and not settled[first + 1 : first + 18].any() and settled[first + 30]
 
 
@@ -99,7 +100,7 @@ def test_where_readings_were_is_not_overwritten_soon_after_one_jumped(guard):
 def test_at_most_one_false_alarm_in_1000_hours(guard, seed):
     """Healthy sensors over 2000 hours that had no part in learning."""
     fresh = simulated_sensors.machine(250, seed)
-    alarms = sensor_watch.faults(guard, fresh)
+    alarms = watch.faults(guard, fresh)
     run = fresh.run_codes()
     assert sum(np.unique(run[alarms[:, i]]).size for i in range(len(NAMES))) <= 2
 
@@ -114,7 +115,7 @@ def failures(guard):
         return np.column_stack([recording.array(n) for n in NAMES]) @ gains
 
     measured = predict(fresh) + np.random.default_rng(0).standard_normal(len(fresh))
-    return list(sensor_faults.trials(fresh, guard, predict, measured, step=4.0))
+    return list(trials.trials(fresh, guard, predict, measured, step=4.0))
 
 
 def test_at_least_95_in_100_failures_are_detected(failures):
@@ -146,31 +147,31 @@ def test_recovery_takes_most_of_the_harm_away(failures):
 def test_nothing_is_known_before_it_happens(guard):
     """Rows up to k do not change when later rows do."""
     healthy = simulated_sensors.machine(2, seed=7)
-    late = sensor_faults.fail(healthy, "T_bed", "step")
-    before = ~sensor_faults.rows_after(healthy)
-    one, other = sensor_watch.watch(guard, healthy), sensor_watch.watch(guard, late)
+    late = trials.fail(healthy, "T_bed", "step")
+    before = ~trials.rows_after(healthy)
+    one, other = watch.watch(guard, healthy), watch.watch(guard, late)
     np.testing.assert_array_equal(one.reading[before], other.reading[before])
     np.testing.assert_array_equal(one.fault[before], other.fault[before])
 
 
 def test_a_healthy_reading_passes_bit_for_bit(guard):
     healthy = simulated_sensors.machine(2, seed=7)
-    seen = sensor_watch.watch(guard, healthy)
+    seen = watch.watch(guard, healthy)
     np.testing.assert_array_equal(seen.reading, np.column_stack([healthy.array(n) for n in NAMES]))
 
 
 def test_shared_evaluation_is_drive(guard):
-    failed = sensor_faults.fail(simulated_sensors.machine(1, seed=7), "T_bed", "drift", drift=4.0)
-    one = drive(sensor_fault.fault(guard, "T_bed"), failed)
-    assert one.any() and np.array_equal(one > 0.5, sensor_watch.faults(guard, failed)[:, NAMES.index("T_bed")])
+    failed = trials.fail(simulated_sensors.machine(1, seed=7), "T_bed", "drift", drift=4.0)
+    one = drive(blame.fault(guard, "T_bed"), failed)
+    assert one.any() and np.array_equal(one > 0.5, watch.faults(guard, failed)[:, NAMES.index("T_bed")])
 
 
-@pytest.mark.parametrize("way", sensor_faults.WAYS)
+@pytest.mark.parametrize("way", trials.WAYS)
 def test_compiled_into_a_table_it_says_the_same(guard, way):
     """The guarded rise of a sensor through the Numba cycle, row by row, against the guard's own account."""
     source = d.Input(name="T_bed")
     rise = d.Affine(weights=(1.0, -1.0), of=(source, d.First(of=source)))
-    pair = Lowered(driver=sensor_reading.guarded(rise, guard))
+    pair = Lowered(driver=replace.guarded(rise, guard))
     inputs = [
         t.TableInput(name=s.name, kind="sensor", unit="degC", low=s.low, high=s.high, max_rate=s.max_rate, default=20.0)
         for s in guard.sensors
@@ -178,11 +179,11 @@ def test_compiled_into_a_table_it_says_the_same(guard, way):
     started = time.process_time()
     table = compile_table([ComponentSource("E_Z", "um", (pair,))], inputs=inputs)
     assert time.process_time() - started < 20 and len(table.nodes) < 0.75 * t.MAX_NODES
-    failed = sensor_faults.fail(simulated_sensors.machine(2, seed=9), "T_bed", way, beside="T_room")
+    failed = trials.fail(simulated_sensors.machine(2, seed=9), "T_bed", way, beside="T_room")
     columns = {n: failed.array(n) for n in NAMES}
     run = failed.run_codes()
     played = batch.evaluate(table, columns, failed.time(), run)
-    seen = sensor_watch.watch(guard, failed)
+    seen = watch.watch(guard, failed)
     bed = seen.reading[:, NAMES.index("T_bed")]
     start = np.array([bed[run == r][0] for r in run])
     assert seen.fault[:, NAMES.index("T_bed")].any()
@@ -192,7 +193,7 @@ def test_compiled_into_a_table_it_says_the_same(guard, way):
 @pytest.fixture(scope="module")
 def held(guard):
     """The guard with witnesses for the one sensor that a compensation follows."""
-    return sensor_guard.hold(guard, simulated_sensors.machine(25, seed=1), [d.Input(name="T_bed")], most=2)
+    return learn.hold(guard, simulated_sensors.machine(25, seed=1), [d.Input(name="T_bed")], most=2)
 
 
 def test_only_sensors_that_are_followed_have_witnesses_and_these_share_no_sensor(held):
@@ -204,12 +205,12 @@ def test_only_sensors_that_are_followed_have_witnesses_and_these_share_no_sensor
 def test_witnesses_bound_a_drift_before_it_is_seen(guard, held):
     """Until the alarm the guard alone passes all of it; with witnesses less than half at its largest."""
     healthy = simulated_sensors.machine(2, seed=9)
-    failed = sensor_faults.fail(healthy, "T_bed", "drift")
+    failed = trials.fail(healthy, "T_bed", "drift")
     place = NAMES.index("T_bed")
     off = {}
     for name, one in (("alone", guard), ("held", held)):
-        seen = sensor_watch.watch(one, failed)
-        unseen = sensor_faults.rows_after(healthy) & ~seen.fault.any(axis=1)
+        seen = watch.watch(one, failed)
+        unseen = trials.rows_after(healthy) & ~seen.fault.any(axis=1)
         off[name] = np.abs(seen.reading[:, place] - healthy.array("T_bed"))[unseen].max()
     assert off["held"] < 0.5 * off["alone"], off
 
@@ -219,7 +220,7 @@ def test_another_sensor_that_fails_does_not_carry_a_healthy_one_away(held):
     healthy = simulated_sensors.machine(2, seed=9)
     for liar in {s.name for w in held.sensor("T_bed").witnesses for s in w.sources}:
         for way in ("dead", "step", "drift"):
-            seen = sensor_watch.watch(held, sensor_faults.fail(healthy, liar, way))
+            seen = watch.watch(held, trials.fail(healthy, liar, way))
             off = np.abs(seen.reading[:, NAMES.index("T_bed")] - healthy.array("T_bed"))
             assert off.max() < 0.7, (liar, way, off.max())
 
@@ -245,8 +246,8 @@ def test_no_real_run_alarms_a_guard_learnt_from_the_others():
     recording = turning_centre()
     run = recording.run_codes()
     for r in np.unique(run):
-        guard = sensor_guard.learn(recording.take(run != r))
-        assert not sensor_watch.faults(guard, recording.take(run == r)).any(), recording.run_labels()[r]
+        guard = learn.learn(recording.take(run != r))
+        assert not watch.faults(guard, recording.take(run == r)).any(), recording.run_labels()[r]
 
 
 @on_the_real_machine
@@ -255,7 +256,7 @@ def test_a_season_not_learnt_from_raises_one_false_alarm_at_most(season):
     recording = turning_centre()
     judged = recording.frame["season"].to_numpy() == season
     fresh = recording.take(judged)
-    alarms = sensor_watch.faults(sensor_guard.learn(recording.take(~judged)), fresh).any(axis=1)
+    alarms = watch.faults(learn.learn(recording.take(~judged)), fresh).any(axis=1)
     assert np.unique(fresh.run_codes()[alarms]).size <= 1
 
 
@@ -267,8 +268,8 @@ def test_no_failure_costs_more_than_a_third_where_a_season_is_left_out(season):
     judged = recording.frame["season"].to_numpy() == season
     model = thermal_season.fit(recording, "E_D", rows=~judged)
     learnt_from, fresh = recording.take(~judged), recording.take(judged)
-    guard = sensor_guard.hold(sensor_guard.learn(learnt_from), learnt_from, [n for _, n in model.terms])
-    found = list(sensor_faults.trials(fresh, guard, model.values, champion.target(fresh, "E_D")))
+    guard = learn.hold(learn.learn(learnt_from), learnt_from, [n for _, n in model.terms])
+    found = list(trials.trials(fresh, guard, model.values, champion.target(fresh, "E_D")))
     assert len(found) == 30
     for f in found:
         assert f.ratio <= 1.3, f
@@ -283,8 +284,8 @@ def test_on_the_real_turning_centre():
     one sensor: 1.03 of the healthy residual at worst.
     """
     recording = turning_centre()
-    guard = sensor_guard.learn(recording)
-    assert not sensor_watch.faults(guard, recording).any()
+    guard = learn.learn(recording)
+    assert not watch.faults(guard, recording).any()
     names, run = guard.names(), recording.run_codes()
     measured = recording.array("dia_disp").copy()
     for r in np.unique(run):
@@ -302,7 +303,7 @@ def test_on_the_real_turning_centre():
         gains[run == r] = np.linalg.solve(
             f.T @ f / len(f) + 3.0 * np.eye(len(names)), f.T @ measured[run != r] / len(f)
         )
-    found = list(sensor_faults.trials(recording, guard, lambda source: np.sum(rises(source) * gains, axis=1), measured))
+    found = list(trials.trials(recording, guard, lambda source: np.sum(rises(source) * gains, axis=1), measured))
     assert len(found) == 30
     for f in found:
         assert f.ratio < 1.1, f

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.domain.sensor_fault import MARGIN
-from errpipe.fitting.sensor_rows import Healthy, left_out, ridge_weights, seldom
+from errpipe.guard.blame import MARGIN
+from errpipe.guard.rows import Healthy, left_out, ridge_weights, seldom
 
 RIDGES = np.logspace(-5, 1, 25)  # times the readings' mean square
 APART = 0.8  # of a fault at most shows in another sensor's statistic, or the wrong sensor is blamed

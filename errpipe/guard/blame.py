@@ -1,6 +1,6 @@
 """Which sensors a guard believes: blamed, frozen and swapped ones, as flags and what was seen before.
 
-The letters are those of `errpipe.domain.sensor_guard`.
+The letters are those of `errpipe.guard.description`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from itertools import combinations
 
 from errpipe.domain import composed as c
 from errpipe.domain import driver as d
-from errpipe.domain.sensor_guard import GuardedSensor, SensorGuard
-from errpipe.domain.sensor_statistics import quick, shared, slow, stillness
+from errpipe.guard.description import GuardedSensor, SensorGuard
+from errpipe.guard.statistics import quick, shared, slow, stillness
 
 WARM_UP = 3.0  # freeze times after the start before stillness means anything
 AWAKE = 4.0  # times the stillness: a frozen sensor must be that alive again to be believed

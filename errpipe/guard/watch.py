@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain import sensor_fault, sensor_reading
-from errpipe.domain import sensor_guard as g
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.sessions import sessions
+from errpipe.guard import blame, replace
+from errpipe.guard import description as g
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ def watch(guard: g.SensorGuard, recording: Recording) -> Watch:
     conditioned, impossible = _conditioned(guard, recording)
     names = guard.names()
     found = _drive_all(
-        [*(sensor_fault.fault(guard, n) for n in names), *(sensor_reading.reading(guard, n) for n in names)],
-        conditioned,
+        [*(blame.fault(guard, n) for n in names), *(replace.reading(guard, n) for n in names)], conditioned
     )
     return Watch(names, (found[:, : len(names)] > 0.5) | impossible, found[:, len(names) :])
 
@@ -38,7 +37,7 @@ def watch(guard: g.SensorGuard, recording: Recording) -> Watch:
 def faults(guard: g.SensorGuard, recording: Recording) -> np.ndarray:
     """Which readings are not believed, shape (rows, sensors): `watch` without the readings that stand in."""
     conditioned, impossible = _conditioned(guard, recording)
-    return (_drive_all([sensor_fault.fault(guard, n) for n in guard.names()], conditioned) > 0.5) | impossible
+    return (_drive_all([blame.fault(guard, n) for n in guard.names()], conditioned) > 0.5) | impossible
 
 
 def _drive_all(drivers: Sequence[d.Driver], recording: Recording) -> np.ndarray:
