@@ -30,8 +30,8 @@ import pyarrow.parquet as pq
 from errpipe.errors import DataError, did_you_mean
 
 BLOCK_BYTES = 8 << 20  # 8 MB of text is about 150 000 rows; two threads hold 3 such blocks at a time
-LONGEST_LINE = 1 << 20  # a first line beyond 1 MB is not a header row
-MOST_PROBLEMS = 5  # a file with a wrong decimal mark is wrong in every line; five lines show it
+MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header row
+MAX_PROBLEMS = 5  # a file with a wrong decimal mark is wrong in every line; five lines show it
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\xef\xbb\xbf": "a UTF-8 byte order mark"}
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -47,19 +47,19 @@ class Block:
     place: Callable[[int], str]
 
 
-def blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
-    """The rows of a table in file order. `shown` is how messages name the file.
+def blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
+    """The rows of a table in file order. `label` is how messages name the file.
 
     kinds says what the table's columns are; every column of the table must be among them, and every
     one that is not to be ignored must be in the table. Raises DataError.
     """
     if not path.is_file():
-        raise DataError(f"{shown}: no such table.{_near_file(path)}")
+        raise DataError(f"{label}: no such table.{_near_file(path)}")
     if path.suffix.lower() in (".parquet", ".pq"):
-        return _parquet_blocks(path, kinds, shown)
+        return _parquet_blocks(path, kinds, label)
     if path.suffix.lower() in (".csv", ".txt"):
-        return _csv_blocks(path, kinds, shown)
-    raise DataError(f"{shown}: a table is a .csv or a .parquet file (found {path.suffix or 'no'} suffix)")
+        return _csv_blocks(path, kinds, label)
+    raise DataError(f"{label}: a table is a .csv or a .parquet file (found {path.suffix or 'no'} suffix)")
 
 
 def _near_file(path: Path) -> str:
@@ -70,42 +70,42 @@ def _near_file(path: Path) -> str:
 # ---------------------------------------------------------------- CSV
 
 
-def _csv_blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
+def _csv_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
     with open(path, "rb") as stream:
-        names = _header(stream, shown)
-        check_columns(names, kinds, f"{shown}:1")
+        names = _header(stream, label)
+        check_columns(names, kinds, f"{label}:1")
         convert = _convert_options(names, kinds)
         read = pacsv.ReadOptions(column_names=names, use_threads=False, block_size=1 << 30)
         parse = pacsv.ParseOptions(newlines_in_values=False)
 
         def parsed(data: bytes, line: int) -> Block:
             try:
-                _no_line_break_in_quotes(data, line, shown)
+                _no_line_break_in_quotes(data, line, label)
                 table = pacsv.read_csv(
                     pa.BufferReader(data), read_options=read, parse_options=parse, convert_options=convert
                 )
                 _finite(table)
             except pa.ArrowInvalid as err:
-                problems = list(itertools.islice(_wrong_cells(data, line, names, kinds, shown), MOST_PROBLEMS))
-                raise DataError("\n".join(problems) or f"{shown}: cannot be read as CSV: {err}") from None
-            return Block(table, lambda row: f"{shown}:{_line_of_row(data, line, row)}")
+                problems = list(itertools.islice(_wrong_cells(data, line, names, kinds, label), MAX_PROBLEMS))
+                raise DataError("\n".join(problems) or f"{label}: cannot be read as CSV: {err}") from None
+            return Block(table, lambda row: f"{label}:{_line_of_row(data, line, row)}")
 
         yield from _in_order(parsed, _text_blocks(stream))
 
 
-def _header(stream: IO[bytes], shown: str) -> list[str]:
-    first = stream.readline(LONGEST_LINE)
+def _header(stream: IO[bytes], label: str) -> list[str]:
+    first = stream.readline(MAX_HEADER_BYTES)
     for mark, name in _BYTE_ORDER_MARKS.items():
         if first.startswith(mark):
-            raise DataError(f"{shown}:1  begins with {name} (allowed: plain UTF-8; save without byte order mark)")
+            raise DataError(f"{label}:1  begins with {name} (allowed: plain UTF-8; save without byte order mark)")
     if not first:
-        raise DataError(f"{shown}: the table is empty (allowed: a header row and at least one row)")
+        raise DataError(f"{label}: the table is empty (allowed: a header row and at least one row)")
     try:
         text = first.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as err:
-        raise DataError(f"{shown}:1  not UTF-8 text: byte {err.object[err.start]:#04x} at {err.start + 1}") from None
-    if "\r" in text or "\x00" in text or len(first) == LONGEST_LINE:
-        raise DataError(f"{shown}:1  no header row that ends in a line feed (is this a text file?)")
+        raise DataError(f"{label}:1  not UTF-8 text: byte {err.object[err.start]:#04x} at {err.start + 1}") from None
+    if "\r" in text or "\x00" in text or len(first) == MAX_HEADER_BYTES:
+        raise DataError(f"{label}:1  no header row that ends in a line feed (is this a text file?)")
     return next(csv.reader([text]), [])
 
 
@@ -184,14 +184,14 @@ def _finite(table: pa.Table) -> None:
                     raise pa.ArrowInvalid("not a finite number")
 
 
-def _no_line_break_in_quotes(data: bytes, line: int, shown: str) -> None:
+def _no_line_break_in_quotes(data: bytes, line: int, label: str) -> None:
     if b'"' not in data:
         return
     octets = np.frombuffer(data, dtype=np.uint8)
     quotes, ends = np.flatnonzero(octets == ord('"')), np.flatnonzero(octets == ord("\n"))
     odd = np.flatnonzero(np.searchsorted(quotes, ends) % 2)
     if odd.size:
-        raise DataError(f"{shown}:{line + int(odd[0])}  a quote is not closed in its line (allowed: one row, one line)")
+        raise DataError(f"{label}:{line + int(odd[0])}  a quote is not closed in its line (allowed: one row, one line)")
 
 
 def _lines(data: bytes, line: int) -> Iterator[tuple[int, bytes]]:
@@ -204,21 +204,21 @@ def _line_of_row(data: bytes, line: int, row: int) -> int:
     return next(itertools.islice(_lines(data, line), row, None))[0]
 
 
-def _wrong_cells(data: bytes, line: int, names: list[str], kinds: Kinds, shown: str) -> Iterator[str]:
+def _wrong_cells(data: bytes, line: int, names: list[str], kinds: Kinds, label: str) -> Iterator[str]:
     """What is wrong in a block that pyarrow refused, line by line."""
     for number, raw in _lines(data, line):
         try:
             text = raw.decode("utf-8")
         except UnicodeDecodeError as err:
-            yield f"{shown}:{number}  not UTF-8 text: byte {raw[err.start]:#04x} at {err.start + 1}"
+            yield f"{label}:{number}  not UTF-8 text: byte {raw[err.start]:#04x} at {err.start + 1}"
             continue
         cells = next(csv.reader(io.StringIO(text)), [])
         if len(cells) != len(names):
-            yield f"{shown}:{number}  {len(cells)} cells where the header has {len(names)}{_comma_hint(cells, names)}"
+            yield f"{label}:{number}  {len(cells)} cells where the header has {len(names)}{_comma_hint(cells, names)}"
             continue
         for name, cell in zip(names, cells, strict=True):
             if kinds.get(name) == "number" and (wrong := _wrong_number(cell)):
-                yield f"{shown}:{number}  {name}: {wrong}"
+                yield f"{label}:{number}  {name}: {wrong}"
 
 
 def _comma_hint(cells: list[str], names: list[str]) -> str:
@@ -241,38 +241,38 @@ def _wrong_number(cell: str) -> str:
 # ---------------------------------------------------------------- Parquet
 
 
-def _parquet_blocks(path: Path, kinds: Kinds, shown: str) -> Iterator[Block]:
+def _parquet_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
     try:
         file = pq.ParquetFile(path)
     except (pa.ArrowInvalid, OSError):
-        raise DataError(f"{shown}: not a Parquet file, or a damaged one") from None
+        raise DataError(f"{label}: not a Parquet file, or a damaged one") from None
     with file:
-        check_columns(file.schema_arrow.names, kinds, shown)
+        check_columns(file.schema_arrow.names, kinds, label)
         wanted = [n for n in kinds if kinds[n] != "ignore"]
         for name in wanted:
-            _check_type(file.schema_arrow.field(name), kinds[name], shown)
+            _check_type(file.schema_arrow.field(name), kinds[name], label)
         start = 0
         for batch in file.iter_batches(batch_size=131072, columns=wanted):
             table = pa.table({n: _plain(batch.column(n), kinds[n]) for n in wanted})
-            place = _row_place(shown, start)
+            place = _row_place(label, start)
             _refuse_infinite(table, place)
             start += table.num_rows
             if table.num_rows:
                 yield Block(table, place)
 
 
-def _row_place(shown: str, start: int) -> Callable[[int], str]:
-    return lambda row: f"{shown} row {start + row + 1}"
+def _row_place(label: str, start: int) -> Callable[[int], str]:
+    return lambda row: f"{label} row {start + row + 1}"
 
 
-def _check_type(field: pa.Field, kind: str, shown: str) -> None:
+def _check_type(field: pa.Field, kind: str, label: str) -> None:
     inner = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
     number = pa.types.is_integer(inner) or pa.types.is_floating(inner) or pa.types.is_boolean(inner)
     label = pa.types.is_string(inner) or pa.types.is_large_string(inner) or pa.types.is_integer(inner)
     if kind == "number" and not (number or pa.types.is_null(inner)):
-        raise DataError(f"{shown}  {field.name}: holds {field.type} (allowed: numbers)")
+        raise DataError(f"{label}  {field.name}: holds {field.type} (allowed: numbers)")
     if kind == "label" and not (label or pa.types.is_boolean(inner)):
-        raise DataError(f"{shown}  {field.name}: holds {field.type} (allowed for a label: text or whole numbers)")
+        raise DataError(f"{label}  {field.name}: holds {field.type} (allowed for a label: text or whole numbers)")
 
 
 def _plain(column: pa.Array, kind: str) -> pa.Array:

@@ -195,15 +195,15 @@ def _blocks(folder: Path, manifest: Manifest) -> Iterator[dict[str, Any]]:
     empty = True
     for table in manifest.tables:
         path = folder / table
-        shown = str(path)
+        label = str(path)
         if not path.resolve().is_relative_to(folder.resolve()):
-            raise DataError(f"{shown}: leads outside the folder through a link (allowed: a file of the folder)")
+            raise DataError(f"{label}: leads outside the folder through a link (allowed: a file of the folder)")
         rows = 0
-        for block in _tables.blocks(path, kinds, shown):
+        for block in _tables.blocks(path, kinds, label):
             yield _values(block, manifest, converts, order)
             rows += block.table.num_rows
         if not rows:
-            raise DataError(f"{shown}: the table has a header but no rows (allowed: at least one row)")
+            raise DataError(f"{label}: the table has a header but no rows (allowed: at least one row)")
         empty = False
     if empty:
         raise DataError(f"{folder}: no rows")

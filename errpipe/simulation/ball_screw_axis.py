@@ -16,13 +16,13 @@ from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.simulation import heat
 from errpipe.terms import Term
 
-TRAVEL = (0.0, 800.0)
-LEAD = 10.0
+TRAVEL = (0.0, 800.0)  # mm
+LEAD = 10.0  # mm a revolution
 # Minutes and mean speed (mm/s) of the axis before each of the nine measuring runs: cold, warming, resting, warm.
 STATES = ((0, 0), (15, 100), (20, 200), (25, 300), (30, 300), (25, 0), (20, 150), (30, 250), (45, 0))
-STROKE = (80.0, 720.0)
-TARGETS = 25
-CYCLES = 3
+STROKE = (80.0, 720.0)  # mm: between these ends the axis runs to warm up
+TARGETS = 25  # positions in one direction
+CYCLES = 3  # visits to each target and direction
 APPROACH_SPEED = 60.0  # mm/s
 DWELL = 4.0  # s at each target
 LOG_EVERY = 30.0  # s between rows that log temperatures alone

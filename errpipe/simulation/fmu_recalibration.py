@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.simulation.fmu_options import FmuOptions
+from errpipe.simulation.fmu_plan import Plan
 
-if TYPE_CHECKING:
-    from errpipe.simulation.fmu import FmuOptions, Plan
-
-ROUNDS = 15  # of the recalibration
-WORTH = 0.01  # a recalibration must take this share of the mismatch away to be believed (from taste)
+MAX_EVALUATIONS = 15  # of the least-squares search, gradients apart; chosen for at most two minutes with one parameter
+MIN_GAIN = 0.01  # share of the mismatch that a recalibration must remove to be used (from taste)
 
 
 def recalibrated(
@@ -36,7 +35,7 @@ def recalibrated(
     def residual(share: np.ndarray) -> np.ndarray:
         key = share.tobytes()
         if key not in cache:
-            progress(min(0.2 + 0.7 * len(cache) / (ROUNDS * (len(names) + 1)), 0.9), "recalibrating")
+            progress(min(0.2 + 0.7 * len(cache) / (MAX_EVALUATIONS * (len(names) + 1)), 0.9), "recalibrating")
             cache[key] = mismatch(plan.simulate(dict(zip(names, low + share * (high - low), strict=True))))
         return cache[key]
 
@@ -48,7 +47,7 @@ def recalibrated(
         diff_step=1e-3,
         loss="soft_l1",
         f_scale=3.0,
-        max_nfev=ROUNDS,
+        max_nfev=MAX_EVALUATIONS,
         xtol=1e-5,
         ftol=1e-6,
     )
@@ -56,14 +55,14 @@ def recalibrated(
     tuned = dict(zip(names, map(float, low + found.x * (high - low)), strict=True))
     values = plan.simulate(tuned)
     after = mismatch.rms(values)
-    moved = after < (1 - WORTH) * before
+    moved = after < (1 - MIN_GAIN) * before
     if not moved:
         plan.notes.append("recalibration took nothing away: the parameters stay as they were")
-    shown = [
-        mismatch.shows(values, plan.simulate(tuned | {n: _aside(tuned[n], a, b)}))
+    sensitive = [
+        mismatch.is_sensitive(values, plan.simulate(tuned | {n: _other_value(tuned[n], a, b)}))
         for n, a, b in zip(names, low, high, strict=True)
     ]
-    told = [
+    parameters = [
         {
             "parameter": n,
             "start": start[n],
@@ -73,14 +72,14 @@ def recalibrated(
             "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3),
             "shows": s,
         }
-        for n, a, b, x, s in zip(names, low, high, found.x, shown, strict=True)
+        for n, a, b, x, s in zip(names, low, high, found.x, sensitive, strict=True)
     ]
-    plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in told if not t["shows"]]
-    plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in told if t["at_a_bound"]]
-    return (values if moved else begin), told
+    plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in parameters if not t["shows"]]
+    plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in parameters if t["at_a_bound"]]
+    return (values if moved else begin), parameters
 
 
-def _aside(value: float, low: float, high: float) -> float:
+def _other_value(value: float, low: float, high: float) -> float:
     """A tenth of the range away, inside it."""
     step = 0.1 * (high - low)
     return float(value + step if value + step <= high else value - step)
@@ -110,7 +109,7 @@ class _Mismatch:
             parts.append((left - np.median(left)) / self.scale[component])
         return np.concatenate(parts)
 
-    def shows(self, values: Mapping[str, np.ndarray], moved: Mapping[str, np.ndarray]) -> bool:
+    def is_sensitive(self, values: Mapping[str, np.ndarray], moved: Mapping[str, np.ndarray]) -> bool:
         """Whether what moved is more than a constant, somewhere, and not lost in the noise."""
         for component, rows in self.rows.items():
             change = (moved[component] - values[component])[rows]

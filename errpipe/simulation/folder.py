@@ -22,15 +22,15 @@ def write(folder: Path, recording: Recording) -> bool:
 
 def manifest_text(recording: Recording) -> str:
     """The manifest as YAML: one line per column, keys in their own order."""
-    told = recording.manifest.model_dump(mode="json", exclude_defaults=True)
+    plain = recording.manifest.model_dump(mode="json", exclude_defaults=True)
     lines = ["recording: 1"]
     for key in ("title", "machine", "tables"):
-        if told.get(key):
-            lines.append(f"{key}: {_flow(told[key])}")
+        if plain.get(key):
+            lines.append(f"{key}: {_flow(plain[key])}")
     for key in ("constants", "columns"):
-        if told.get(key):
+        if plain.get(key):
             lines.append(f"{key}:")
-            lines += [f"  {name}: {_flow(value)}" for name, value in told[key].items()]
+            lines += [f"  {name}: {_flow(value)}" for name, value in plain[key].items()]
     return "\n".join(lines) + "\n"
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-PIECES = 40
+PIECES = 40  # cells along the screw
 HALF_NUT = 30.0  # mm
 STEP = 2.0  # s; the explicit scheme is stable below 24 s for these pieces
 

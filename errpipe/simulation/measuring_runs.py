@@ -16,7 +16,7 @@ from errpipe.simulation.metrology import Run
 
 TOOLS = ((80.0, (0.0, 0.0, 0.0)), (200.0, (0.0, 0.0, 0.0)), (120.0, (60.0, 40.0, 0.0)))
 POINTS = 150  # of a point cloud, each seen with three tools
-LEAST = 8  # poses within reach, below which a rotary test is none
+MIN_POSES = 8  # within reach; a rotary test with fewer is left out
 
 
 def _linear(chain: Chain) -> list[int]:
@@ -140,7 +140,7 @@ def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int = 60, 
     q[:one, rotary[0]] = np.where(np.arange(one) % 2, q[:one, rotary[0]], 0.0)
     q = metrology.follow(chain, q, ball, length)
     inside = ((q >= low) & (q <= high)).all(axis=1)
-    if inside.sum() < LEAST:
+    if inside.sum() < MIN_POSES:
         place = ", ".join(f"{v:g}" for v in ball)
         raise DataError(f"{chain.machine.name} cannot follow a ball at {place} mm while its rotary axes turn")
     return q[inside][:count]

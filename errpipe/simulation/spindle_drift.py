@@ -13,9 +13,9 @@ import pandas as pd
 
 from errpipe.domain.recording import Column, Manifest, Recording
 
-PIECES = 30
+PIECES = 30  # cells along the spindle
 STEP = 2.0  # s
-EVERY = 60.0  # s between readings
+LOG_STEP = 60.0  # s between readings
 LENGTH = 0.3  # m
 DIFFUSIVITY = 1.25e-5  # m2/s, steel
 LOSS = 2.2e-4  # 1/s: h P / (rho c A) of an 80 mm bar
@@ -67,7 +67,7 @@ def _run(day: Day, rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
     speed = np.concatenate([np.full(int(60 * minutes / STEP), float(n)) for minutes, n in day.duty])
     room = day.room + day.rise * (1 - np.exp(-np.arange(speed.size) * STEP / 7000.0))
     theta = _bar(speed, room)
-    keep = np.arange(0, speed.size, int(EVERY / STEP))
+    keep = np.arange(0, speed.size, int(LOG_STEP / STEP))
     growth = EXPANSION * LENGTH * (theta.mean(axis=1) - 20.0)
     column = 3.0 * _slow(room - 20.0, 9000.0)  # the column follows the room, late
     at = [int(s * PIECES) for s in SENSOR_AT]

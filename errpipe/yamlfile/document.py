@@ -64,9 +64,9 @@ class Document:
             return None if wrong else found
         except ValidationError as err:
             explained = explain(self.problem, value, model, err.errors(include_url=False))
-            told = {(problem.line, problem.column) for problem in self.problems if problem.line}
+            reported = {(problem.line, problem.column) for problem in self.problems if problem.line}
             self.problems.extend(
-                one for place, one in explained if place not in places and (one.line, one.column) not in told
+                one for place, one in explained if place not in places and (one.line, one.column) not in reported
             )
             return None
 

@@ -50,7 +50,7 @@ _BOUNDS = {
     "less_than_equal": ("le", "at most"),
     "multiple_of": ("multiple_of", "a multiple of"),
 }
-MOST_CHOICES = 16  # more than that no one reads in an error message
+MAX_CHOICES_LISTED = 16  # a longer list of allowed values hides the message; the nearest ones are named instead
 _TRUTH = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
 
 
@@ -129,8 +129,8 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
     message = f"found {describe(value)} ({' or '.join(wanted)} is needed)"
     if not isinstance(value, str):
         quotes = "a text" in wanted and isinstance(value, int | float)
-        shown = ("true" if value else "false") if isinstance(value, bool) else value
-        return f"{message}. Did you mean '{shown}', in quotes?" if quotes else message
+        quoted = ("true" if value else "false") if isinstance(value, bool) else value
+        return f"{message}. Did you mean '{quoted}', in quotes?" if quotes else message
     if "true or false" in wanted and value.lower() in _TRUTH:
         return f"{message}. Did you mean {_TRUTH[value.lower()]}?"
     from errpipe.yamlfile.events import plain
@@ -144,7 +144,7 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
 def _allowed(words: Iterable[Any], found: Any = "") -> str:
     """' (allowed: a, b, c).'; of a long list only what is nearest to what was found."""
     names = list(map(str, words))
-    if len(names) > MOST_CHOICES:
+    if len(names) > MAX_CHOICES_LISTED:
         near = difflib.get_close_matches(str(found), names, n=5, cutoff=0.3) or names[:5]
         return f" (allowed: {', '.join(near)} and {len(names) - len(near)} others)."
     return f" (allowed: {', '.join(names)})." if names else "."

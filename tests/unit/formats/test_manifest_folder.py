@@ -155,7 +155,7 @@ def test_what_is_refused_says_where_and_what(tmp_path, case):
 def test_a_wrong_file_shows_a_few_lines_not_all(tmp_path):
     with pytest.raises(DataError) as refusal:
         manifest_folder.read(folder(tmp_path, ["1,0,0;5,1,68,,0"] * 100))
-    assert len(str(refusal.value).splitlines()) == _tables.MOST_PROBLEMS
+    assert len(str(refusal.value).splitlines()) == _tables.MAX_PROBLEMS
 
 
 def test_the_line_is_right_in_every_block(tmp_path, monkeypatch):

@@ -18,7 +18,8 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, UsageError
-from errpipe.simulation import external, fmu
+from errpipe.simulation import external
+from errpipe.simulation.fmu_process import FmuProcess
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("pythonfmu") is None, reason="pythonfmu builds the FMUs")
 
@@ -203,8 +204,8 @@ def test_what_it_does_to_itself_it_does_alone(model: Path, mode: int, message: s
 
 def test_no_process_outlives_its_recording(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
-    entered = fmu.Worker.__enter__
-    monkeypatch.setattr(fmu.Worker, "__enter__", lambda self: seen.append(entered(self)) or self)
+    entered = FmuProcess.__enter__
+    monkeypatch.setattr(FmuProcess, "__enter__", lambda self: seen.append(entered(self)) or self)
     with pytest.raises(DataError):
         simulated(recorded(), model, parameters={"mode": 2}, time_limit=2.0)
     assert seen[0].process.returncode is not None and not seen[0].folder.exists()

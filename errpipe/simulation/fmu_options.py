@@ -1,0 +1,68 @@
+"""What a person says of an FMU: which column drives an input, which output is a response, what may be recalibrated."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from errpipe.yamlfile import Options
+
+MAX_TUNABLE = 6  # parameters recalibrated at once; each costs a simulation per step of the search
+
+
+class FmuInput(Options):
+    """Which column drives an input of the FMU."""
+
+    column: str = Field(description="Column of the recording.")
+    unit: str | None = Field(None, description="Unit that the FMU means, where it states none.")
+    rise_from: float | Literal["first"] | None = Field(
+        None,
+        description="A temperature becomes a rise: over this one, or over the first reading of the session.",
+        json_schema_extra={"unit": "degC"},
+    )
+
+
+class FmuOutput(Options):
+    """Which variable of the FMU is the simulated value of a response."""
+
+    variable: str = Field(description="Name in the FMU.")
+    unit: str | None = Field(None, description="Unit that the FMU means, where it states none.")
+    means: Literal["deviation", "correction"] = Field("deviation", description="Actual minus commanded, or minus that.")
+
+
+class Tunable(Options):
+    """A parameter of the FMU that is set right before anything is called missing."""
+
+    parameter: str = Field(description="Name in the FMU.")
+    low: float = Field(description="Lowest value that can be.", json_schema_extra={"unit": "of the parameter"})
+    high: float = Field(description="Highest value that can be.", json_schema_extra={"unit": "of the parameter"})
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Tunable:
+        if not self.low < self.high:
+            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+        return self
+
+
+class FmuOptions(Options):
+    """How an FMU is run over a recording."""
+
+    inputs: dict[str, FmuInput] = Field({}, description="Input of the FMU -> column that drives it.")
+    outputs: dict[str, FmuOutput] = Field(min_length=1, description="Response of the recording -> variable of the FMU.")
+    parameters: dict[str, float] = Field(
+        {}, description="Values to set before the start, in the FMU's units.", json_schema_extra={"unit": "of each"}
+    )
+    recalibrate: tuple[Tunable, ...] = Field(
+        (), max_length=MAX_TUNABLE, description="Parameters to set right on the recording."
+    )
+    step: float | None = Field(
+        None,
+        gt=0,
+        description="Communication step; default: the FMU's own, else a quarter of the rows' step.",
+        json_schema_extra={"unit": "s"},
+    )
+    time_limit: float = Field(
+        60.0, gt=0, description="Longest time that a session may take to simulate.", json_schema_extra={"unit": "s"}
+    )
+    memory_mb: int = Field(2048, ge=256, description="Most memory that the FMU's process may take, MB.")

@@ -1,0 +1,185 @@
+"""A recording cut into sessions for an FMU: its inputs in the FMU's units, its outputs turned into deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
+from errpipe.errors import DataError, did_you_mean
+from errpipe.simulation.fmu_options import FmuInput, FmuOptions, FmuOutput
+from errpipe.simulation.fmu_process import FmuProcess
+from errpipe.simulation.fmu_units import SPELLINGS, convert
+from errpipe.simulation.responses import error_column
+
+MAX_STEPS = 5_000_000  # communication steps of one session: about ten minutes of a light FMU
+STEPS_PER_ROW = 4  # communication steps between two rows where the FMU states none: an input is held during a step
+
+
+class Plan:
+    """A recording cut into sessions, inputs in the FMU's units, and how to turn outputs into deviations."""
+
+    def __init__(self, recording: Recording, how: FmuOptions, worker: FmuProcess):
+        self.recording, self.how, self.worker, self.name = recording, how, worker, worker.file.name
+        self.facts = worker.load()
+        self.variables: dict[str, dict[str, Any]] = self.facts["variables"]
+        self.notes: list[str] = []
+        if not self.facts["kinds"]:
+            raise DataError(f"{self.name}: neither co-simulation nor model exchange")
+        self.session = sessions(recording)
+        t = recording.time()
+        if not np.isfinite(t).all():
+            raise DataError(f"{self.name}: {np.count_nonzero(~np.isfinite(t))} rows have no time")
+        self.step = self._step(t)
+        self.inputs = {name: self._input(name, given) for name, given in how.inputs.items()}
+        self._unmapped()
+        self.outputs = {c: (o.variable, *self._output(c, o)) for c, o in how.outputs.items()}
+        for name in (*how.parameters, *(p.parameter for p in how.recalibrate)):
+            self._parameter(name)
+        self._write_inputs(t)
+
+    def variable(self, name: str, allowed: tuple[str, ...] = ()) -> dict[str, Any]:
+        """A scalar variable of the FMU, of one of these causalities."""
+        found = self.variables.get(name)
+        fitting = [n for n, v in self.variables.items() if not allowed or v["causality"] in allowed]
+        if found is None:
+            what = allowed[0] if allowed else "variable"
+            near = did_you_mean(name, fitting)
+            raise DataError(f"{self.name}: no {what} {name!r} (it has: {', '.join(fitting[:12]) or 'none'}).{near}")
+        if allowed and found["causality"] not in allowed:
+            raise DataError(f"{self.name}: {name} is its {found['causality']}, not an {' or '.join(allowed)}")
+        if not found["scalar"]:
+            raise DataError(f"{self.name}: {name} is an array; scalar variables only")
+        if found["type"] == "String":
+            raise DataError(f"{self.name}: {name} is a text, not a number")
+        return found
+
+    def start_value(self, name: str) -> float:
+        """Where a parameter stands before it is recalibrated: as set, else the FMU's own start, within its bounds."""
+        tunable = next(t for t in self.how.recalibrate if t.parameter == name)
+        said = self.how.parameters.get(name, self.variables[name]["start"])
+        value = float(said) if said is not None else (tunable.low + tunable.high) / 2
+        return float(np.clip(value, tunable.low, tunable.high))
+
+    def _parameter(self, name: str) -> None:
+        found = self.variable(name, ("parameter",))
+        if found["variability"] not in ("fixed", "tunable"):
+            raise DataError(f"{self.name}: {name} is {found['variability']}: it cannot be set")
+
+    def _step(self, t: np.ndarray) -> float:
+        if self.how.step is not None:
+            return self.how.step
+        if self.facts["step"]:
+            return float(self.facts["step"])
+        forward = np.diff(t)[np.diff(self.session) == 0]
+        forward = forward[forward > 0]
+        if not forward.size:
+            raise DataError(f"{self.name}: time stands still in every run: say the communication step (`step`)")
+        return float(np.median(forward)) / STEPS_PER_ROW
+
+    def _unit(self, name: str, said: str | None) -> str:
+        declared = self.variables[name]["unit"]
+        written = said if said is not None else declared
+        if written is None:
+            raise DataError(f"{self.name}: {name} states no unit: say the one it means (`unit`)")
+        unit = SPELLINGS.get(written, written)
+        if declared is not None and SPELLINGS.get(declared, declared) != unit:
+            raise DataError(f"{self.name}: {name} is declared in {declared}, not in {written}")
+        return unit
+
+    def _input(self, name: str, given: FmuInput) -> np.ndarray:
+        """Values of one input on all rows, in the FMU's unit."""
+        found = self.variable(name, ("input",))
+        column = self.recording.manifest.columns.get(given.column)
+        if column is None or given.column not in self.recording.frame.columns:
+            near = did_you_mean(given.column, self.recording.frame.columns)
+            raise DataError(f"{self.name}: {name} is driven by {given.column}, which the recording lacks.{near}")
+        if column.role in ("run", "group"):
+            raise DataError(f"{self.name}: {name} is driven by {given.column}, which is a label")
+        values = self._filled(name, self.recording.array(given.column))
+        plain = column.unit is None or found["type"] not in ("Real", "Float64", "Float32")
+        if plain and given.unit is None and found["unit"] is None:
+            return values
+        unit, own = self._unit(name, given.unit), column.unit or "1"
+        if given.rise_from is None:
+            return convert(values, own, unit, f"{self.name}: {name} ({unit}) cannot be given {given.column} ({own})")
+        if column.role != "temperature":
+            raise DataError(f"{self.name}: {name}: rise_from is for temperatures; {given.column} is a {column.role}")
+        zero = self._first(values) if given.rise_from == "first" else given.rise_from
+        why = f"{self.name}: {name} ({unit}) cannot be given a temperature rise"
+        return convert(values - zero, own, unit, why, rise=True)
+
+    def _first(self, values: np.ndarray) -> np.ndarray:
+        _, first = np.unique(self.session, return_index=True)
+        return values[first][np.searchsorted(np.unique(self.session), self.session)]
+
+    def _filled(self, name: str, values: np.ndarray) -> np.ndarray:
+        """Missing readings interpolated in time inside a session, held at its ends."""
+        bad, out, t = ~np.isfinite(values), values.copy(), self.recording.time()
+        for s in np.unique(self.session[bad]):
+            rows = np.flatnonzero(self.session == s)
+            good = rows[~bad[rows]]
+            if good.size < max(1, rows.size / 2):
+                raise DataError(
+                    f"{self.name}: {self.how.inputs[name].column}, which drives {name}, misses "
+                    f"{rows.size - good.size} of {rows.size} readings from row {rows[0] + 1} on"
+                )
+            out[rows] = np.interp(t[rows], t[good], values[good])
+        if bad.any():
+            filled = np.count_nonzero(bad)
+            self.notes.append(f"{filled} missing readings of {self.how.inputs[name].column} were filled in between")
+        return out
+
+    def _unmapped(self) -> None:
+        for name, found in self.variables.items():
+            if found["causality"] != "input" or name in self.how.inputs:
+                continue
+            if found["start"] is None:
+                raise DataError(f"{self.name}: its input {name} is driven by nothing and has no start value")
+            self.notes.append(f"input {name} stays at its start value {found['start']}")
+
+    def _output(self, component: str, wanted: FmuOutput) -> tuple[str, str, float]:
+        """FMU unit, response unit and sign of one output."""
+        unit = self.recording.manifest.columns[error_column(self.recording, component)].unit or "um"
+        self.variable(wanted.variable, ("output", "local"))
+        own = self._unit(wanted.variable, wanted.unit)
+        convert(0.0, own, unit, f"{self.name}: {component} ({unit}) cannot be {wanted.variable} ({own})")
+        return own, unit, -1.0 if wanted.means == "correction" else 1.0
+
+    def _write_inputs(self, t: np.ndarray) -> None:
+        self.stretches: list[tuple[np.ndarray, np.ndarray, dict[str, Any]]] = []
+        for k, s in enumerate(np.unique(self.session)):
+            rows = np.flatnonzero(self.session == s)
+            at = t[rows] - t[rows[0]]
+            if at[-1] / self.step > MAX_STEPS:
+                raise DataError(f"{self.name}: {at[-1]:g} s in steps of {self.step:g} s are too many (say `step`)")
+            order: dict[str, Any] = {"stop": float(max(at[-1], self.step)), "inputs": "", "output": f"out{k}.npy"}
+            if self.inputs:
+                new = np.r_[True, np.diff(at) > 0]
+                types = [("time", float), *((name, float) for name in self.inputs)]
+                signals = np.zeros(int(new.sum()), dtype=types)
+                signals["time"] = at[new]
+                for name, values in self.inputs.items():
+                    signals[name] = values[rows][new]
+                order["inputs"] = f"in{k}.npy"
+                np.save(self.worker.folder / order["inputs"], signals, allow_pickle=False)
+            self.stretches.append((rows, at, order))
+
+    def simulate(self, parameters: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Deviations of every response on all rows with these parameters; NaN where the FMU gave no number."""
+        out = {c: np.full(len(self.recording), np.nan) for c in self.outputs}
+        names = list(dict.fromkeys(v for v, *_ in self.outputs.values()))
+        kind = self.facts["kinds"][0]
+        start = {**self.how.parameters, **parameters}
+        for rows, at, order in self.stretches:
+            self.worker.simulate({**order, "outputs": names, "start_values": start, "step": self.step, "kind": kind})
+            table = np.load(self.worker.folder / order["output"], allow_pickle=False)
+            if table[-1, 0] < at[-1] - self.step:
+                raise DataError(f"{self.name}: it stopped at {table[-1, 0]:g} s of {at[-1]:g} s")
+            for component, (variable, own, unit, sign) in self.outputs.items():
+                values = np.interp(at, table[:, 0], table[:, 1 + names.index(variable)])
+                out[component][rows] = sign * convert(values, own, unit, self.name)
+        return out

@@ -1,0 +1,38 @@
+"""A recording's responses as a simulation may call them, and the columns that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, did_you_mean
+
+
+@dataclass(frozen=True)
+class Values:
+    """Simulated values of one response, (rows,), in the response's unit; why: reason -> rows without a value."""
+
+    values: np.ndarray
+    source: str
+    why: Mapping[str, np.ndarray] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    datum: str = "absolute"
+
+
+def names_of(recording: Recording, component: str) -> tuple[str, ...]:
+    """What a response's simulated values may be called elsewhere."""
+    error = error_column(recording, component)
+    return (f"{error}_sim", f"{component}_sim", component, error)
+
+
+def error_column(recording: Recording, component: str) -> str:
+    """Name of a response's column. Raises DataError naming those that are there."""
+    name = recording.name("error", component=component)
+    if name is None:
+        known = recording.components()
+        hint = did_you_mean(component, known)
+        raise DataError(f"twin: the recording has no response {component} (present: {', '.join(known)}).{hint}")
+    return name
