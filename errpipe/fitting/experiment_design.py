@@ -131,7 +131,7 @@ def propose(
     if rest > options.segments or (rest and 0.0 not in options.levels):
         raise DataError("experiment design: the spindle must stand, but standing still is not among the levels")
     rng = np.random.default_rng(seed)
-    best: tuple[float, tuple[float, ...]] | None = None
+    best: tuple[float, tuple[float, ...]] = (np.inf, ())
     for _ in range(starts):
         speeds = list(map(float, rng.choice(options.levels, options.segments)))
         for k in range(rest - speeds.count(0.0)):
@@ -143,7 +143,7 @@ def propose(
                 value = _exchange(known, speeds, place, rest, value, options, weight)
             if value >= before - 1e-9:
                 break
-        if best is None or value < best[0]:
+        if value < best[0]:
             best = (value, tuple(speeds))
     return Plan(best[1])
 

@@ -27,13 +27,17 @@ def triangles(design: np.ndarray, response: np.ndarray, groups: np.ndarray) -> d
     """
     both = np.column_stack([design, response])
     with one_thread():
-        return {int(g): np.linalg.qr(both[groups == g], mode="r") for g in np.unique(groups)}
+        return {int(g): _triangle(both[groups == g]) for g in np.unique(groups)}
 
 
 def stack(parts: Mapping[int, np.ndarray], keep: Sequence[int]) -> np.ndarray:
     """One triangle for the groups in `keep`, shape (<= p+1, p+1)."""
     with one_thread():
-        return np.linalg.qr(np.vstack([parts[g] for g in keep]), mode="r")
+        return _triangle(np.vstack([parts[g] for g in keep]))
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def signed_gains(

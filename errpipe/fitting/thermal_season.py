@@ -363,8 +363,8 @@ class _Problem:
     def _intervals(self, near: np.ndarray, afar: np.ndarray) -> Intervals:
         """From predictions of rows left out with their run, and with their environment; um."""
         runs = np.unique(self.recording.run_codes()[self.rows]).size
-        both = [LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar)]
-        return thermal_interval.calibrate(*both, self.group[self.rows], self.options.coverage, runs)
+        left, far = (LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar))
+        return thermal_interval.calibrate(left, far, self.group[self.rows], self.options.coverage, runs)
 
     def _parts(self, gains: _Gains, worth) -> tuple[tuple[Part, ...], d.Driver | None, d.Driver]:
         """The core cause by cause, the gated correction, and how well the season of a run is known (0..1)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -95,19 +96,32 @@ def lowered(
         if chain.drives[c] < 0:
             size = float(errors.constants[c])
             if size != 0.0:
-                out[name] = (Lowered(d.ONE, None, lambda x, size=size: np.full(np.shape(x), size)),)
+                out[name] = (Lowered(d.ONE, None, partial(_everywhere, size)),)
             continue
         grid, values = errors.curve(name)
         if values.any():
             axis = chain.axes[chain.drives[c]]
-            profile = lambda x, grid=grid, values=values: np.interp(x, grid, values)  # noqa: E731
+            profile = partial(_interpolated, grid, values)
             out[name] = (Lowered(d.ONE, axis, profile),)
     for name, (value, slope, middle) in (reversals or {}).items():
         axis = chain.axes[chain.drives[chain.index(name)]]
-        half = lambda x, v=value, s=slope, m=middle: 0.5 * (v + s * (np.asarray(x) - m) * 1e-3)  # noqa: E731
+        half = partial(_half_reversal, value, slope, middle)
         if value != 0.0 or slope != 0.0:
             out[name] = (*out.get(name, ()), Lowered(d.Direction(axis=axis), axis, half))
     return out
+
+
+def _everywhere(size: float, x: np.ndarray) -> np.ndarray:
+    return np.full(np.shape(x), size)
+
+
+def _interpolated(grid: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return np.interp(x, grid, values)
+
+
+def _half_reversal(value: float, slope: float, middle: float, x: np.ndarray) -> np.ndarray:
+    """Half of up minus down at positions x: the driver is +1 one way and -1 the other."""
+    return 0.5 * (value + slope * (np.asarray(x) - middle) * 1e-3)
 
 
 @dataclass(frozen=True)
@@ -132,7 +146,7 @@ def profile_bound(chain: Chain, gridding: Mapping[str, float], tip: np.ndarray |
     arms are linear in each linear coordinate, so the corners hold the largest. Rotary axes are gone through in steps.
     """
     ends = [
-        t if chain.machine.axes[a].kind == "linear" else np.linspace(*t, 9)
+        t if chain.machine.axes[a].kind == "linear" else np.linspace(t[0], t[1], 9)
         for a, t in zip(chain.axes, chain.travel, strict=True)
     ]
     corners = np.stack([g.ravel() for g in np.meshgrid(*ends, indexing="ij")], axis=1)
@@ -148,7 +162,7 @@ def lattice(errors: MachineErrors, counts: tuple[int, ...], tip: np.ndarray | No
         raise ValueError("a lattice over rotary axes would have to turn with them; use the synthesis")
     if len(counts) != len(chain.axes) or min(counts) < 2:
         raise ValueError(f"counts needs a number of at least 2 for each of {', '.join(chain.axes)}")
-    grids = tuple(np.linspace(*t, n) for t, n in zip(chain.travel, counts, strict=True))
+    grids = tuple(np.linspace(t[0], t[1], n) for t, n in zip(chain.travel, counts, strict=True))
     q = np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
     values = synthesis.first_order(chain, q, errors.at(q), tip)[:, :3].reshape(*counts, 3)
     rng = np.random.default_rng(0)

@@ -47,12 +47,15 @@ class MachineErrors:
             table = np.zeros((nodes, 6))
             for column, name in enumerate(chain.of_axis(axis)):
                 value = values.get(name, 0.0)
-                table[:, column] = value(grid) if callable(value) else value
+                table[:, column] = value(grid) if callable(value) else float(value)
             tables.append(table)
         constants = np.zeros(len(chain.components))
         for i, name in enumerate(chain.components):
             if chain.drives[i] < 0:
-                constants[i] = values.get(name, 0.0)
+                value = values.get(name, 0.0)
+                if callable(value):
+                    raise TypeError(f"{name} does not depend on a position: it takes a number")
+                constants[i] = value
         return cls(chain, start, step, tuple(tables), constants)
 
     def at(self, q: np.ndarray) -> np.ndarray:

@@ -8,9 +8,10 @@ a test cannot see keeps its prior width and is named (`observability`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -173,15 +174,16 @@ class Identified:
 
     def errors(self, nodes: int = 201) -> MachineErrors:
         """The components as curves and constants, for synthesis and tables."""
-        chain, values = self.model.chain, {}
+        chain = self.model.chain
+        values: dict[str, float | Callable[[np.ndarray], np.ndarray]] = {}
         for c, name in enumerate(chain.components):
             if chain.drives[c] < 0:
                 values[name] = float(self.component(name)[0][0])
             else:
-                values[name] = lambda p, name=name: self.component(name, p)[0]
+                values[name] = lambda p, name=name: self.component(name, p)[0]  # type: ignore[misc]
         return MachineErrors.of(chain, values, nodes)
 
-    def table(self) -> list[dict[str, object]]:
+    def table(self) -> list[dict[str, Any]]:
         """One row per constant: name, value, 95 % interval, unit, and how much of its spread the readings removed."""
         out = []
         for i, name in enumerate(self.model.prior.names):
@@ -223,7 +225,7 @@ def identify(
     design = plain / obs.noise[:, None]
     spreads = model.prior.spreads(obs.nuisance_spread)
     told = np.flatnonzero(design.any(axis=0))  # what no reading knows of keeps its prior: it needs no solving
-    offset, hyper = np.zeros(len(obs)), None
+    offset, hyper = np.zeros(len(obs)), np.empty(0)  # no sizes learnt yet
     for _ in range(max(1, iterations)):
         moments = evidence.Moments.of(design[:, told], (obs.value - offset) / obs.noise)
         hyper = evidence.learn(spreads.take(told), moments, _known(sizes, power, noise), hyper)

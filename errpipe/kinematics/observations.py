@@ -92,7 +92,7 @@ def distance(
     chain: Chain,
     q: np.ndarray,
     tip: np.ndarray,
-    socket: Sequence[float],
+    socket: Sequence[float] | np.ndarray,
     value: np.ndarray | None = None,
     label: str = "1",
     seconds: float = 0.0,
@@ -105,8 +105,7 @@ def distance(
     and where the tool's ball sits in the spindle, for machines whose rotary axes turn it against the socket.
     """
     pose = synthesis.ideal_pose(chain, q, tip)
-    socket = np.asarray(socket, dtype=float)
-    ray = pose[:, 0] - socket
+    ray = pose[:, 0] - np.asarray(socket, dtype=float)
     unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
     columns = [(f"{label}: socket {d}", SHIFT, -unit[:, i]) for i, d in enumerate("XYZ")]
     if length:
@@ -121,7 +120,7 @@ def along(
     chain: Chain,
     q: np.ndarray,
     tip: np.ndarray,
-    beam: Sequence[float],
+    beam: Sequence[float] | np.ndarray,
     value: np.ndarray | None = None,
     label: str = "1",
     seconds: float = 0.0,

@@ -88,9 +88,8 @@ def propose(
     """
     means = means or Means(tools=default_tools(chain))
     rng = np.random.default_rng(seed)
-    sockets = default_sockets(chain) if sockets is None else sockets
     blocks = []
-    for socket in sockets:
+    for socket in default_sockets(chain) if sockets is None else sockets:
         for length, offset in means.tools:
             blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, means, positions, rng)
     if not blocks:
@@ -111,7 +110,7 @@ def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]
     direction = np.asarray(chain.machine.tool.direction)
     side = np.linalg.svd(direction[None])[2][1] * 80.0
     first = max(60.0, chain.machine.tool.length)
-    return ((first, (0.0, 0.0, 0.0)), (first + 120.0, (0.0, 0.0, 0.0)), (first + 50.0, tuple(float(v) for v in side)))
+    return ((first, (0.0, 0.0, 0.0)), (first + 120.0, (0.0, 0.0, 0.0)), (first + 50.0, _triple(side)))
 
 
 def default_sockets(chain: Chain) -> list[np.ndarray]:
@@ -154,7 +153,7 @@ def _blocks(chain, socket, length, offset, means: Means, positions: int, rng) ->
         q = q[positions:]
         name = f"socket {'/'.join(f'{v:.0f}' for v in socket)} tool {length:g}"
         test = o.distance(chain, path, tip, socket, label=name)
-        found.append(Block(tuple(float(v) for v in socket), length, tuple(map(float, offset)), path, test))
+        found.append(Block(_triple(socket), length, _triple(offset), path, test))
     return found
 
 
@@ -263,3 +262,8 @@ def program(plan: Plan) -> str:
             lines += [f"G1 {words} F{plan.means.feed:.0f}", f"G4 P{plan.means.dwell:.1f}"]
         before = b
     return "\n".join([*lines, "M2", "%"]) + "\n"
+
+
+def _triple(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -150,10 +151,10 @@ class PlanarModel:
         gx, gy = np.meshgrid(x, y, indexing="ij")
         return x, y, self.predict(gx.ravel(), gy.ravel()).reshape(nx, ny, 2)
 
-    def components(self, count: int = 65) -> dict[str, tuple[np.ndarray, np.ndarray] | float]:
+    def components(self, count: int = 65) -> dict[str, Any]:
         """The part that one-axis components carry: EXX, EYX over x; EXY, EYY over y (mm, um), and C0Y (urad)."""
         f, box = self.functions, self.functions.box
-        out: dict[str, tuple[np.ndarray, np.ndarray] | float] = {"C0Y": float(self.mean[2])}
+        out: dict[str, Any] = {"C0Y": float(self.mean[2])}
         for axis, travel, own, other in (("X", box.x, f.in_x, f.in_y), ("Y", box.y, f.in_y, f.in_x)):
             p = np.linspace(*travel, count)
             values = f._one(p, travel)
@@ -229,19 +230,20 @@ def fit_plate(
     known = np.full(6, np.nan)
     if len(used) < 2:
         known[3] = 1e-6
-    weight, hyper = np.ones(len(readings)), None
+    weight, hyper = np.ones(len(readings)), np.empty(0)  # no sizes learnt yet
     if robust:
         weight = np.tile(_plausible(x, y, run, used, np.column_stack([ex, ey])), 2)
     sound = weight > 0
     for _ in range(4 if robust else 1):
         moments = evidence.Moments.of(design * weight[:, None], readings * weight)
-        hyper = evidence.learn(spreads, moments, known, hyper)
+        hyper = evidence.learn(spreads, moments, known, hyper if hyper.size else None)
         mean, cov = evidence.solve(spreads, moments, hyper)
         away = np.abs(readings - design @ mean) / hyper[-1]
         weight = sound * np.sqrt(np.minimum(1.0, HUBER / np.maximum(away, 1e-12))) if robust else weight
     p = 3 + len(functions.output)
     labels = recording.run_labels()
-    setup = {labels[r]: tuple(float(v) for v in mean[p + 3 * i : p + 3 * i + 3]) for i, r in enumerate(used)}
+    poses = mean[p : p + 3 * len(used)].reshape(-1, 3)
+    setup = {labels[r]: (float(a), float(b), float(c)) for r, (a, b, c) in zip(used, poses, strict=True)}
     return PlanarModel(
         functions,
         mean[:p],
@@ -260,7 +262,7 @@ def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.n
     fit = np.ones(len(x), dtype=bool) if fit is None else fit
     one, nil = np.ones_like(x), np.zeros_like(x)
     a = np.stack([np.column_stack([one, nil, -y]), np.column_stack([nil, one, x])])
-    pose = np.linalg.lstsq(np.vstack(a[:, fit]), deviation[fit].T.ravel(), rcond=None)[0]
+    pose = np.linalg.lstsq(a[:, fit].reshape(-1, 3), deviation[fit].T.ravel(), rcond=None)[0]
     return deviation - (a @ pose).T
 
 
@@ -340,7 +342,8 @@ def _common(functions: Functions, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _design(functions: Functions, x, y, run, used) -> tuple[np.ndarray, evidence.Spreads]:
     """Common columns, then three set-up columns per run, then (several runs) each run's own map."""
-    common = np.vstack(_common(functions, x, y))
+    common = _common(functions, x, y)
+    common = common.reshape(-1, common.shape[2])
     p = common.shape[1]
     mask = np.column_stack([run == r for r in used])
     dx, dy = (x - functions.box.middle[0]) * 1e-3, (y - functions.box.middle[1]) * 1e-3

@@ -25,6 +25,10 @@ def add(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
     return {key: value for key, value in out.items() if abs(value) > _TINY}
 
 
+def _constant(x: float) -> Polynomial:
+    return {(): x} if x else {}
+
+
 def times(a: Polynomial, b: Polynomial) -> Polynomial:
     """a * b."""
     out: Polynomial = {}
@@ -59,9 +63,9 @@ def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynom
                 place = [
                     add(_scale(arm[(m + 2) % 3], v[(m + 1) % 3]), arm[(m + 1) % 3], -v[(m + 2) % 3]) for m in range(3)
                 ]
-                parts = [_scale(p, k.UM) for p in place] + [{(): x} if x else {} for x in v]
+                parts = [_scale(p, k.UM) for p in place] + [_constant(x) for x in v]
             else:
-                parts = [{(): x} if x else {} for x in v] + [{}, {}, {}]
+                parts = [_constant(x) for x in v] + [{}, {}, {}]
             for block in (0, 3):
                 for m in range(3):
                     for j in range(3):

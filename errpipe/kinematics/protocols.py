@@ -93,8 +93,9 @@ def _beam(run: _Run) -> o.Observations:
 
 def _points(pose: str, scale: bool = False) -> Callable[[_Run], o.Observations]:
     def build(run: _Run) -> o.Observations:
-        values = {d[2]: run.value(d) for d in DIRECTIONS[:3]}
-        directions = "".join(d for d, v in values.items() if v is not None)
+        read = {d[2]: run.value(d) for d in DIRECTIONS[:3]}
+        values = {d: v for d, v in read.items() if v is not None}
+        directions = "".join(values)
         if not directions:
             raise DataError("the recording has no error column of component E_X, E_Y or E_Z")
         value = np.column_stack([values[d] for d in directions])

@@ -31,7 +31,8 @@ def document(found: Identified, obs: Observations, *, extra: bool = True) -> dic
     for c, name in enumerate(chain.components):
         if chain.drives[c] < 0 or name in without:
             continue
-        p = np.linspace(*chain.travel[chain.drives[c]], NODES)
+        low, high = chain.travel[chain.drives[c]]
+        p = np.linspace(low, high, NODES)
         value, error = found.component(name, p)
         curves[name] = {
             "unit": chain.unit(name),

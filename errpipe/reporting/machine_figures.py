@@ -246,7 +246,7 @@ def slices(chain: Chain, panels: Mapping[str, Callable[[np.ndarray], np.ndarray]
     pairs = [(i, j) for n, i in enumerate(linear) for j in linear[n + 1 :]]
     maps = {}
     for i, j in pairs:
-        u, v = (np.linspace(*chain.travel[k], SLICE) for k in (i, j))
+        u, v = (np.linspace(chain.travel[k, 0], chain.travel[k, 1], SLICE) for k in (i, j))
         gu, gv = np.meshgrid(u, v)
         q = np.tile(middle, (gu.size, 1))
         q[:, i], q[:, j] = gu.ravel(), gv.ravel()
@@ -257,16 +257,16 @@ def slices(chain: Chain, panels: Mapping[str, Callable[[np.ndarray], np.ndarray]
     levels = _levels(top)
     with svg.figure(3.3 * len(panels) + 0.8, 2.25 * len(pairs), *shape) as (canvas, found):
         grid = np.reshape(found, shape)
-        for (i, j, name), (u, v, size) in maps.items():
+        for (i, j, name), (u, v, sizes) in maps.items():
             axes = grid[pairs.index((i, j)), list(panels).index(name)]
-            drawn = axes.contourf(u, v, size, levels=levels, cmap="cividis")
-            rms = np.sqrt(np.mean(size**2))
+            drawn = axes.contourf(u, v, sizes, levels=levels, cmap="cividis")
+            rms = np.sqrt(np.mean(sizes**2))
             third = ", ".join(f"{chain.axes[k]} {middle[k]:g}" for k in linear if k not in (i, j))
             axes.set_xlabel(f"{chain.axes[i]} mm, at {third}" if third else f"{chain.axes[i]} mm", fontsize=8)
             axes.set_ylabel(f"{chain.axes[j]} mm", fontsize=8)
             axes.tick_params(labelsize=7)
             axes.grid(visible=False)
-            axes.set_title(f"{name}: {_um(rms)} um rms, {_um(size.max())} largest", fontsize=8)
+            axes.set_title(f"{name}: {_um(rms)} um rms, {_um(sizes.max())} largest", fontsize=8)
         canvas.colorbar(drawn, ax=grid.ravel().tolist(), label="um", shrink=0.6)
         return svg.to_svg(canvas, f"Volumetric error of {chain.machine.name} on its middle planes")
 
@@ -275,7 +275,7 @@ def _levels(top: float) -> np.ndarray:
     """About ten round steps from 0 to where the largest value lies inside."""
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(10).tick_values(0.0, max(top, 1e-6))
+    return np.asarray(MaxNLocator(10).tick_values(0.0, max(top, 1e-6)))
 
 
 def size_of(chain: Chain, errors: MachineErrors, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
@@ -358,9 +358,9 @@ def ballbar(
         heading = {"fontsize": 9, "weight": "bold", "transform": text.transAxes, "va": "top"}
         text.text(0.0, 0.98, title or f"circle of {radius:g} mm", **heading)
         told = [f"{division:g} um per division, radius {radius:g} mm", *lines]
-        step = min(0.08, 0.88 / len(told))
+        spacing = min(0.08, 0.88 / len(told))
         for i, line in enumerate(told):
-            text.text(0.0, 0.9 - step * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
+            text.text(0.0, 0.9 - spacing * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
         return svg.to_svg(canvas, f"Ball-bar plot {title}; largest deviation {top:.1f} um")
 
 

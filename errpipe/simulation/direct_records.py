@@ -4,7 +4,7 @@ errors that such a set-up has. Rotations are whole, the air and the beam are pla
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -92,7 +92,7 @@ def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, sta
         "T_air": warm,
         "p_air": pressure,
     }
-    true = {n: np.asarray(values[n](p) if callable(values[n]) else np.zeros(len(p))) for n in chain.of_axis(axis)}
+    true = {n: _curve_at(values[n], p) for n in chain.of_axis(axis)}
     own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
     if own is not None:
         true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
@@ -102,6 +102,11 @@ def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, sta
         shown = _shown(chain, values, setup, n, axis, p, {k: sense * v for k, v in true.items()}, turns, warm, pressure)
         found[n] = shown + ZERO * rng.normal() + noise * rng.normal(size=len(p))
     return pd.DataFrame(found)
+
+
+def _curve_at(value: Callable[[np.ndarray], np.ndarray] | float, p: np.ndarray) -> np.ndarray:
+    """A component at positions p, shape (rows,); a constant has no curve over its axis."""
+    return np.asarray(value(p)) if callable(value) else np.zeros(len(p))
 
 
 def _sense(chain: Chain, axis: str) -> float:

@@ -29,7 +29,7 @@ def _linear(chain: Chain) -> list[int]:
 def fractions(chain: Chain, *shares: float | np.ndarray) -> np.ndarray:
     """Poses at shares of the travel of the linear axes, (n, axes); arrays make a lattice; rotary in the middle."""
     low, high = chain.travel.T
-    every = [0.5] * len(chain.axes)
+    every: list[float | np.ndarray] = [0.5] * len(chain.axes)
     for i, share in zip(_linear(chain), shares, strict=True):
         every[i] = share
     grids = [lo + np.atleast_1d(s) * (hi - lo) for lo, hi, s in zip(low, high, every, strict=True)]

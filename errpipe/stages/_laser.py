@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
@@ -46,8 +46,10 @@ def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
     return {name: Laser(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for name, b in beams.items()}
 
 
-LASERS = Field({}, description="How the laser stood, by component: dead path, cosine and Abbe's offset are corrected.")
-SQUARES = Field(
+LASERS: Any = Field(
+    {}, description="How the laser stood, by component: dead path, cosine and Abbe's offset are corrected."
+)
+SQUARES: Any = Field(
     {},
     description="Squareness whose two straightness records were made against one square, and what that square itself "
     "would read on a perfect machine.",

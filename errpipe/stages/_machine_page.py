@@ -139,7 +139,7 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
     q = remaining.places(chain, 200)
     if left is not None:
         before, after = left.before(q), left.after(q)
-        sizes = {
+        sizes: dict[str, Any] = {
             n: (lambda p, f=f: np.linalg.norm(f(p), axis=1))
             for n, f in (("before", left.before), ("after", left.after))
         }
@@ -164,6 +164,12 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
     return figures
 
 
+def _with_gaps(values: Any) -> Any:
+    import numpy as np
+
+    return np.array([np.nan if v is None else v for v in values])
+
+
 def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, str]:
     import numpy as np
 
@@ -175,7 +181,7 @@ def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, 
         at = curve["start"] + curve["step"] * np.arange(len(value))
         bands[name] = (at, value - half, value + half)
     measured = {
-        name: tuple(np.array([np.nan if v is None else v for v in r[k]]) for k in ("target", "up", "down"))
+        name: (_with_gaps(r["target"]), _with_gaps(r["up"]), _with_gaps(r["down"]))
         for name, r in solved.document.get("records", {}).items()
     }
     told = "After ISO 230-1: displacements left, angles right; bands are 95 % intervals."
