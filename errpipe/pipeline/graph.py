@@ -16,7 +16,10 @@ Found = list[tuple[tuple[str | int, ...], str]]  # (place below `stages`, what i
 
 
 def link(stages: Sequence[Stage]) -> tuple[Links, Found]:
-    """The links of all stages, and what is wrong with them: names given twice, needs that nobody meets."""
+    """The links of all stages, and what is wrong with them: names given twice, needs that nobody meets, lost outputs.
+
+    An artefact that no stage reads although a later stage takes its type is an error: it would be ignored.
+    """
     links: dict[str, dict[str, tuple[str, ...]]] = {}
     wrong: Found = []
     before: list[Stage] = []
@@ -25,23 +28,23 @@ def link(stages: Sequence[Stage]) -> tuple[Links, Found]:
             hint = "give one of them a name" if stage.name is None else "names must differ"
             wrong.append(((number,), f"a second stage named {stage.label!r} ({hint})"))
         links[stage.label] = {}
-        unknown = [slot for slot in stage.source if slot not in stage.reads]
+        unknown = [slot for slot in stage.source if slot not in stage.takes]
         for slot in unknown:
-            allowed = ", ".join(stage.reads) or "none"
+            allowed = ", ".join(stage.takes) or "none"
             wrong.append(((number, "from", slot), f"{stage.kind} has no such source (allowed: {allowed})."))
-        for slot, need in stage.reads.items():
-            names, problem = _behind(stage, slot, need, before)
+        for slot, need in stage.takes.items():
+            names, problem = _behind(stage, slot, need, before, links)
             links[stage.label][slot] = names
             if problem:
                 wrong.append(((number, "from", slot) if slot in stage.source else (number,), problem))
         before.append(stage)
-    return links, wrong
+    return links, wrong or _unread(stages, links)
 
 
-def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage]) -> tuple[tuple[str, ...], str]:
+def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links: Links) -> tuple[tuple[str, ...], str]:
     """Names of the stages behind one slot, and what is wrong with it ('' if nothing)."""
-    fitting = [other.label for other in before if other.kind in need.kinds]
-    kinds = " or ".join(need.kinds)
+    fitting = [other.label for other in before if need.type in other.gives]
+    wanted = need.type.replace("_", " ")
     if slot in stage.source:
         said = stage.source[slot]
         chosen = (said,) if isinstance(said, str) else said
@@ -49,13 +52,47 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage]) -> tup
             if name not in fitting:
                 allowed = ", ".join(fitting) or "none"
                 near = did_you_mean(name, fitting)
-                return (), f"no earlier stage {name!r} of kind {kinds} (there are: {allowed}).{near}"
+                return (), f"no earlier stage {name!r} gives {_an(wanted)} (there are: {allowed}).{near}"
         if len(chosen) != 1 and not need.every:
             return (), f"names {len(chosen)} stages (one is read)"
         return chosen, ""
     if not fitting and not need.optional:
-        return (), f"{stage.kind} reads a stage of kind {kinds}, and none stands before it"
-    return tuple(fitting if need.every else fitting[-1:]), ""
+        return (), f"{stage.kind} takes {_an(wanted)}, and no stage before it gives one"
+    if not need.every:
+        return tuple(fitting[-1:]), ""
+    replaced = {
+        name
+        for other in before
+        if need.type in other.gives
+        for own, theirs in other.takes.items()
+        if theirs.type == need.type
+        for name in links[other.label][own]
+    }
+    return tuple(name for name in fitting if name not in replaced), ""
+
+
+def _unread(stages: Sequence[Stage], links: Links) -> Found:
+    """Artefacts that no stage reads although a later stage takes one of their type."""
+    wrong: Found = []
+    for number, stage in enumerate(stages):
+        for given in stage.gives:
+            takers = [
+                (other.label, slot)
+                for other in stages[number + 1 :]
+                for slot, n in other.takes.items()
+                if n.type == given
+            ]
+            if takers and not any(stage.label in links[name][slot] for name, slot in takers):
+                told = f"its {given.replace('_', ' ')} is not read, although a later stage takes one"
+                name, slot = takers[0]
+                wrong.append(
+                    ((number,), f"{told} (leave the stage out, or write from: {{{slot}: {stage.label}}} in {name})")
+                )
+    return wrong
+
+
+def _an(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def ancestors(links: Links, names: Sequence[str]) -> set[str]:

@@ -8,13 +8,14 @@ A stage is one pydantic class with a `kind`. The engine knows nothing else of it
         kind: Literal["fit"]
         alpha: float = Field(1.0, gt=0, json_schema_extra={"unit": "um"}, description="...")
         code_version = 2
-        reads = {"recording": Need("clean", "ingest")}
+        takes = {"recording": Need("recording")}
+        gives = ("error_model",)
 
         def outputs(self):
             return ("error_model.json",)
 
         def run(self, context):
-            folder = context.needed("recording")            # the folder of the nearest earlier clean or ingest
+            folder = context.needed("recording")            # of the nearest earlier stage that gives a recording
             context.progress(0.5, "half way")
             context.write_json("error_model.json", {...})   # or any writer, into context.folder
             return {"held_out_rms_um": 1.3}                 # a few numbers for the terminal
@@ -22,6 +23,9 @@ A stage is one pydantic class with a `kind`. The engine knows nothing else of it
 Everything a stage writes into `context.folder` (a scratch folder) is published whole when `run` returns:
 files whose bytes did not change are not touched, files it no longer writes disappear. A stage must
 not write anything with a clock, a host name or a path in it: equal inputs give equal bytes.
+
+Stages are linked by the types of what they take and give, never by another stage's name or kind: a new stage that
+takes a recording and gives one stands between any two others.
 """
 
 from __future__ import annotations
@@ -52,19 +56,15 @@ InputPath = Annotated[Path, AfterValidator(_from_root)]
 
 @dataclass(frozen=True)
 class Need:
-    """Outputs of an earlier stage of one of `kinds`: the nearest one before, or with `every` all of them.
+    """An artefact of a type, from the nearest earlier stage that gives one; with `every`, from all of them.
 
-    Where `optional`, a pipeline without such a stage is fine and the stage is given nothing.
+    `every` leaves out what an earlier stage already turned into another artefact of that type (a recording that was
+    cleaned). Where `optional`, a pipeline without such a stage is fine and the stage is given nothing.
     """
 
-    kinds: tuple[str, ...]
+    type: str
     optional: bool = False
     every: bool = False
-
-    def __init__(self, *kinds: str, optional: bool = False, every: bool = False):
-        object.__setattr__(self, "kinds", kinds)
-        object.__setattr__(self, "optional", optional)
-        object.__setattr__(self, "every", every)
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,14 @@ class Stage(Options):
         None, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="Name of the stage and of its folder; default: its kind."
     )
     source: dict[str, str | tuple[str, ...]] = Field(
-        {}, alias="from", description="Which earlier stages to read, slot: stage name; default: the nearest that fits."
+        {},
+        alias="from",
+        description="Which earlier stages to read, slot: stage name; default: the nearest that gives it.",
     )
 
     code_version: ClassVar[int] = 1  # raise it when the same inputs give other outputs
-    reads: ClassVar[Mapping[str, Need]] = {}  # slot -> what it needs of earlier stages
+    takes: ClassVar[Mapping[str, Need]] = {}  # slot -> the artefact it needs of an earlier stage
+    gives: ClassVar[tuple[str, ...]] = ()  # types of the artefacts in its folder
 
     @property
     def label(self) -> str:

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
 
-FITS = ("fit", "fit_season", "fit_plate", "diagnose", "identify_direct")
-RECORDINGS = ("clean", "ingest", "twin")
-
 
 class Family:
     """One kind of fit, with what it was asked for. judge: fold -> component -> held-out residuals."""

@@ -19,7 +19,8 @@ class Clean(Stage):
 
     kind: Literal["clean"]
     rules: tuple[AnyRule, ...] = Field(DEFAULT, description="Rules in their order; default: the usual ones.")
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("ingest")}
+    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
+    gives: ClassVar[tuple[str, ...]] = ("recording", "cleaning")
 
     def outputs(self) -> tuple[str, ...]:
         return ("recording.yaml", "recording.parquet", "cleaning.json")

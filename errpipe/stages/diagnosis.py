@@ -24,10 +24,11 @@ class Diagnose(Stage):
 
     kind: Literal["diagnose"]
     accept: Accept = Field(Accept(), description="Which findings become terms of the error model.")
-    reads: ClassVar[Mapping[str, Need]] = {
-        "recording": Need("twin", "clean", "ingest"),
-        "fit": Need("fit", "fit_season", "fit_plate", optional=True),
+    takes: ClassVar[Mapping[str, Need]] = {
+        "recording": Need("recording"),
+        "error_model": Need("error_model", optional=True),
     }
+    gives: ClassVar[tuple[str, ...]] = ("error_model", "diagnosis")
 
     def outputs(self) -> tuple[str, ...]:
         return ("diagnosis.json", "report.html", _artefacts.MODEL, "fit.json", "acceptance.json")
@@ -43,7 +44,7 @@ class Diagnose(Stage):
         found = Diagnosis.model_validate(jsonfile.read(context.folder / "diagnosis.json"))
         recording = _artefacts.recording_in(folder)
         context.progress(0.9, "fitting what was accepted")
-        family, existing = _before(context.maybe("fit"))
+        family, existing = _before(context.maybe("error_model"))
         decisions = _acceptance.decide(found, recording, self.accept, whole=existing is not None)
         if family in ("terms", ""):
             model, spec, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
@@ -60,7 +61,7 @@ class Diagnose(Stage):
         else:
             decisions = [d.refused(OTHER_FAMILY.format(family)) for d in decisions]
             for name in (_artefacts.MODEL, "fit.json"):
-                shutil.copyfile(context.needed("fit") / name, context.folder / name)
+                shutil.copyfile(context.needed("error_model") / name, context.folder / name)
         document = {
             "acceptance": 1,
             "accepted": [d.plain() for d in decisions if d.accepted],

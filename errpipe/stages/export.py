@@ -10,7 +10,6 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._families import FITS, RECORDINGS
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -49,18 +48,19 @@ class Export(Stage):
     gate: Literal["better-than-nothing", "none"] = Field(
         "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."
     )
-    reads: ClassVar[Mapping[str, Need]] = {
-        "recording": Need(*RECORDINGS),
-        "fit": Need(*FITS),
-        "validate": Need("validate", optional=True),
+    takes: ClassVar[Mapping[str, Need]] = {
+        "recording": Need("recording"),
+        "error_model": Need("error_model"),
+        "validation": Need("validation", optional=True),
     }
+    gives: ClassVar[tuple[str, ...]] = ("table",)
 
     def outputs(self) -> tuple[str, ...]:
         return (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        model = _artefacts.read_model(context.needed("fit") / _artefacts.MODEL)
-        validation = context.maybe("validate")
+        model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
+        validation = context.maybe("validation")
         left_out: list[str] = []
         if self.gate != "none" and validation is not None:
             model, left_out = better_than_nothing(model, validation / "validation.json")

@@ -35,7 +35,8 @@ class ExportVolumetric(Stage):
     )
     lattice_tool: float = Field(100.0, ge=0, description="Length of that tool.", json_schema_extra={"unit": "mm"})
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
-    reads: ClassVar[Mapping[str, Need]] = {"identify": Need("identify", "identify_direct")}
+    takes: ClassVar[Mapping[str, Need]] = {"identified_machine": Need("identified_machine")}
+    gives: ClassVar[tuple[str, ...]] = ("table",)
 
     def outputs(self) -> tuple[str, ...]:
         return (_artefacts.TABLE, _artefacts.TWIN, "export.json")
@@ -48,7 +49,7 @@ class ExportVolumetric(Stage):
         from errpipe.stages.targets import checksums, write_targets
         from errpipe.tables import ect
 
-        folder = context.needed("identify")
+        folder = context.needed("identified_machine")
         chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
         document = jsonfile.read(folder / IDENTIFICATION)
         errors = summary.errors(chain, document)

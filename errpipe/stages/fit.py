@@ -14,7 +14,8 @@ class Fit(ModelSpec, Stage):
     """Fit the terms of every component on all rows of the recording; refuse what the rows cannot tell apart."""
 
     kind: Literal["fit"]
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest")}
+    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
+    gives: ClassVar[tuple[str, ...]] = ("error_model",)
 
     def outputs(self) -> tuple[str, ...]:
         return (_artefacts.MODEL, "fit.json")

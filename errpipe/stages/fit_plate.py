@@ -29,7 +29,8 @@ class FitPlate(Stage):
     measured_twice: tuple[str, str] | None = Field(
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
     )
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest")}
+    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
+    gives: ClassVar[tuple[str, ...]] = ("error_model",)
     code_version: ClassVar[int] = 2
 
     def outputs(self) -> tuple[str, ...]:

@@ -18,7 +18,8 @@ class FitSeason(Stage):
     kind: Literal["fit_season"]
     component: str = Field(description="Response of the recording, such as E_D or E_Z.")
     options: SeasonOptions = Field(SeasonOptions(), description="How it is fitted; the defaults are the tested ones.")
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest")}
+    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
+    gives: ClassVar[tuple[str, ...]] = ("error_model",)
 
     def outputs(self) -> tuple[str, ...]:
         return (_artefacts.MODEL, "fit.json", "season.json")

@@ -28,10 +28,11 @@ class Identify(Stage):
     without: tuple[str, ...] = Field((), description="Components taken to be nothing, such as spindle growth.")
     lasers: dict[str, Beam] = LASERS
     squares: dict[str, float] = SQUARES
-    reads: ClassVar[Mapping[str, Need]] = {
-        "recordings": Need("ingest", "clean", every=True),
-        "simulated": Need("simulate_test", optional=True, every=True),
+    takes: ClassVar[Mapping[str, Need]] = {
+        "recordings": Need("recording", every=True),
+        "simulated": Need("simulated_truth", optional=True, every=True),
     }
+    gives: ClassVar[tuple[str, ...]] = ("identified_machine",)
     code_version: ClassVar[int] = 2
 
     def outputs(self) -> tuple[str, ...]:

@@ -21,7 +21,8 @@ class IdentifyDirect(Identify):
 
     kind: Literal["identify_direct"]
     modes: int = Field(20, ge=2, le=40, description="Waves per error motion; they are shrunk to what the data say.")
-    reads: ClassVar[Mapping[str, Need]] = Identify.reads
+    takes: ClassVar[Mapping[str, Need]] = Identify.takes
+    gives: ClassVar[tuple[str, ...]] = ("identified_machine", "error_model")
 
     def outputs(self) -> tuple[str, ...]:
         return (*super().outputs(), _artefacts.MODEL, "fit.json")

@@ -22,7 +22,8 @@ class Ingest(Stage):
         {}, description="What the format itself asks for.", json_schema_extra={"unit": "of each"}
     )
 
-    reads: ClassVar[Mapping[str, Need]] = {"simulated": Need("simulate", "simulate_test", optional=True)}
+    takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
+    gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")
 
     def outputs(self) -> tuple[str, ...]:
         return ("recording.yaml", "recording.parquet", "ingest.json")

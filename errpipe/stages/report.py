@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Literal
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._families import FITS
 from errpipe.stages.validate import HELD_OUT
 
 ISO230_2 = {
@@ -25,13 +24,15 @@ class Report(Stage):
     """Write the report, one self-contained HTML file."""
 
     kind: Literal["report"]
-    reads: ClassVar[Mapping[str, Need]] = {
-        "ingest": Need("ingest"),
-        "clean": Need("clean", optional=True),
-        "fit": Need(*FITS),
-        "validate": Need("validate"),
-        "export": Need("export", optional=True),
+    takes: ClassVar[Mapping[str, Need]] = {
+        "recording": Need("recording"),
+        "ingestions": Need("ingestion", every=True),
+        "cleanings": Need("cleaning", optional=True, every=True),
+        "error_model": Need("error_model"),
+        "validation": Need("validation"),
+        "tables": Need("table", optional=True, every=True),
     }
+    gives: ClassVar[tuple[str, ...]] = ("report",)
 
     def outputs(self) -> tuple[str, ...]:
         return ("report.html",)
@@ -40,28 +41,30 @@ class Report(Stage):
         from errpipe import __version__, jsonfile
         from errpipe.reporting.run_report import RunReport, render
 
-        facts = jsonfile.read(context.needed("ingest") / "ingest.json")
-        validation = jsonfile.read(context.needed("validate") / "validation.json")
-        recording = _artefacts.recording_in(context.maybe("clean") or context.needed("ingest"))
-        model = _artefacts.read_model(context.needed("fit") / _artefacts.MODEL)
+        *_, ingestion = context.every("ingestions").values()
+        facts = jsonfile.read(ingestion / "ingest.json")
+        validation = jsonfile.read(context.needed("validation") / "validation.json")
+        recording = _artefacts.recording_in(context.needed("recording"))
+        exported = {name: jsonfile.read(f / "export.json") for name, f in context.every("tables").items()}
+        model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
         page = RunReport(
             title=context.title or facts["title"],
             machine=facts["machine"],
             version=__version__,
             fingerprint=context.fingerprint[:16],
             sources=_sources(facts, recording, validation),
-            removed=_removed(context.maybe("clean")),
-            responses=_responses(recording, model, validation, context.needed("validate") / HELD_OUT),
+            removed=[row for folder in context.every("cleanings").values() for row in _removed(folder)],
+            responses=_responses(recording, model, validation, context.needed("validation") / HELD_OUT),
             validity=_validity(model),
-            exported=_exported(context.maybe("export")),
+            exported=_exported(exported),
             iso230=_iso230(validation),
             tables=[
-                *_causes(context.needed("fit") / "season.json"),
-                *_plate(context.needed("fit") / "plate.json", validation),
+                *_causes(context.needed("error_model") / "season.json"),
+                *_plate(context.needed("error_model") / "plate.json", validation),
                 *_seasons(validation),
             ],
-            notes=_left_out(context.maybe("export")),
-            next_step=_next_step(context.maybe("export")),
+            notes=_left_out(exported),
+            next_step=_next_step(exported),
         )
         context.write_text("report.html", render(page))
         return {"report": "report.html"}
@@ -83,11 +86,9 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
     return rows
 
 
-def _removed(folder: Path | None) -> list[dict[str, Any]]:
+def _removed(folder: Path) -> list[dict[str, Any]]:
     from errpipe import jsonfile
 
-    if folder is None:
-        return []
     return [
         {"rule": rule["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
         for rule in jsonfile.read(folder / "cleaning.json")["rules"]
@@ -197,16 +198,17 @@ def _outside(model: Any, name: str) -> str:
     return "held at the end" if margin is None else f"fades to nothing over {margin:.3g}"
 
 
-def _exported(folder: Path | None) -> list[dict[str, Any]]:
-    from errpipe import jsonfile
+def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Files of every table; with their stage's name before them where there are several stages."""
+    if len(exported) < 2:
+        return [row for document in exported.values() for row in document["files"]]
+    return [
+        {**row, "file": f"{stage}/{row['file']}"} for stage, document in exported.items() for row in document["files"]
+    ]
 
-    return jsonfile.read(folder / "export.json")["files"] if folder is not None else []
 
-
-def _left_out(folder: Path | None) -> list[str]:
-    from errpipe import jsonfile
-
-    names = jsonfile.read(folder / "export.json")["left_out"] if folder is not None else []
+def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    names = [name for document in exported.values() for name in document["left_out"]]
     return [f"{name} was left out of the table: on held-out rows it was not better than nothing." for name in names]
 
 
@@ -307,7 +309,7 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     return out
 
 
-def _next_step(export: Path | None) -> str:
-    if export is None:
+def _next_step(exported: Mapping[str, Any]) -> str:
+    if not exported:
         return "add an export stage to compile this model into a table that a controller runs."
     return "errpipe whatis on the exported table.ect says what a cycle costs; errpipe verify re-reads every file."

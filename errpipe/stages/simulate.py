@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -18,6 +18,8 @@ class Simulate(Stage):
         "ball-screw-axis", description="What is simulated: an axis over nine thermal states, or a warming spindle."
     )
     seed: int = Field(1, ge=0, description="Seed of the noise and of the room's weather.")
+
+    gives: ClassVar[tuple[str, ...]] = ("raw_recording",)
 
     def outputs(self) -> tuple[str, ...]:
         return ("recording.yaml", "recording.csv")

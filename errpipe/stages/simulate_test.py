@@ -44,6 +44,7 @@ class SimulateTest(Stage):
     seed: int = Field(1, ge=0, description="Seed of the machine's errors and of the noise.")
     lasers: dict[str, Beam] = LASERS
     squares: dict[str, float] = SQUARES
+    gives: ClassVar[tuple[str, ...]] = ("raw_recording", "simulated_truth")
     code_version: ClassVar[int] = 2
 
     def outputs(self) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from pydantic import Field
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
 from errpipe.simulation.external import AnySource
 from errpipe.stages import _artefacts
-from errpipe.stages._families import FITS
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -22,7 +21,11 @@ class SimulateWith(Stage):
     kind: Literal["twin"]
     by: AnySource = Field(description="What simulates.")
     file: InputPath | None = Field(None, description="The CSV, the FMU or the error model.")
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need("clean", "ingest"), "fit": Need(*FITS, optional=True)}
+    takes: ClassVar[Mapping[str, Need]] = {
+        "recording": Need("recording"),
+        "error_model": Need("error_model", optional=True),
+    }
+    gives: ClassVar[tuple[str, ...]] = ("recording",)
 
     def outputs(self) -> tuple[str, ...]:
         return ("recording.yaml", "recording.parquet", "twin.json")
@@ -45,5 +48,5 @@ class SimulateWith(Stage):
             return None
         if self.file is not None:
             return _artefacts.read_model(self.file)
-        folder = context.maybe("fit")
+        folder = context.maybe("error_model")
         return _artefacts.read_model(folder / _artefacts.MODEL) if folder is not None else None

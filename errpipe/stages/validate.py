@@ -11,7 +11,6 @@ from pydantic import Field
 from errpipe.fitting.holdout import HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._families import FITS, RECORDINGS
 
 HELD_OUT = "held_out.parquet"
 
@@ -22,14 +21,15 @@ class Validate(Stage):
     kind: Literal["validate"]
     holdout: HoldOut | None = Field(None, description="Who sits out; default: as the fit says.")
     iso230_2: bool = Field(False, description="Add the figures of ISO 230-2 (bidirectional positioning tests).")
-    reads: ClassVar[Mapping[str, Need]] = {"recording": Need(*RECORDINGS), "fit": Need(*FITS)}
+    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording"), "error_model": Need("error_model")}
+    gives: ClassVar[tuple[str, ...]] = ("validation",)
 
     def outputs(self) -> tuple[str, ...]:
         return ("validation.json", HELD_OUT)
 
     def run(self, context: Context) -> Mapping[str, Any]:
         recording = _artefacts.recording_in(context.needed("recording"))
-        document, rows = judged(recording, context.needed("fit"), self.holdout, context.progress)
+        document, rows = judged(recording, context.needed("error_model"), self.holdout, context.progress)
         if self.iso230_2:
             from errpipe.validation import iso230_2
 

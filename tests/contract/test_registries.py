@@ -60,14 +60,17 @@ def test_a_registry_is_a_tuple_without_doubles(package: str) -> None:
     assert isinstance(registered, tuple) and len(set(map(id, registered))) == len(registered) > 0
 
 
-def test_every_stage_has_its_own_kind_and_reads_kinds_that_exist() -> None:
+def test_every_stage_has_its_own_kind_and_takes_what_some_stage_gives() -> None:
     from errpipe.stages import STAGES
 
     kinds = [stage.model_fields["kind"].annotation.__args__[0] for stage in STAGES]
     assert len(set(kinds)) == len(kinds)
+    given = {artefact for stage in STAGES for artefact in stage.gives}
     for stage in STAGES:
-        for slot, need in stage.reads.items():
-            assert set(need.kinds) <= set(kinds), f"{stage.__name__} reads {slot} of a kind that no stage has"
+        assert stage.gives, f"{stage.__name__} does not say what it gives"
+        for slot, need in stage.takes.items():
+            assert need.type in given, f"{stage.__name__} takes {slot} of a type that no stage gives"
+            assert not set(kinds) & {need.type}, f"{stage.__name__}: {slot} names a kind of stage, not a type"
 
 
 def test_every_verb_is_a_file_and_every_file_a_verb() -> None:

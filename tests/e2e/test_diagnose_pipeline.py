@@ -163,7 +163,7 @@ def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was
     (tmp_path / "season/fit.json").write_text('{"family": "season"}')
     (tmp_path / "season/error_model.json").write_text("{}")
     (tmp_path / "out").mkdir()
-    folders = {"recording": {"in": tmp_path / "in"}, "fit": {"season": tmp_path / "season"}}
+    folders = {"recording": {"in": tmp_path / "in"}, "error_model": {"season": tmp_path / "season"}}
     Diagnose(kind="diagnose").run(Context(tmp_path / "out", stages=folders))
     told = read(tmp_path / "out/acceptance.json")
     assert told["accepted"] == [] and "season model" in told["refused"][0]["reason"]

@@ -18,6 +18,7 @@ class Take(Stage):
 
     kind: Literal["take"]
     files: InputPath = Field(description="A file or a folder.")
+    gives: ClassVar[tuple[str, ...]] = ("lines",)
 
     def outputs(self) -> Sequence[str]:
         return ("lines.txt",)
@@ -37,7 +38,8 @@ class Scale(Stage):
     parts: int = Field(1, ge=0, json_schema_extra={"unit": "1"}, description="Number of files.")
     pause: float = Field(0.0, ge=0, json_schema_extra={"unit": "s"}, description="Wait before every file.")
     fails: bool = Field(False, description="Fail after the first file.")
-    reads: ClassVar[Mapping[str, Need]] = {"lines": Need("take")}
+    takes: ClassVar[Mapping[str, Need]] = {"lines": Need("lines")}
+    gives: ClassVar[tuple[str, ...]] = ("parts",)
 
     def run(self, context: Context) -> Mapping[str, Any]:
         numbers = [float(line) for line in (context.needed("lines") / "lines.txt").read_text().split()]
@@ -54,11 +56,12 @@ class Sum(Stage):
     """Add up what every scale stage wrote."""
 
     kind: Literal["sum"]
-    reads: ClassVar[Mapping[str, Need]] = {
-        "parts": Need("scale", every=True),
-        "lines": Need("take", optional=True),
+    takes: ClassVar[Mapping[str, Need]] = {
+        "parts": Need("parts", every=True),
+        "lines": Need("lines", optional=True),
         "other": Need("sum", optional=True),
     }
+    gives: ClassVar[tuple[str, ...]] = ("sum",)
 
     def outputs(self) -> Sequence[str]:
         return ("sum.json",)

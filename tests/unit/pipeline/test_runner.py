@@ -63,8 +63,8 @@ def test_a_summary_is_there_also_when_nothing_runs(where: Path) -> None:
         (["thirds.parts=1"], {"thirds": ["params.parts 2 -> 1"], "sum": ["input thirds/parts/1.json is gone"]}),
         (["scale.pause=0.001"], {"scale": ["params.pause 0.0 -> 0.001"]}),  # same bytes out: sum need not run
         (
-            ["sum.from={parts: [thirds]}"],
-            {"sum": ['from.parts ["scale","thirds"] -> ["thirds"]', "input scale/parts/0.json is gone"]},
+            ["sum.from={parts: [thirds, scale]}"],
+            {"sum": ["from.parts[0] scale -> thirds", "from.parts[1] thirds -> scale"]},
         ),
     ],
 )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import pytest
 
 from errpipe.errors import ConfigError, UsageError
 from errpipe.pipeline.spec import load_pipeline, missing_inputs
-from tests.unit.pipeline.stages_for_tests import STAGES, Take, lay_out
+from errpipe.pipeline.stage import Need
+from tests.unit.pipeline.stages_for_tests import STAGES, Scale, Take, lay_out
 
 
 def refusal(tmp_path: Path, stages: str, sets: list[str] | None = None) -> list[str]:
@@ -92,9 +95,10 @@ def test_links_that_cannot_be_made(tmp_path: Path) -> None:
   - {kind: scale, name: b, from: {lines: [take, take]}}
 """
     assert refusal(tmp_path, stages) == [
-        "p.yaml:3:5  stages[0]: scale reads a stage of kind take, and none stands before it",
+        "p.yaml:3:5  stages[0]: scale takes a lines, and no stage before it gives one",
         "p.yaml:5:5  stages[2]: a second stage named 'scale' (give one of them a name)",
-        "p.yaml:6:42  stages[3].from.lines: no earlier stage 'taek' of kind take (there are: take). Did you mean take?",
+        "p.yaml:6:42  stages[3].from.lines: no earlier stage 'taek' gives a lines (there are: take)."
+        " Did you mean take?",
         "p.yaml:6:54  stages[3].from.line: scale has no such source (allowed: lines).",
         "p.yaml:7:42  stages[4].from.lines: names 2 stages (one is read)",
     ]
@@ -116,3 +120,29 @@ def test_inputs_that_are_not_there_are_pointed_at(tmp_path: Path) -> None:
 def test_a_registry_of_one_stage_works(tmp_path: Path) -> None:
     path = lay_out(tmp_path, "pipeline: 1\nstages: [{kind: take, files: data}]\n")
     assert load_pipeline(path, (Take,)).stage("take").kind == "take"
+
+
+def test_every_leaves_out_what_was_turned_into_another_one(tmp_path: Path) -> None:
+    class Sort(Scale):
+        """Parts in, parts out."""
+
+        kind: Literal["sort"]
+        takes: ClassVar[Mapping[str, Need]] = {"parts": Need("parts")}
+
+    lay_out(
+        tmp_path,
+        "pipeline: 1\nstages:\n  - {kind: take, files: data}\n  - {kind: scale}\n  - {kind: scale, name: other}\n"
+        "  - {kind: sort, from: {parts: scale}}\n  - {kind: sum}\n",
+    )
+    links = load_pipeline(tmp_path / "p.yaml", (*STAGES, Sort)).links
+    assert links["sum"]["parts"] == ("other", "sort")
+
+
+def test_an_output_that_nothing_reads_is_refused(tmp_path: Path) -> None:
+    stages = "  - {kind: take, files: data}\n  - {kind: take, name: lost, files: data/a.txt}\n"
+    assert refusal(tmp_path, stages + "  - {kind: scale, from: {lines: take}}\n") == [
+        "p.yaml:4:5  stages[1]: its lines is not read, although a later stage takes one "
+        "(leave the stage out, or write from: {lines: lost} in scale)"
+    ]
+    lay_out(tmp_path, f"pipeline: 1\nstages:\n{stages}  - {{kind: scale, from: {{lines: take}}}}\n  - {{kind: sum}}\n")
+    load_pipeline(tmp_path / "p.yaml", STAGES)  # the sum reads it
