@@ -17,6 +17,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from errpipe.domain import operations
+from errpipe.domain.operations import LARGEST_NUMBER, Number, Positive
 from errpipe.domain.recording import Frozen
 
 MAX_INPUTS = 64
@@ -32,7 +34,6 @@ MAX_MONOMIALS = 4096
 MAX_FACTORS = 4
 LARGEST_VALUE = (1 << 30) - 1  # of a profile, so that the difference of two values fits 32 bits
 LARGEST_RESULT = 1e30  # a node or deviation beyond it, or not a number, counts as 0 and raises `not_finite`
-LARGEST_NUMBER = 1e15  # of any parameter: keeps a single-precision controller away from overflow
 
 # Bits of the status word, lowest first.
 STATUS = (
@@ -81,8 +82,6 @@ def text(longest: int) -> AfterValidator:
 
 
 Name = Annotated[str, Field(min_length=1), text(31)]
-Number = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
-Positive = Annotated[float, Field(gt=1e-15, le=LARGEST_NUMBER)]
 Index = Annotated[int, Field(ge=0)]
 
 
@@ -172,10 +171,8 @@ class Node(Part):
     operands: ClassVar[tuple[int, int]] = (1, 1)  # fewest and most operands
 
 
-class ConstantNode(Node):
+class ConstantNode(operations.Constant, Node):
     operands: ClassVar = (0, 0)
-    op: Literal["constant"] = "constant"
-    value: Number = Field(description="The value.", json_schema_extra={"unit": "of the result"})
 
 
 class InputNode(Node):
@@ -184,80 +181,48 @@ class InputNode(Node):
     input: Name = Field(description="Name of the input.")
 
 
-class AffineNode(Node):
+class AffineNode(operations.Affine, Node):
     operands: ClassVar = (1, 64)
-    op: Literal["affine"] = "affine"
-    offset: Number = Field(0.0, description="What is added to the sum.", json_schema_extra={"unit": "of the result"})
-    weights: tuple[Number, ...] = Field(
-        description="What each operand is multiplied by.", json_schema_extra={"unit": "of the result per operand"}
-    )
 
 
-class FirstNode(Node):
-    op: Literal["first"] = "first"
+class FirstNode(operations.First, Node):
+    operands: ClassVar = (1, 1)
 
 
-class LagNode(Node):
-    op: Literal["lag"] = "lag"
-    tau_up: Positive = Field(description="Time constant while the operand is above.", json_schema_extra={"unit": "s"})
-    tau_down: Positive = Field(description="Time constant while the operand is below.", json_schema_extra={"unit": "s"})
-    start: Literal["input", "zero"] = Field("input", description="Value at the start: the operand's, or zero.")
+class LagNode(operations.Lag, Node):
+    operands: ClassVar = (1, 1)
 
 
-class ProductNode(Node):
+class ProductNode(operations.Product, Node):
     operands: ClassVar = (1, 16)
-    op: Literal["product"] = "product"
 
 
-class PowerNode(Node):
-    op: Literal["power"] = "power"
-    exponent: Annotated[float, Field(gt=0, le=16)] = Field(
-        description="sign(u) |u|^exponent.", json_schema_extra={"unit": "1"}
-    )
+class PowerNode(operations.Power, Node):
+    operands: ClassVar = (1, 1)
 
 
-class ClipNode(Node):
-    op: Literal["clip"] = "clip"
-    low: Number = Field(description="Lowest value let through.", json_schema_extra={"unit": "of the operand"})
-    high: Number = Field(description="Highest value let through.", json_schema_extra={"unit": "of the operand"})
+class ClipNode(operations.Clip, Node):
+    operands: ClassVar = (1, 1)
 
 
-class SwitchNode(Node):
-    op: Literal["switch"] = "switch"
-    on: Number = Field(description="1 from here up.", json_schema_extra={"unit": "of the operand"})
-    off: Number = Field(
-        description="0 from here down; between the two it stays.", json_schema_extra={"unit": "of the operand"}
-    )
+class SwitchNode(operations.Switch, Node):
+    operands: ClassVar = (1, 1)
 
 
-class DirectionNode(Node):
+class DirectionNode(operations.Direction, Node):
     """Operands: the position, and where there is one the input that knows the direction (sign, 0 unknown)."""
 
     operands: ClassVar = (1, 2)
-    op: Literal["direction"] = "direction"
-    threshold: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] = Field(
-        description="Travel against the direction after which it turns.", json_schema_extra={"unit": "of the position"}
-    )
-    start: Literal[-1, 1] = Field(1, description="Direction before the first travel.")
 
 
-class ApproachNode(Node):
+class ApproachNode(operations.Approach, Node):
     """Operands: the position and its direction."""
 
     operands: ClassVar = (2, 2)
-    op: Literal["approach"] = "approach"
-    length: Positive = Field(
-        description="Travel after a reversal in which 63 % builds up.", json_schema_extra={"unit": "of the position"}
-    )
 
 
-class LookupNode(Node):
-    op: Literal["lookup"] = "lookup"
-    start: Number = Field(description="Operand at the first value.", json_schema_extra={"unit": "of the operand"})
-    step: Positive = Field(description="Distance between two values.", json_schema_extra={"unit": "of the operand"})
-    values: tuple[Number, ...] = Field(
-        min_length=2, description="Values, held beyond both ends.", json_schema_extra={"unit": "of the result"}
-    )
+class LookupNode(operations.Lookup, Node):
+    operands: ClassVar = (1, 1)
 
 
 AnyNode = Annotated[

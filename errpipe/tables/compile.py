@@ -7,7 +7,7 @@ component, axis and driver are added into one profile (a periodic one only to an
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,13 +15,11 @@ from errpipe.domain import components as iso
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.lowering import Nodes
 from errpipe.errors import GateError
 from errpipe.tables import bounds
 from errpipe.tables.gridding import grid, interpolation_error, quantise
 
-# A lag this many thermal cycles long runs in thermal cycles: a single-precision controller would lose it in a
-# position cycle, where it moves by less than a rounding.
-SLOW_LAG_CYCLES = 20.0
 # Up to this many intervals all profiles of an axis take the finest grid among them: 2 KB each buys one place on
 # the grid for all of them (half the cycle of a machine of 21 components).
 COMMON_GRID_INTERVALS = 512
@@ -66,111 +64,6 @@ class Limits:
     acceleration: float | None = None
 
 
-@dataclass
-class _Nodes:
-    """Nodes under construction, each structure once."""
-
-    inputs: dict[str, t.TableInput]
-    thermal_cycle_s: float
-    nodes: list[t.Node] = field(default_factory=list)
-    numbers: dict[t.Node, int] = field(default_factory=dict)
-    seen: dict[tuple[int, bool], tuple[d.Driver, int]] = field(default_factory=dict)
-
-    def add(self, node: t.Node) -> int:
-        """Number of a node, new or known."""
-        if node not in self.numbers:
-            self.numbers[node] = len(self.nodes)
-            self.nodes.append(node)
-        return self.numbers[node]
-
-    def read(self, name: str, slow: bool) -> int:
-        """The node of an input. Raises GateError for an input that nobody described."""
-        if name not in self.inputs:
-            raise GateError(f"a driver reads {name!r}, which is not an input of the table ({', '.join(self.inputs)})")
-        return self.add(t.InputNode(input=name, slow=slow or not self.inputs[name].fast))
-
-    def position(self, axis: str) -> t.TableInput:
-        """The input that holds the position of an axis. Raises GateError where there is none."""
-        return position_input(tuple(self.inputs.values()), axis)
-
-    def compile(self, driver: d.Driver, slow: bool = False) -> int:
-        """Number of the node that computes a driver; slow: everything below it is only needed in thermal cycles.
-
-        A driver that is met again, as parts shared by many drivers are, is not walked again.
-        """
-        key = (id(driver), slow)
-        if key not in self.seen:
-            self.seen[key] = (driver, self._walk(driver, slow))
-        return self.seen[key][1]
-
-    def _walk(self, driver: d.Driver, slow: bool) -> int:
-        match driver:
-            case d.Constant():
-                return self.add(t.ConstantNode(value=driver.value, slow=True))
-            case d.Input():
-                return self.read(driver.name, slow)
-            case d.Direction():
-                return self.direction(driver.axis, driver.threshold, driver.start)
-            case d.Approach():
-                side = self.direction(driver.axis, driver.threshold, driver.start)
-                place = self.read(self.position(driver.axis).name, False)
-                return self.add(t.ApproachNode(of=(place, side), length=driver.length))
-            case d.Lag():
-                slow = slow or min(driver.tau_up, driver.tau_down) >= SLOW_LAG_CYCLES * self.thermal_cycle_s
-        children = driver.of if isinstance(driver.of, tuple) else (driver.of,)
-        of = tuple(self.compile(child, slow) for child in children)
-        if len(of) == 1 and (isinstance(driver, d.Product) or driver == d.Affine(weights=(1.0,), of=(children[0],))):
-            return of[0]
-        return self.add(_node(driver, of, slow or all(self.nodes[o].slow for o in of)))
-
-    def direction(self, axis: str, threshold: float, start: int) -> int:
-        """The node of an axis' direction of travel; an input that knows it goes first."""
-        of = [self.read(self.position(axis).name, False)]
-        for kind in ("direction", "velocity"):
-            known = [i.name for i in self.inputs.values() if i.kind == kind and i.axis == axis]
-            if known:
-                of.append(self.read(known[0], False))
-                break
-        return self.add(t.DirectionNode(of=tuple(of), threshold=threshold, start=start))
-
-    def reads(self, number: int) -> set[str]:
-        """Names of the inputs below a node."""
-        below = {number}
-        for n in range(number, -1, -1):  # operands come before their node: each is met once
-            if n in below:
-                below.update(self.nodes[n].of)
-        return {node.input for node in (self.nodes[n] for n in below) if isinstance(node, t.InputNode)}
-
-
-def _node(driver: d.Driver, of: tuple[int, ...], slow: bool) -> t.Node:
-    match driver:
-        case d.Affine():
-            return t.AffineNode(of=of, slow=slow, offset=driver.offset, weights=driver.weights)
-        case d.First():
-            return t.FirstNode(of=of, slow=slow)
-        case d.Lag():
-            return t.LagNode(of=of, slow=slow, tau_up=driver.tau_up, tau_down=driver.tau_down, start=driver.start)
-        case d.Product():
-            return t.ProductNode(of=of, slow=slow)
-        case d.Power():
-            return t.PowerNode(of=of, slow=slow, exponent=driver.exponent)
-        case d.Clip():
-            return t.ClipNode(of=of, slow=slow, low=driver.low, high=driver.high)
-        case d.Switch():
-            return t.SwitchNode(of=of, slow=slow, on=driver.on, off=driver.off)
-        case d.Lookup():
-            return t.LookupNode(of=of, slow=slow, start=driver.start, step=driver.step, values=driver.values)
-    raise TypeError(f"unknown driver {driver!r}")
-
-
-def position_input(inputs: Sequence[t.TableInput], axis: str) -> t.TableInput:
-    """The input that holds the position of an axis. Raises GateError where there is none."""
-    for channel in inputs:
-        if channel.kind == "position" and channel.axis == axis:
-            return channel
-    raise GateError(f"no input holds the position of axis {axis}")
-
-
 def compile_table(
     components: Sequence[ComponentSource],
     *,
@@ -197,7 +90,7 @@ def compile_table(
     its driver's largest value, um or urad. Raises GateError where a component cannot be compiled.
     """
     slow_every = max(1, round(thermal_cycle_s / position_cycle_s))
-    build = _Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
+    build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
     groups = [_groups(build, c) for c in components]
     monomials = [_monomials(build, o) for o in (_plain_outputs(components) if outputs is None else outputs)]
     spans = bounds.node_spans(build.nodes, inputs)
@@ -241,7 +134,7 @@ class _Group:
     period: float | None
     curves: list[Callable[[np.ndarray], np.ndarray] | None]
 
-    def keeps(self, build: _Nodes) -> bool:
+    def keeps(self, build: Nodes) -> bool:
         """Whether no validity box speaks about its driver."""
         return all(build.inputs[name].valid is None for name in build.reads(self.driver))
 
@@ -252,7 +145,7 @@ class _Group:
         return total
 
     def profile(
-        self, build: _Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
+        self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
     ) -> t.Profile:
         if self.axis is None:
             return _constant(float(self.curve(np.zeros(1))[0]))
@@ -274,7 +167,7 @@ class _Group:
         return t.Profile.model_validate(made.model_dump() | {"input": channel.name})
 
 
-def _groups(build: _Nodes, component: ComponentSource) -> list[_Group]:
+def _groups(build: Nodes, component: ComponentSource) -> list[_Group]:
     found: dict[tuple, _Group] = {}
     for pair in component.pairs or (Lowered(d.Constant(value=0.0)),):
         driver = build.compile(pair.driver)
@@ -338,7 +231,7 @@ def _plain_outputs(components: Sequence[ComponentSource]) -> list[OutputSource]:
     return out
 
 
-def _monomials(build: _Nodes, output: OutputSource) -> t.Output:
+def _monomials(build: Nodes, output: OutputSource) -> t.Output:
     terms = tuple(
         t.Monomial(weight=m.weight, component=m.component, factors=tuple(build.compile(f) for f in m.factors))
         for m in output.terms
