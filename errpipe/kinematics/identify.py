@@ -228,7 +228,8 @@ def identify(
     offset, hyper = np.zeros(len(obs)), np.empty(0)  # no sizes learnt yet
     for _ in range(max(1, iterations)):
         moments = evidence.Moments.of(design[:, told], (obs.value - offset) / obs.noise)
-        hyper = evidence.learn(spreads.take(told), moments, _known(sizes, power, noise), hyper)
+        start = hyper if hyper.size else None
+        hyper = evidence.learn(spreads.take(told), moments, _known(sizes, power, noise), start)
         mean, cov = np.zeros(design.shape[1]), np.diag(spreads.of(hyper) ** 2)
         mean[told], cov[np.ix_(told, told)] = evidence.solve(spreads.take(told), moments, hyper)
         bent = _bending_of_lengths(chain, model, obs, plain, mean)
