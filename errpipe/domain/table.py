@@ -13,6 +13,7 @@ correction = -deviation.
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
@@ -68,14 +69,35 @@ CORRECTION_FACTORS = {
 }
 
 
-def text(longest: int) -> AfterValidator:
-    """Text that fits a zero-ended field: at most `longest` bytes of UTF-8, no zero byte."""
+# What a text may hold beside letters outside ASCII. Names are printed into programs, comments and file names of many
+# controllers: no quote, star, semicolon, angle or curly bracket, backslash, question mark or the like is let through.
+TITLE = (re.compile(r"[ -~\u0080-\U0010ffff]*"), "control characters are not allowed")
+NAME = (
+    re.compile(r"[A-Za-z0-9 _.:%/^()\[\]+\u0080-\U0010ffff-]*"),
+    "allowed: letters, digits, spaces and _ - . : + % / ^ ( ) [ ]",
+)
+AXIS = (re.compile(r"[A-Za-z0-9]*"), "allowed: letters A to Z and digits")
+
+
+def text_problem(value: str, longest: int, signs: tuple[re.Pattern[str], str] = NAME) -> str:
+    """Why a text does not fit its zero-ended field of `longest` bytes of UTF-8; empty where it does."""
+    allowed, says = signs
+    try:
+        size = len(value.encode())
+    except UnicodeEncodeError:  # half a surrogate pair
+        return f"{value!r} is not text"
+    if size > longest:
+        return f"{value!r} is longer than {longest} bytes"
+    odd = allowed.match(value).end()  # type: ignore[union-attr]  # it matches the empty text too
+    return f"{value!r} holds {value[odd]!r} ({says})" if odd < len(value) else ""
+
+
+def text(longest: int, signs: tuple[re.Pattern[str], str] = NAME) -> AfterValidator:
+    """Validator of a text field; see `text_problem`."""
 
     def check(value: str) -> str:
-        if len(value.encode()) > longest:
-            raise ValueError(f"{value!r} is longer than {longest} bytes")
-        if "\0" in value:
-            raise ValueError("text holds a zero byte")
+        if problem := text_problem(value, longest, signs):
+            raise ValueError(problem)
         return value
 
     return AfterValidator(check)
@@ -111,7 +133,7 @@ class TableInput(Part):
 
     name: Name = Field(description="Name of the channel.")
     kind: Kind = Field(description="What the channel carries; motion and force are read every position cycle.")
-    axis: Annotated[str, text(7)] = Field("", description="Letter of the axis it belongs to.")
+    axis: Annotated[str, text(7, AXIS)] = Field("", description="Letter of the axis it belongs to.")
     unit: Annotated[str, text(15)] = Field("", description="Unit of the reading.")
     low: Number = Field(description="Lowest believable reading.", json_schema_extra={"unit": "of the input"})
     high: Number = Field(description="Highest believable reading.", json_schema_extra={"unit": "of the input"})
@@ -310,7 +332,7 @@ class Output(Part):
     """One correction the controller applies, with its limits (in the deviation's unit; None: no limit)."""
 
     name: Name = Field(description="Name of the correction.")
-    axis: Annotated[str, text(7)] = Field("", description="Letter of the axis that applies it.")
+    axis: Annotated[str, text(7, AXIS)] = Field("", description="Letter of the axis that applies it.")
     unit: Literal["um", "urad"] = Field("um", description="Unit of the deviation that it corrects.")
     correction_unit: Literal["mm", "um", "urad", "deg", "rad"] = Field(
         "mm", description="Unit the controller wants it in."
@@ -342,9 +364,9 @@ class CompensationTable(Part):
     """Format version 1 of the compensation table (JSON twin)."""
 
     table: Literal[1] = 1
-    machine: Annotated[str, text(63)] = Field("", description="Machine it was made for.")
-    title: Annotated[str, text(127)] = Field("", description="What it is, for people.")
-    version: Annotated[str, text(31)] = Field("", description="errpipe version that compiled it.")
+    machine: Annotated[str, text(63, TITLE)] = Field("", description="Machine it was made for.")
+    title: Annotated[str, text(127, TITLE)] = Field("", description="What it is, for people.")
+    version: Annotated[str, text(31, TITLE)] = Field("", description="errpipe version that compiled it.")
     fingerprint: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = Field("", description="Of the error model.")
     position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = Field(
         0.001, description="Time between two corrections.", json_schema_extra={"unit": "s"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ErrorModel
-from errpipe.domain.table import Kind, TableInput
+from errpipe.domain.table import AXIS, NAME, Kind, TableInput, text_problem
 from errpipe.errors import GateError
 from errpipe.guard.description import GuardedSensor, SensorGuard
 
@@ -32,11 +32,29 @@ FADE_SHARE = 0.5  # where the model states no margin: half the width of what was
 def table_inputs(model: ErrorModel, guard: SensorGuard | None = None) -> list[TableInput]:
     """One channel per column of the model, in its order; a guard tells what a healthy sensor can read."""
     columns = dict(model.columns)
+    _fitting_names(columns)
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
     for name in healthy:
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
     found = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in found]
+
+
+def _fitting_names(columns: dict[str, dict]) -> None:
+    """Raises GateError for a column whose name, axis or unit a table cannot hold."""
+    for name, facts in columns.items():
+        if facts["role"] not in CHANNELS:
+            continue
+        for what, value, longest, signs in (
+            ("name", name, 31, NAME),
+            ("axis", facts.get("axis") or "", 7, AXIS),
+            ("unit", facts.get("unit") or "", 15, NAME),
+        ):
+            if problem := text_problem(value, longest, signs):
+                raise GateError(
+                    f"export: the {what} of column {name!r} does not fit a table: {problem}. "
+                    "Rename it in the recording and its manifest."
+                )
 
 
 def _believable(channel: TableInput, sensor: GuardedSensor) -> TableInput:

@@ -263,6 +263,8 @@ def _rounded_up(value: float) -> float | None:
 
 
 def _short(text: str, longest: int) -> str:
+    """A title on one line without control characters, at most `longest` bytes."""
+    text = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
     data = text.encode()
     if len(data) <= longest:
         return text

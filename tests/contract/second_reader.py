@@ -231,10 +231,19 @@ def same(x: float, y: float) -> bool:
     return x == y and math.copysign(1, x) == math.copysign(1, y)
 
 
-def text(raw: bytes, what: str) -> str:
-    """Section 1, char[n]: UTF-8, then zero bytes, at least one."""
+ALNUM = {*range(48, 58), *range(65, 91), *range(97, 123)}
+BEYOND = set(range(128, 256))
+TITLE = set(range(32, 127)) | BEYOND
+NAME = ALNUM | set(b" _-.:+%/^()[]") | BEYOND
+# Section 1: which signs the texts of a section may hold, in the order of its record.
+SIGNS = {0: (NAME, ALNUM, NAME), 7: (NAME,), 9: (NAME, ALNUM)}
+
+
+def text(raw: bytes, what: str, signs: set[int] = TITLE) -> str:
+    """Section 1, char[n]: UTF-8 of certain signs, then zero bytes, at least one."""
     content, _, rest = raw.partition(b"\0")
     check(len(content) < len(raw) and not any(rest), f"{what} is not filled up with zero bytes")
+    check(set(content) <= signs, f"{what} holds a sign that is not allowed")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError:
@@ -296,7 +305,8 @@ def _records(data: bytes, section: int, count: int, offset: int) -> list[Any]:
         where = f"section {section + 1}, record {i}"
         for x in fields:
             check(not isinstance(x, float) or math.isfinite(x), f"{where}: a number is not finite")
-        records.append(kind(*(text(x, where) if isinstance(x, bytes) else x for x in fields)))
+        signs = iter(SIGNS.get(section, ()))
+        records.append(kind(*(text(x, where, next(signs)) if isinstance(x, bytes) else x for x in fields)))
     return records
 
 

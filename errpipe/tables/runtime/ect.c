@@ -110,12 +110,32 @@ static uint32_t crc_of(const uint8_t *p, size_t size)
     return crc ^ 0xFFFFFFFFu;
 }
 
-/* Text field: UTF-8, then zero bytes, at least one. */
-static int is_text(const uint8_t *p, uint32_t size, int may_be_empty)
+/* What the signs of a text may be: all but control characters, those of a name, letters and digits. */
+#define SIGNS_TEXT 0
+#define SIGNS_NAME 1
+#define SIGNS_AXIS 2
+
+static int is_sign(uint8_t c, int signs)
+{
+    if ((c >= '0' && c <= '9') || (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z')) {
+        return 1;
+    }
+    if (signs == SIGNS_AXIS || c < ' ' || c == 127) {
+        return 0;
+    }
+    return signs == SIGNS_TEXT || c >= 0x80 || c == ' ' || c == '%' || c == '(' || c == ')' || c == '+'
+        || (c >= '-' && c <= '/') || c == ':' || c == '[' || (c >= ']' && c <= '_');
+}
+
+/* Text field: UTF-8 of certain signs, then zero bytes, at least one. */
+static int is_text(const uint8_t *p, uint32_t size, int may_be_empty, int signs)
 {
     uint32_t i = 0, more, k;
     while (i < size && p[i] != 0) {
         uint8_t c = p[i], least = 0x80, most = 0xBF;
+        if (!is_sign(c, signs)) {
+            return 0;
+        }
         if (c < 0x80) {
             more = 0;
         } else if (c >= 0xC2 && c <= 0xDF) {
@@ -443,8 +463,8 @@ static ect_error load_header(ect *e, const uint8_t *t)
     if (!(e->ramp_time >= R(0) && e->ramp_time <= R(3600) && e->fade_time >= R(0) && e->fade_time <= R(3600))) {
         return ECT_HEADER;
     }
-    if (!is_text(t + 64, 64, 1) || !is_text(t + 128, 128, 1) || !is_text(t + 256, 32, 1)
-        || !is_zero_bits(t + 496, 16)) {
+    if (!is_text(t + 64, 64, 1, SIGNS_TEXT) || !is_text(t + 128, 128, 1, SIGNS_TEXT)
+        || !is_text(t + 256, 32, 1, SIGNS_TEXT) || !is_zero_bits(t + 496, 16)) {
         return ECT_HEADER;
     }
     return ECT_OK;
@@ -470,8 +490,9 @@ static ect_error load_inputs(ect *e, const sections *s)
         in->valid_low = real_at(r + 128);
         in->valid_high = real_at(r + 136);
         in->margin = real_at(r + 144);
-        if (!is_text(r, 32, 0) || !is_unique(s->at[INPUTS], RECORD[INPUTS], i, 32) || !is_text(r + 32, 8, 1)
-            || !is_text(r + 40, 16, 1) || u16_at(r + 56) > 9 || in->flags > 63 || u32_at(r + 68) != 0) {
+        if (!is_text(r, 32, 0, SIGNS_NAME) || !is_unique(s->at[INPUTS], RECORD[INPUTS], i, 32)
+            || !is_text(r + 32, 8, 1, SIGNS_AXIS) || !is_text(r + 40, 16, 1, SIGNS_NAME) || u16_at(r + 56) > 9
+            || in->flags > 63 || u32_at(r + 68) != 0) {
             return ECT_INPUT;
         }
         if (!is_number(in->low) || !is_number(in->high) || !(in->low < in->high) || !(in->fallback >= in->low)
@@ -712,8 +733,8 @@ static ect_error load_sums(ect *e, const sections *s)
     for (i = 0; i < s->count[COMPONENTS]; i++) {
         const uint8_t *r = s->at[COMPONENTS] + i * RECORD[COMPONENTS];
         e->where = i;
-        if (!is_text(r, 16, 0) || !is_unique(s->at[COMPONENTS], RECORD[COMPONENTS], i, 16) || u32_at(r + 16) > 1
-            || u32_at(r + 20) != 0) {
+        if (!is_text(r, 16, 0, SIGNS_NAME) || !is_unique(s->at[COMPONENTS], RECORD[COMPONENTS], i, 16)
+            || u32_at(r + 16) > 1 || u32_at(r + 20) != 0) {
             return ECT_COMPONENT;
         }
     }
@@ -768,8 +789,9 @@ static ect_error load_outputs(ect *e, const sections *s)
         o->magnitude = real_at(r + 64);
         o->slew = real_at(r + 72);
         o->acceleration = real_at(r + 80);
-        if (!is_text(r, 32, 0) || !is_unique(s->at[OUTPUTS], RECORD[OUTPUTS], i, 32) || !is_text(r + 32, 8, 1)
-            || !is_factor(u32_at(r + 40), r + 56) || o->flags > 7) {
+        if (!is_text(r, 32, 0, SIGNS_NAME) || !is_unique(s->at[OUTPUTS], RECORD[OUTPUTS], i, 32)
+            || !is_text(r + 32, 8, 1, SIGNS_AXIS) || !is_factor(u32_at(r + 40), r + 56)
+            || o->flags > 7) {
             return ECT_OUTPUT;
         }
         if (!is_optional(r + 64, (o->flags & HAS_MAGNITUDE) != 0) || !is_optional(r + 72, (o->flags & HAS_SLEW) != 0)

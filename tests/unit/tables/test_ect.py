@@ -142,7 +142,7 @@ def test_damage_behind_a_mended_checksum_is_refused_or_sound():
         ({"position_cycle_s": 0.0}, "position_cycle_s"),
         ({"slow_every": 0}, "slow_every"),
         ({"machine": "m" * 64}, "longer than 63 bytes"),
-        ({"title": "a\0b"}, "zero byte"),
+        ({"title": "a\0b"}, "control characters are not allowed"),
         ({"nodes": []}, "nodes"),
         ({"pairs": [{"component": "EYX", "profile": 0, "driver": 0}]}, "component 'EYX' is not in the table"),
         ({"pairs": [{"component": "EXX", "profile": 7, "driver": 0}]}, "no profile 7"),

@@ -93,7 +93,7 @@ def test_a_damaged_component_is_not_read_back(damage):
 @pytest.mark.toolchain
 @pytest.mark.skipif(shutil.which("halcompile") is None, reason="halcompile (linuxcnc-uspace-dev) is not installed")
 def test_halcompile_takes_any_title(tmp_path):
-    table = with_sensors('T "nut" \\', "x */ y", machine='a "b" \\ */ """ ; c')
+    table = with_sensors("T (nut) [1]", "x:/ y%", machine='a "b" \\ */ """ ; c')
     (tmp_path / COMPONENT).write_text(LinuxcncHal.write(table)[COMPONENT])
     env = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "LANG": "C.UTF-8"}
     run = subprocess.run(
