@@ -11,7 +11,7 @@ CODE := errpipe tests trials bench examples
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow test-all lint types check schemas bench trials clean
+.PHONY: help setup demo test test-slow test-all lint types check schemas bench trials trials-scales clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -58,6 +58,9 @@ bench: $(SETUP) ## speed, as ratios to other libraries in the same run
 trials: $(SETUP) ## diagnosis on machines whose faults are known
 	@mkdir -p out
 	@$(BIN)/python -m trials.run --seed $(SEED) --jobs 2 --markdown out/trials.md --json out/trials.json $(ARGS)
+
+trials-scales: $(SETUP) ## diagnosis of one textbook effect on machines of every scale
+	@$(BIN)/python -m trials.scales --seed $(SEED) --jobs 2 $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -78,6 +78,8 @@ def ratio(unit: str, wanted: str) -> float | None:
     """How many `wanted` one `unit` is; None where they are not compatible."""
     if unit == wanted:
         return 1.0
+    if "1" in (unit, wanted):  # a plain number (an exponent, a gain) is no slope in um/m, though both have no dimension
+        return None
     a, b = parse(unit), parse(wanted)
     if a is None or b is None or a[1] != b[1]:
         return None

@@ -35,3 +35,8 @@ def test_compatible_units(unit, wanted, factor):
 )
 def test_other_dimensions_do_not_compare(unit, wanted):
     assert ratio(unit, wanted) is None
+
+
+def test_a_plain_number_is_no_slope() -> None:
+    assert ratio("1", "um/m") is None and ratio("um/m", "1") is None
+    assert ratio("1", "1") == 1.0

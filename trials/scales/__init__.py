@@ -1,0 +1,1 @@
+"""One textbook effect each, on machines of every scale."""
