@@ -20,19 +20,7 @@ MATTERS = 20.0  # a part left over matters once a tenth of it, over all rows, st
 ROWS = (60.0, 0.025)  # what is left is no noise: it counts as so many rows, and for each row so many more
 DOUBTS = 2  # directions of doubt kept of each part
 PRICE = 6.0  # log prior odds against each part
-NEVER = ("clock_offset", "sensor_fault")  # faults of recordings, not parts of simulations
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
-STRANGE = {  # log prior odds: simulations hold textbook physics, seldom wear, faults of measuring, or products
-    "thermal_interaction": -15.0,
-    "sensor_drift": -12.0,
-    "air_refraction": -12.0,
-    "local_wear": -12.0,
-    "gradient_bending": -6.0,
-    "thermal_lag": -4.0,
-    "friction_hysteresis": -4.0,
-    "interpolation": -4.0,
-    "coolant_effect": -2.0,
-}
 
 
 @dataclass(frozen=True)
@@ -92,7 +80,7 @@ def static(
     A search part by part would take such a model of many sensors that resemble each other for fewer, other parts.
     raw: the recording as it was read, from which the simulation was made; recording: with sensors smoothed.
     """
-    own = {h.drivers[0]: i for i, h in enumerate(library.hypotheses) if h.effect == "thermal_drift" and not h.mask}
+    own = {h.drivers[0]: i for i, h in enumerate(library.hypotheses) if h.terms[0].one_sensor and not h.mask}
     read = {name: raw.array(name)[rows] for name in own}
     known = np.all([np.isfinite(v) for v in read.values()], axis=0) & np.ones(rows.size, dtype=bool)
     spread = float(np.std(simulated))
@@ -134,7 +122,7 @@ class _Work:
         self.sigma = float(np.clip(coarse, COARSE[0] * self.spread, COARSE[1] * self.spread))
         self.still = self.spread <= 1e-9 * (1 + np.abs(simulated).max())
         self.count = ROWS[0] + ROWS[1] * rows.size
-        self.prior = np.array([-1e9 if h.effect in NEVER else STRANGE.get(h.effect, 0.0) for h in library.hypotheses])
+        self.prior = np.array([h.terms[0].simulated_log_odds for h in library.hypotheses])
         self._promising: dict[tuple, Chosen] = {}
         self.freedom = [library.freedom_of(k) for k in range(len(library.hypotheses))]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from errpipe.diagnosis.judge import Case
 from errpipe.domain.diagnosis import Finding, FoundParameter
-from errpipe.terms import ViscousFriction
+from errpipe.terms import TERMS, ViscousFriction
 
 SHARPNESS = (0.0, 0.3, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # mm/s
 BLOCKS = 40
@@ -82,6 +82,14 @@ class ByDirection:
         )
 
 
+PARTS = {kind.reports_as: kind.friction_part for kind in TERMS if kind.friction_part}
+
+
+def rubs(findings: list[Finding]) -> bool:
+    """Is friction among the findings?"""
+    return bool({PARTS.get(f.effect) for f in findings} & {"dry", "viscous"})
+
+
 def by_direction(case: Case) -> ByDirection | None:
     """The law of each way where it differs, from the recorded force; None where it does not or cannot be told."""
     axis = case.pair.component[2:]
@@ -137,17 +145,17 @@ def told_by_direction(findings: list[Finding], law: ByDirection) -> list[Finding
     """
     out: list[Finding] = []
     for f in findings:
-        if f.effect == "coulomb_friction":
+        if PARTS.get(f.effect) == "dry":
             f = f.model_copy(update={"parameters": (*f.parameters, *law.force()), "says": f"{f.says} {law.says()}"})
-        elif f.effect == "viscous_friction":
+        elif PARTS.get(f.effect) == "viscous":
             # where the simulation holds damping, its gain stands for one damping both ways: what is left may be neither
             told = tuple(p for p in f.parameters if p.ci95[0] * p.ci95[1] > 0)
             says = f"{f.says} {law.says()}" if told else law.says()
             f = f.model_copy(update={"parameters": (*told, *law.damping()), "says": says})
-        elif f.effect == "stribeck_friction" and mends(f, findings):
+        elif PARTS.get(f.effect) == "falling" and mends(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(
-                effect="viscous_friction",
+                effect=term.reports_as,
                 confidence=f.confidence,
                 drivers=(law.column,),
                 parameters=law.damping(),
@@ -164,5 +172,5 @@ def told_by_direction(findings: list[Finding], law: ByDirection) -> list[Finding
 
 def mends(stribeck: Finding, findings: list[Finding]) -> bool:
     """Does a Stribeck part work against the dry friction beside it, where the law would have it add to it?"""
-    dry = [f.parameters[0].value for f in findings if f.effect == "coulomb_friction" and f.parameters]
+    dry = [f.parameters[0].value for f in findings if PARTS.get(f.effect) == "dry" and f.parameters]
     return bool(dry) and bool(stribeck.parameters) and stribeck.parameters[0].value * dry[0] < 0

@@ -16,12 +16,10 @@ from functools import cached_property
 import numpy as np
 
 from errpipe.diagnosis.evidence import Listed, Table
-from errpipe.diagnosis.slacks import STARTS, slacks
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
+from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS
-from errpipe.terms import Term
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
 
@@ -59,7 +57,7 @@ class Library:
         self.scales: list[np.ndarray] = []
         self._families: dict[tuple, list[int]] = {}
         self._together: Listed | None = None
-        self.is_clock = np.zeros(0, dtype=bool)  # as long as the last `listed`
+        self.gain_sd = np.zeros(0)  # of hypotheses whose gain is known to be 1, else NaN; as long as the last `listed`
         blocks = (self._listed(h, block, cores) for h, block, cores in made)
         self.table = Table(run, itertools.chain(blocks, [np.ones((run.size, 1))]), fold)
         *self.places, (self.datum,) = self.table.places
@@ -69,7 +67,8 @@ class Library:
         """All hypotheses, to be scored together."""
         if self._together is None or self._together.every.size != len(self.hypotheses):
             self._together = Listed(self.places, self.freedoms, self.cores)
-            self.is_clock = np.array([h.effect == "clock_offset" for h in self.hypotheses], dtype=bool)
+            known = [h.terms[0].gain_sd for h in self.hypotheses]
+            self.gain_sd = np.array([np.nan if sd is None else sd for sd in known], dtype=float)
         return self._together
 
     def _listed(self, h: Hypothesis, block: Block, cores: int) -> np.ndarray:
@@ -123,8 +122,8 @@ def build(
     signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
     """
     run = recording.run_codes()[rows]
-    waves = Waves(rows, tuple(without_motion(recording, rows, signal) for signal in signals))
-    every = enumerate_all(recording, component, raw or recording, waves)
+    still = Signals(rows, tuple(without_motion(recording, rows, signal) for signal in signals))
+    every = enumerate_all(recording, component, raw or recording, still)
     return Library(_with_columns(every, recording, rows), run, folds(run, sessions(recording)[rows])[0])
 
 
@@ -139,7 +138,7 @@ def _with_columns(
             yield hypothesis, block, core.shape[1]
 
 
-FOLDS = STARTS  # so that each has a session, where whole ones sit out
+FOLDS = MANY_STARTS  # so that each has a session, where whole ones sit out
 BLOCKS = 8  # stretches of the recording that make up one fold
 
 
@@ -152,7 +151,7 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
     """
     if session is not None:
         codes, inside = np.unique(session, return_inverse=True)
-        if codes.size >= STARTS:
+        if codes.size >= MANY_STARTS:
             return inside % FOLDS, f"{codes.size} whole runs in {FOLDS} groups"
     count = min(FOLDS * BLOCKS, max(run.size // 4, FOLDS))
     block = np.arange(run.size) * count // max(run.size, 1)
@@ -176,81 +175,27 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None
     return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
 
 
-def enumerate_all(recording: Recording, component: str, raw: Recording, waves: Waves) -> Iterator[Hypothesis]:
+def enumerate_all(recording: Recording, component: str, raw: Recording, signals: Signals) -> Iterator[Hypothesis]:
     """Every hypothesis for a response."""
     for kind in TERMS:
-        source = raw if kind.reports_as == "sensor_fault" else recording
-        bound = [t for t in kind.bind(source, component) if worth_trying(t, recording)]
-        if kind.reports_as == "thermal_interaction":
-            bound = [t.model_copy(update={"reference": None}) for t in bound]
+        bound = list(kind.hypotheses(recording, raw, component))
         groups = [(t,) for t in bound]
-        if component == "E_R" and kind.reports_as != "pitch_cyclic":
+        if component == "E_R" and kind.on_both_axes:
             groups += [tuple(bound)] if len(bound) == 2 else both_axes(bound)
         for group in groups:
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
-            points = grid(group[0], recording, waves)
+            points = grid(group[0], recording, signals)
             # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
-            odds = prior_of(group[0]) + float(shared)
+            odds = group[0].log_prior_odds() + float(shared)
             for values in points:
                 yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds)
-    if component.startswith("F_"):
-        for column in recording.names("acceleration", axis=component[2:]):
-            yield Hypothesis("moving_mass", (Mass(column=column),), ((),), (column,))
 
 
 def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:
     """Bindings to the one and the other axis of a circle that are alike otherwise."""
     pairs = itertools.combinations([t for t in bound if hasattr(t, "axis")], 2)
     return [(a, b) for a, b in pairs if a.axis != b.axis and a.model_copy(update={"axis": b.axis}) == b]
-
-
-def worth_trying(term: Term, recording: Recording) -> bool:
-    """Bindings that would only shadow another effect, or that the sampling cannot show, are left out."""
-    if getattr(term, "along", None):
-        return False  # a scale that follows its sensor late is still `scale_expansion`
-    if term.term == "sensor_fault" and term.sensor not in recording.frame.columns:
-        return False
-    if term.term == "pitch_cyclic" and not term.fixed:
-        places = np.unique(position(recording, term.axis))
-        return places.size > 200
-    return True
-
-
-@dataclass(frozen=True)
-class Waves:
-    """Signals on the judged rows, in which waves along a position are looked for."""
-
-    rows: np.ndarray
-    signals: tuple[np.ndarray, ...]
-
-    def periods(self, x: np.ndarray, shortest: float = 0.6, longest: float = 60.0, most: int = 24) -> tuple[float, ...]:
-        """Lengths of the strongest waves of each signal along x, with neighbours a quarter of a turn apart."""
-        at = x[self.rows]
-        span = float(at.max() - at.min())
-        if span <= 0:
-            return ()
-        step = shortest / 4
-        cell = ((at - at.min()) / step).astype(int)
-        count = int(2 ** np.ceil(np.log2(cell.max() + 1))) * 4
-        rows_in = np.bincount(cell, minlength=count)
-        found: set[float] = set()
-        for signal in self.signals:
-            total = np.bincount(cell, weights=signal - signal.mean(), minlength=count)
-            mean = np.where(rows_in > 0, total / np.maximum(rows_in, 1), 0.0)
-            # slow shapes are not waves: take away a straight line before the transform
-            inside = rows_in > 0
-            place = np.arange(count)
-            mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3), place[inside])
-            power = np.abs(np.fft.rfft(mean * np.sqrt(rows_in)))
-            frequency = np.fft.rfftfreq(count, step)
-            allowed = (frequency >= max(1 / longest, 2.5 / span)) & (frequency <= 1 / shortest)
-            power = np.where(allowed, power, 0.0)
-            peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
-            for k in peaks[np.argsort(-power[peaks], kind="stable")][: most // 2]:
-                for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
-                    found.add(float(1.0 / max(frequency[k] + shift / span, 1e-6)))
-        return tuple(sorted(found))
 
 
 def without_motion(recording: Recording, rows: np.ndarray, signal: np.ndarray) -> np.ndarray:
@@ -264,82 +209,13 @@ def without_motion(recording: Recording, rows: np.ndarray, signal: np.ndarray) -
     return signal - block @ np.linalg.lstsq(block, signal, rcond=None)[0]
 
 
-class Mass(Term):
-    """Force that accelerates the axis' mass: simulations hold it, so it is never a finding."""
-
-    term: str = "moving_mass"
-    column: str
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return (1e-3 * recording.array(self.column))[:, None]
-
-
-GRIDS: dict[str, tuple[float, ...]] = {
-    "thermal_lag.tau": (600, 1000, 1600, 2500, 4000, 6300, 10000, 16000),
-    "ambient_drift.tau": (2000, 3500, 6000, 10000, 16000, 25000, 40000, 70000),
-    "spindle_growth.tau": (400, 700, 1100, 1700, 2600, 4000, 6000, 9000),
-    "spindle_growth.exponent": (0.7, 1.0, 1.4, 2.0),
-    "feed_heating.tau": (500, 900, 1500, 2500, 4000, 6500, 10000),
-    "coolant_effect.tau": (20, 80, 200, 500, 1200),
-    "tool_wear.exponent": (0.35, 0.55, 0.75, 1.0, 1.3),
-    "cutting_compliance.exponent": (1.0, 2.0, 3.0),
-    "gravity_sag.exponent": (2.0, 2.5, 3.0),
-    "friction_hysteresis.length": (0.01, 0.03, 0.08, 0.2, 0.5, 1.5, 5.0),
-    "reversal_spike.tau": (0.004, 0.008, 0.015, 0.03, 0.06, 0.12, 0.24),
-    "reversal_spike.power": (0.0, 0.5, 1.0),
-    "coulomb_friction.sharpness": (0.0, 0.3, 1.0, 3.0),
-    "stribeck_friction.v_s": (0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0),
-}
-
-
-def grid(term: Term, recording: Recording, waves: Waves) -> list[tuple[float, ...]]:
-    """Values of the non-linear parameters to try."""
-    axes = []
-    for p in term.nonlinear():
-        if p.name in term.fixed:
-            axes.append((term.fixed[p.name],))
-        elif f"{term.term}.{p.name}" in GRIDS:
-            axes.append(GRIDS[f"{term.term}.{p.name}"])
-        else:
-            axes.append(_free_grid(term, p.name, recording, waves))
-    out: list[tuple[float, ...]] = [()]
-    for values in axes:
-        out = [(*o, v) for o in out for v in values]
-    return out
-
-
-def _free_grid(term: Term, name: str, recording: Recording, waves: Waves) -> tuple[float, ...]:
-    """Grids that depend on the recording: periods, places, clock offsets."""
-    if name == "period":
-        return waves.periods(position(recording, term.axis))
-    if name == "centre":
-        x = position(recording, term.axis)
-        return tuple(np.linspace(np.nanmin(x), np.nanmax(x), 25)[1:-1])
-    if name == "width":
-        x = position(recording, term.axis)
-        span = min(float(np.nanmax(x) - np.nanmin(x)), 1000.0)
-        return tuple(span * f for f in (0.02, 0.035, 0.055, 0.08))
-    if name == "offset":
-        if term.longest < 20.0:
-            return ()  # clocks of loggers differ by seconds and minutes, not by samples of a fast trace
-        half = np.geomspace(max(term.shortest, 5.0), min(term.longest, 900.0), 14)
-        return tuple(np.r_[-half[::-1], half])
-    raise KeyError(f"no grid for {term.term}.{name}")
-
-
-def prior_of(term: Term) -> float:
-    """Log prior odds of a binding beside its like: the stranger, the lower."""
-    if term.term == "thermal_interaction":
-        return -2.0  # a product is a stranger thing than a sum
-    if term.term == "air_refraction":
-        return -4.0  # two sensors and a datum bend to most slopes
-    if term.term == "torque_ripple" or (term.term == "pitch_cyclic" and not term.fixed):
-        return -3.0  # the strongest of some hundred waves was picked
-    if term.term == "sensor_fault":
-        return -3.0
-    if term.term == "clock_offset":
-        return -1.0
-    return 0.0
+def grid(term: Term, recording: Recording, signals: Signals) -> list[tuple[float, ...]]:
+    """Values of the non-linear parameters to try: every combination of those of each parameter."""
+    axes = [
+        (term.fixed[p.name],) if p.name in term.fixed else search_of(p).values(term, p.name, recording, signals)
+        for p in term.nonlinear()
+    ]
+    return list(itertools.product(*axes))
 
 
 def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -348,7 +224,7 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
     core = np.column_stack(bases)
     slack, rel = [], []
     for term, nl, base in zip(h.terms, h.nonlinear, bases, strict=True):
-        for column, freedom in slacks(term, nl, base, recording):
+        for column, freedom in term.slack(recording, base, *nl):
             slack.append(column)
             rel.append(freedom)
     if h.mask:

@@ -17,6 +17,7 @@ from errpipe.diagnosis.search import MOST, Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
+from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
 MISSING = 10.0  # log Bayes factor for the first finding
@@ -370,8 +371,8 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:
             prior[i] += PRESENT + (SAME if (h.effect, h.drivers) in held_by else 0.0)
-        if h.effect == "moving_mass":
-            prior[i] = -1e6
+        if not h.terms[0].missing:
+            prior[i] = NEVER
     return prior
 
 

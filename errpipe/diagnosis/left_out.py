@@ -14,8 +14,8 @@ from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
-from errpipe.diagnosis.slacks import STARTS
 from errpipe.domain.recording import Recording
+from errpipe.terms import MANY_STARTS
 
 ZEROED = 5  # rows of a session that sat out which tell its datum
 
@@ -91,7 +91,7 @@ def datums(
     Runs that follow each other without a long pause share a datum: what steps between them is physics.
     """
     codes, first, inside, count = np.unique(session, return_index=True, return_inverse=True, return_counts=True)
-    if codes.size < STARTS:
+    if codes.size < MANY_STARTS:
         return None
     level = np.bincount(inside, y) / count
     columns = (session[:, None] == codes).astype(float)

@@ -21,19 +21,11 @@ CHANGE = 25.0  # squared contrast, in variances of independent block means, from
 
 def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Where:
     """What limits a hypothesis."""
-    term = h.terms[0]
     if h.mask and h.mask[0] == "runs":
         return Where(runs=tuple(h.mask[1]))
     if h.mask:
         return Where(ranges={h.mask[1]: (float(h.mask[2]), float(h.mask[3]))})
-    if h.effect == "local_wear":
-        centre, width = nonlinear
-        return Where(ranges={position_name(recording, term.axis): (centre - 2 * width, centre + 2 * width)})
-    clock = recording.name("time")
-    if h.effect == "sensor_fault" and clock is not None:
-        t = recording.time()
-        return Where(ranges={clock: (float(t[term.first]), float(t[term.last]))})
-    return Where()
+    return Where(ranges=h.terms[0].acts_where(recording, *nonlinear))
 
 
 def regimes(

@@ -9,6 +9,7 @@ import numpy as np
 from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.diagnosis.judge import Case
+from errpipe.terms import search_of
 
 WIDER = 1.3  # what textbook forms leave open beyond the noise; set by coverage on generated cases
 DROP = 3.2  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
@@ -49,7 +50,8 @@ def modelled(case: Case, k: int) -> Modelled:
     core = block[:, :cores] @ b[:cores]
     estimates = _linear(hypothesis, b, cov, scale)
     estimates += _amplitudes(hypothesis, estimates, cov, scale)
-    estimates = [_deepest(e, contribution, block, cov) if e.name == "depth" else e for e in estimates]
+    largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
+    estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
     for name, unit, value, low, high in spans:
         estimates.append(Estimate(name, value, unit, low, high))
     share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
@@ -136,8 +138,8 @@ def _amplitudes(h: Hypothesis, estimates: list[Estimate], cov, scale) -> list[Es
     return out
 
 
-def _deepest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: np.ndarray) -> Estimate:
-    """The depth of a stretch is that of its deepest row, whatever shape the wear has taken."""
+def _at_largest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: np.ndarray) -> Estimate:
+    """A parameter that states the largest value is read off the largest row, whatever shape the effect has taken."""
     at = int(np.argmax(np.abs(contribution)))
     sign = 1.0 if e.value * contribution[at] >= 0 else -1.0
     value, sd = sign * float(contribution[at]), WIDER * float(np.sqrt(block[at] @ cov @ block[at]))
@@ -147,38 +149,24 @@ def _deepest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: np.n
 
 def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
     """Each non-linear parameter in turn to its best value nearby, and the span over which the evidence holds."""
-    if h.effect == "clock_offset":
-        return h, _clock_span(h)
-    names = [(p, j) for j, p in enumerate(h.terms[0].nonlinear()) if p.name not in h.terms[0].fixed]
-    if not names:
-        fixed = [(p.name, p.unit, h.terms[0].fixed[p.name]) for p in h.terms[0].nonlinear()]
-        return h, [(n, u, v, 0.99 * v, 1.01 * v) for n, u, v in fixed]
-    spans = []
-    best = h
-    for p, j in names:
+    spans, best = [], h
+    for j, p in enumerate(h.terms[0].nonlinear()):
         value = best.nonlinear[0][j]
-        reach = 0.02 if p.name == "period" else 0.6
+        if p.name in h.terms[0].fixed:
+            spans.append((p.name, p.unit, value, 0.99 * value, 1.01 * value))
+            continue
         if value == 0:
             spans.append((p.name, p.unit, 0.0, 0.0, 0.0))
             continue
-        around = np.linspace(-1.0, 1.0, 9)
-        shifts = p.name == "centre"  # else a factor from point to point
-        steps = value + 40.0 * around if shifts else value * np.exp(reach * around)
+        search = search_of(p)
+        steps = search.neighbours(value)
         steps = steps[(steps >= p.bounds[0]) & (steps <= p.bounds[1])]
         tried = [(_gain(case, scene, _at(best, j, float(v))), float(v)) for v in [value, *steps]]
         top, where = max(tried)
         best = _at(best, j, where)
         inside = [v for g, v in tried if g > top - DROP]
-        low, high = min(inside), max(inside)  # the ends lie half-way to the next points
-        half = np.exp(reach / 8)
-        low, high = (low - 5.0, high + 5.0) if shifts else (low / half, high * half)
-        spans.append((p.name, p.unit, where, low, high))
+        spans.append((p.name, p.unit, where, *search.widened(min(inside), max(inside))))
     return best, spans
-
-
-def _clock_span(h: Hypothesis):
-    value = h.nonlinear[0][0]
-    return [("offset", "s", value, value * (0.8 if value > 0 else 1.25), value * (1.25 if value > 0 else 0.8))]
 
 
 def _at(h: Hypothesis, j: int, value: float) -> Hypothesis:

@@ -25,8 +25,6 @@ BINS = 14
 FEW = 4  # columns up to which a part is tried with all that reality may add to its textbook form
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
 MENDING = 0.05  # and this share of what the best whole brings: a part may only mend the textbook form
-ALREADY_LOCAL = ("local_wear", "sensor_fault", "clock_offset")
-EVERYWHERE = ("reversal_spike", "interpolation")  # on a stretch; in some runs they may act alone
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,7 @@ def candidates(search: Search, alone: np.ndarray) -> list[int]:
     out, count = [], dict.fromkeys({h.effect for h in library.hypotheses}, 0)
     for index in search.leaders(alone, len(library.hypotheses)):
         h = library.hypotheses[index]
-        if h.effect in ALREADY_LOCAL or h.mask or alone[index] < -1e5:
+        if h.terms[0].in_part == "never" or h.mask or alone[index] < -1e5:
             continue
         if len(out) < LEADERS or count[h.effect] < EACH:
             out.append(index)
@@ -157,9 +155,9 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
     """Can this effect act in some groups of this kind and not in others?"""
     if kind == "runs":
         return True
-    if h.effect in EVERYWHERE:
-        return False
     term = h.terms[0]
+    if term.in_part == "runs":
+        return False
     if getattr(term, "radial", False) and term.family == "reversal":
         return False  # a step close to where the axis turns is a spike
     return kind == clock or kind in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields

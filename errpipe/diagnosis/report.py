@@ -22,10 +22,8 @@ from errpipe.terms import Term
 
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
-NEVER = ("moving_mass",)
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, from which it is said
 UNPROVED = 0.5  # confidence of a name, at most, where rows that sat out are no better explained with it
-FRICTION = {"coulomb_friction", "viscous_friction"}
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
@@ -47,7 +45,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings = [f.model_copy(update=_beyond_chance(case, f)) for f in findings]
     if held.after >= held.before:
         findings = [f.model_copy(update=_no_surer(f, UNPROVED)) if f.p_search else f for f in findings]
-    law = friction.by_direction(case) if {f.effect for f in findings} & FRICTION else None
+    law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.told_by_direction(findings, law) if law else findings
     carried = {name: values for name, values in carried.items() if name in {f.effect for f in findings}}
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
@@ -124,7 +122,7 @@ def _rms(v: np.ndarray) -> float:
 def signs_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Signs:
     """What the search says about finding k."""
     found = case.explanation.found
-    rivals = [r for r in case.search.rivals(found, k) if r[0] not in NEVER]
+    rivals = case.search.rivals(found, k)
     own = {f.hypothesis.effect for f in found}
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
     shaped = case.remainder
@@ -174,7 +172,7 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
     """One finding, with its rivals and what would tell them apart."""
     found = case.explanation.found
     h = found[k].hypothesis
-    rivals = sorted((r for r in case.search.rivals(found, k) if r[0] not in NEVER), key=lambda r: r[1])
+    rivals = sorted(case.search.rivals(found, k), key=lambda r: r[1])
     own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in found}  # the same effect by other columns is a rival
     other = [r for r in rivals if r[0] != h.effect and (r[0], case.library.hypotheses[r[2]].drivers) not in own]
     every = [r for r in other if r[1] < CLOSE or _alike(case, made, r[2])]

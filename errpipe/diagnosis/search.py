@@ -123,7 +123,7 @@ class Search:
         best: dict[str, tuple[float, int]] = {}
         for i in np.argsort(-gain):
             effect = self.library.hypotheses[i].effect
-            if effect not in best:
+            if effect not in best and self.library.hypotheses[i].terms[0].missing:
                 best[effect] = (float(gain[i]), int(i))
         own = max(best.pop(found[k].hypothesis.effect)[0], found[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
@@ -166,13 +166,12 @@ class Search:
         which = listed.every if candidates is None else np.array(candidates)
         gain, size, core = scene.scores(listed, which, self.rows)
         gain = gain - hollow(core)
-        clocks = np.flatnonzero(self.library.is_clock[which])
-        if clocks.size:
-            # a shift has no size of its own: the difference of the shifted signals counts once
-            at = np.array([self.library.places[k][0] for k in which[clocks]])
-            unit = np.array([self.library.scales[k][0] for k in which[clocks]])
-            gain[clocks] = scene.exactly(at, unit, 0.15 * unit, self.rows)
-            size[clocks] = unit / self.sigma
+        known = np.flatnonzero(np.isfinite(self.library.gain_sd[which]))
+        if known.size:
+            at = np.array([self.library.places[k][0] for k in which[known]])
+            unit = np.array([self.library.scales[k][0] for k in which[known]])
+            gain[known] = scene.exactly(at, unit, self.library.gain_sd[which[known]] * unit, self.rows)
+            size[known] = unit / self.sigma
         return Scores(gain, size)
 
     def leaders(self, gain: np.ndarray, most: int) -> list[int]:

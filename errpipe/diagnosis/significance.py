@@ -22,7 +22,6 @@ SURROGATES = 99
 ENOUGH_RUNS = 10  # fewer could be turned in too few ways
 LEAST_BLOCK = 8  # rows: the memory of the noise
 FEWEST_BLOCKS = 12
-CLOCK = 0.15  # a clock's offset has no size of its own: see Search.score
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
     sizes: dict[int, list[int]] = {}
     for i, h in enumerate(library.hypotheses):
         if case.search.prior[i] > -1e5:
-            sizes.setdefault(0 if h.effect == "clock_offset" else library.places[i].size, []).append(i)
+            sizes.setdefault(0 if h.terms[0].gain_sd else library.places[i].size, []).append(i)
     for width, members in sizes.items():
         columns = np.stack([library.places[i][: width or 1] for i in members])
         cross = np.linalg.solve(scene.chol, scene.G[np.ix_(active, columns.ravel())])
@@ -104,7 +103,8 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
         prior = case.search.prior[members][:, None]
         if width == 0:
             unit = np.array([library.scales[i][0] for i in members])
-            gain = _as_known(S[:, 0, 0], s[:, 0], unit, spare, scene, case.search.rows)
+            sd = library.gain_sd[members] * unit
+            gain = _as_known(S[:, 0, 0], s[:, 0], unit, sd, spare, scene, case.search.rows)
         else:
             freedom = np.stack([library.freedoms[i] for i in members])
             S = S * freedom[:, :, None] * freedom[:, None, :]
@@ -127,10 +127,9 @@ def _over_sizes(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) ->
     return peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
 
 
-def _as_known(S, s, unit, spare, scene: Scene, rows: float | None) -> np.ndarray:
-    """As Scene.exactly for many signals: S (m,), s (m, c), unit (m,); gains (m, c)."""
-    S, unit = S[:, None], unit[:, None]
-    sd = CLOCK * unit
+def _as_known(S, s, unit, sd, spare, scene: Scene, rows: float | None) -> np.ndarray:
+    """As Scene.exactly for many signals: S (m,), s (m, c), unit and sd (m,); gains (m, c)."""
+    S, unit, sd = S[:, None], unit[:, None], sd[:, None]
     Q = spare - 2 * unit * s + unit**2 * S - (s - unit * S) ** 2 / (S + scene.sigma**2 / sd**2)
     price = 0.5 * np.log1p(S * sd**2 / scene.sigma**2)
     return -price - 0.5 * (rows or scene.n) * np.log(np.maximum(Q, 1e-9 * spare) / spare)

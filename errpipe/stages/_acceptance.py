@@ -28,12 +28,6 @@ if TYPE_CHECKING:
     from errpipe.fitting.spec import ModelSpec
     from errpipe.terms import Term
 
-ARTEFACTS = {
-    "air_refraction": "it is the air in the beam of the measuring laser, not the machine: correct the reading",
-    "sensor_drift": "it is the instrument that drifts, not the machine: correct the reading",
-    "clock_offset": "the clocks of recording and simulation differ: set them right",
-    "sensor_fault": "a sensor failed while it was recorded: repair it; the machine itself is not at fault",
-}
 FORCES = "it is a drive force, not a deviation of the tool: for the drive's friction feed-forward, not for a table"
 RECALIBRATION = "the simulation itself is to be set right: no plain sum of terms stands for it in a table"
 ANEW = "the terms of the model before are fitted anew together with what was accepted"
@@ -116,9 +110,11 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
     if f.effect == "recalibration":
         return refuse if sure and not worse else replace(refuse, reason=RECALIBRATION)
     terms = terms_of(f)
-    if f.effect in ARTEFACTS or any(not t.compensable for t in terms):
-        reason = ARTEFACTS.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
-        return replace(refuse, terms=terms, reason=reason, beside=sure and bool(terms) and f.effect != "clock_offset")
+    artefacts = _artefacts_by_effect()
+    if f.effect in artefacts or any(not t.compensable for t in terms):
+        reason = artefacts.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
+        beside = sure and bool(terms) and all(t.nuisance for t in terms)
+        return replace(refuse, terms=terms, reason=reason, beside=beside)
     if not sure:
         return replace(refuse, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
     if worse:
@@ -128,14 +124,21 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
         return replace(refuse, reason="it names no term")
     if f.where.runs:
         return replace(refuse, reason=f"it acted in some runs only ({', '.join(f.where.runs)}): a table acts always")
-    artefacts = [other for other in f.indistinguishable_from if other in ARTEFACTS]
-    if artefacts and not accept.despite_artefact:
+    alike = [other for other in f.indistinguishable_from if other in artefacts]
+    if alike and not accept.despite_artefact:
         told = f"; {f.would_separate}" if f.would_separate else ""
-        return replace(refuse, reason=f"the data cannot tell it from {artefacts[0]}, which is not the machine's{told}")
+        return replace(refuse, reason=f"the data cannot tell it from {alike[0]}, which is not the machine's{told}")
     values = {p.name: p.value for p in f.parameters}
     if not f.compensable or any(not t.lower(_complete(t, values)) for t in terms):
         return replace(refuse, reason="a controller cannot compensate it: it has no compiled form")
     return replace(refuse, terms=terms)
+
+
+def _artefacts_by_effect() -> dict[str, str]:
+    """Effects of the measurement, and why the machine is not at fault."""
+    from errpipe.terms import TERMS
+
+    return {kind.reports_as: kind.artefact for kind in TERMS if kind.artefact}
 
 
 def _complete(term: Term, values: dict[str, float]) -> dict[str, float]:

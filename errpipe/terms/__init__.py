@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from errpipe.terms._base import Example, Parameter, Term, plain
+from errpipe.terms._base import NEVER, Example, Parameter, Term, plain
 from errpipe.terms._profiles import Curve, Line
+from errpipe.terms._search import Signals, search_of
+from errpipe.terms._slack import MANY_STARTS
 from errpipe.terms.air_refraction import AirRefraction
 from errpipe.terms.ambient_drift import AmbientDrift
 from errpipe.terms.angular_abbe import AngularAbbe
@@ -23,6 +25,7 @@ from errpipe.terms.harmonics import Harmonics
 from errpipe.terms.inertial_deflection import InertialDeflection
 from errpipe.terms.interpolation import Interpolation
 from errpipe.terms.local_wear import LocalWear
+from errpipe.terms.moving_mass import MovingMass
 from errpipe.terms.offset import Offset
 from errpipe.terms.pitch_cyclic import PitchCyclic
 from errpipe.terms.profile_driver import ProfileDriver
@@ -48,7 +51,19 @@ from errpipe.terms.torque_ripple import TorqueRipple
 from errpipe.terms.viscous_friction import ViscousFriction
 from errpipe.terms.workpiece_load import WorkpieceLoad
 
-__all__ = ["TERMS", "Curve", "Example", "Line", "Parameter", "Term", "plain"]
+__all__ = [
+    "MANY_STARTS",
+    "NEVER",
+    "TERMS",
+    "Curve",
+    "Example",
+    "Line",
+    "Parameter",
+    "Signals",
+    "Term",
+    "plain",
+    "search_of",
+]
 
 TERMS = (
     ScaleError,
@@ -94,4 +109,5 @@ TERMS = (
     RunOffset,
     RunPose,
     SmoothCurve,
+    MovingMass,
 )

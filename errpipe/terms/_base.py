@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -21,15 +21,37 @@ from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
 
 
+class Search(Protocol):
+    """How a non-linear parameter is searched; the kinds of search are in `_search.py`."""
+
+    def values(self, term: Any, name: str, recording: Recording, signals: Any) -> tuple[float, ...]:
+        """Values to try before any fit."""
+
+    def neighbours(self, value: float) -> np.ndarray:
+        """Values near the best one."""
+
+    def widened(self, low: float, high: float) -> tuple[float, float]:
+        """Ends of the interval that neighbours from low to high stand for."""
+
+
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a term. typical: sizes seen on machines; bounds: what physics allows."""
+    """One parameter of a term. typical: sizes seen on machines; bounds: what physics allows.
+
+    search: how a non-linear parameter is searched; none: over its typical range.
+    at_largest: of the diagnosis' contribution the value at its largest row is reported, whatever shape it has.
+    """
 
     name: str
     unit: str
     typical: tuple[float, float]
     bounds: tuple[float, float] = (-np.inf, np.inf)
     meaning: str = ""
+    search: Search | None = None
+    at_largest: bool = False
+
+
+NEVER = -1e9  # log prior odds of what is excluded
 
 
 @dataclass(frozen=True)
@@ -52,6 +74,15 @@ class Term(Frozen):
     reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
     family: ClassVar[str] = ""
     compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
+    artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
+    nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms so that it does not bend them?
+    missing: ClassVar[bool] = True  # False: every simulation holds it, so that it is never what is missing
+    simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
+    gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
+    one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor
+    in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
+    on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
+    friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
 
     def linear(self) -> tuple[Parameter, ...]:
         """Parameters the value is linear in, in the order of the basis' columns."""
@@ -116,6 +147,26 @@ class Term(Frozen):
     def bind(cls, recording: Recording, component: str) -> Iterator[Term]:
         """Every sensible binding of the term to the recording's columns for a response."""
         return iter(())
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Term]:
+        """Bindings that a diagnosis tries; raw: the recording as it was read, before gaps were filled."""
+        return cls.bind(recording, component)
+
+    def log_prior_odds(self) -> float:
+        """Log prior odds of this binding beside other effects."""
+        return 0.0
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Iterator[tuple[np.ndarray, float]]:
+        """How reality departs from the textbook form: columns (rows,), and their freedom relative to its size.
+
+        base: the term's basis at these non-linear values, shape (rows, linear).
+        """
+        return iter(())
+
+    def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
+        """Ranges of columns outside of which it is nothing; empty where it acts everywhere."""
+        return {}
 
     @classmethod
     def example(cls) -> Example:

@@ -13,6 +13,7 @@ from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._slack import Slack
 from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
 PER_KELVIN, PER_HPA = 0.93, -0.27  # um/m: Edlen's formula near 20 degC, 1013 hPa
@@ -35,6 +36,8 @@ class AirRefraction(Term):
     reports_as = "air_refraction"
     family = "measurement"
     compensable = False
+    artefact = "it is the air in the beam of the measuring laser, not the machine: correct the reading"
+    simulated_log_odds = -12.0
 
     def linear(self) -> tuple[Parameter, ...]:
         kelvin = Parameter("per_kelvin", "um/m/K", (0.5, 1.0), (-5.0, 5.0), "slope per kelvin of the air")
@@ -63,3 +66,9 @@ class AirRefraction(Term):
         if self.pressure:
             columns.append(length * (recording.array(self.pressure) - 1013.25))
         return np.column_stack(columns)
+
+    def log_prior_odds(self) -> float:
+        return -4.0  # two sensors and a datum bend to most slopes
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield position(recording, self.axis), 0.3  # counted from the weather of an unknown day

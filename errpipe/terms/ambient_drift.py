@@ -13,6 +13,8 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, difference_of_shape, start_states
 from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, scaled, sensors
 
 
@@ -36,7 +38,16 @@ class AmbientDrift(Term):
         return (Parameter("gain", "um/K", (1.0, 6.0), (-100.0, 100.0), "shift per kelvin of the room"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (3000.0, 40000.0), (1000.0, 200000.0), "time constant"),)
+        return (
+            Parameter(
+                "tau",
+                "s",
+                (3000.0, 40000.0),
+                (1000.0, 200000.0),
+                "time constant",
+                search=Listed((2000, 3500, 6000, 10000, 16000, 25000, 40000, 70000)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.sensor,)
@@ -53,6 +64,11 @@ class AmbientDrift(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(nonlinear[0]), recording)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield from start_states(recording, nonlinear[0], 1.0, 1.0)
+        for factor in (0.3, 3.0):  # walls and beds are thick: one after the other takes the room's temperature
+            yield difference_of_shape(self.basis(recording, nonlinear[0] * factor)[:, 0], base[:, 0]), 0.2
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (tau,) = self.nonlinear_values(parameters)

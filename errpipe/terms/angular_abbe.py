@@ -15,6 +15,7 @@ from errpipe.drivers.motion import axes, position, position_name, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import direction_of, own_axis
+from errpipe.terms._slack import Slack, chebyshev
 
 
 class AngularAbbe(Term):
@@ -69,6 +70,13 @@ class AngularAbbe(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return self._powers(position(recording, self.axis)) * (recording.array(self.lever) * 1e-3)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        polynomials = chebyshev(position(recording, self.axis), 6)
+        for k in range(self.order + 1, 7):
+            yield polynomials[:, k] * recording.array(self.lever), 0.2
+        for k in range(1, self.order + 1):
+            yield polynomials[:, k], 0.2  # wherever the lever is counted from
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         gains = np.array([parameters[p.name] for p in self.linear()])

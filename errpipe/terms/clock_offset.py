@@ -10,7 +10,8 @@ from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._search import Shifts
 
 
 class ClockOffset(Term):
@@ -30,13 +31,25 @@ class ClockOffset(Term):
     reports_as = "clock_offset"
     family = "measurement"
     compensable = False
+    artefact = "the clocks of recording and simulation differ: set them right"
+    simulated_log_odds = NEVER
+    nuisance = False
+    gain_sd = 0.15  # a shift has no size of its own: the difference of the shifted signals counts once
+    in_part = "never"
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("offset", "s", (self.shortest, self.longest), (-self.longest, self.longest), "recording late"),
+            Parameter(
+                "offset",
+                "s",
+                (self.shortest, self.longest),
+                (-self.longest, self.longest),
+                "recording late",
+                search=Shifts(),
+            ),
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
@@ -61,3 +74,6 @@ class ClockOffset(Term):
                 at, first = np.unique(t[rows], return_index=True)
                 shifted[rows] = np.interp(t[rows] - offset, at, f[rows][first])
         return (shifted - f)[:, None]
+
+    def log_prior_odds(self) -> float:
+        return -1.0

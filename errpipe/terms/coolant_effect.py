@@ -12,7 +12,11 @@ from errpipe.domain.driver import Affine, Driver, Input, Lag, Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
 
 
@@ -33,6 +37,7 @@ class CoolantEffect(Term):
     other: str | None = Field(None, description="Column of the temperature it is compared with.")
     reports_as = "coolant_effect"
     family = "thermal"
+    simulated_log_odds = -2.0
 
     def linear(self) -> tuple[Parameter, ...]:
         if self.sensor:
@@ -40,7 +45,11 @@ class CoolantEffect(Term):
         return (Parameter("shift", "um", (2.0, 20.0), (-200.0, 200.0), "shift while it flows"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant"),)
+        return (
+            Parameter(
+                "tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant", search=Listed((20, 80, 200, 500, 1200))
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return tuple(n for n in (self.flow, self.sensor, self.other) if n)
@@ -71,6 +80,24 @@ class CoolantEffect(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(nonlinear[0]), recording)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield from start_states(recording, nonlinear[0], 0.2, 0.2)
+        for factor in (0.3, 3.0):
+            yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
+        if self.sensor:
+            yield self.model_copy(update={"sensor": None, "other": None}).basis(recording, *nonlinear)[:, 0], 0.25
+        yield from ((column, 0.25) for column in self._cooled_growth(nonlinear[0], recording))
+
+    def _cooled_growth(self, tau: float, recording: Recording) -> Iterator[np.ndarray]:
+        """What coolant takes away from a spindle that has run: the warmer it is, the more."""
+        on = recording.array(self.flow)
+        for name in recording.names("spindle_speed"):
+            speed = recording.array(name)
+            warm = drive(Lag(of=Input(name=name), tau_up=1500.0, tau_down=1500.0, start="zero"), recording)
+            if speed.max() > 0:
+                cooled = on * warm / speed.max()
+                yield responses.lag(sessions(recording), recording.time(), cooled, tau, tau, False)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (tau,) = self.nonlinear_values(parameters)

@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._search import Listed
 
 
 class CoulombFriction(Term):
@@ -29,12 +30,22 @@ class CoulombFriction(Term):
     reports_as = "coulomb_friction"
     family = "friction"
     compensable = False
+    friction_part = "dry"
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("force", "N", (5.0, 300.0), (-5000.0, 5000.0), "friction force"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("sharpness", "mm/s", (0.0, 1.0), (0.0, 10.0), "speed within which the force turns round"),)
+        return (
+            Parameter(
+                "sharpness",
+                "mm/s",
+                (0.0, 1.0),
+                (0.0, 10.0),
+                "speed within which the force turns round",
+                search=Listed((0.0, 0.3, 1.0, 3.0)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)

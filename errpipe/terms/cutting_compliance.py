@@ -13,6 +13,8 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
 
 
@@ -38,7 +40,9 @@ class CuttingCompliance(Term):
     def nonlinear(self) -> tuple[Parameter, ...]:
         if self.overhang is None:
             return ()
-        return (Parameter("exponent", "1", (1.0, 3.0), (0.5, 4.0), "power of the overhang"),)
+        return (
+            Parameter("exponent", "1", (1.0, 3.0), (0.5, 4.0), "power of the overhang", search=Listed((1.0, 2.0, 3.0))),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return tuple(n for n in (self.force, self.overhang) if n)
@@ -65,6 +69,10 @@ class CuttingCompliance(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(*nonlinear), recording)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if self.overhang:
+            yield recording.array(self.force), 0.4  # what gives way besides the bar
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["compliance"])),)

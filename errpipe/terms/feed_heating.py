@@ -16,6 +16,8 @@ from errpipe.kernels.events import travelled
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, bent, start_states
 
 
 class FeedHeating(Term):
@@ -43,7 +45,16 @@ class FeedHeating(Term):
         return (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
+        return (
+            Parameter(
+                "tau",
+                "s",
+                (1000.0, 6000.0),
+                (100.0, 40000.0),
+                "time constant",
+                search=Listed((500, 900, 1500, 2500, 4000, 6500, 10000)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (position_name(recording, self.axis), self.column, recording.name("feed", axis=self.axis))
@@ -82,3 +93,16 @@ class FeedHeating(Term):
         (tau,) = nonlinear
         warm = responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
         return (warm * (position(recording, self.axis) - self.fixed_end) * 1e-3)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        x = position(recording, self.axis)
+        yield x, 0.2
+        yield from bent(base[:, 0], x)
+        # the growth is counted from the fixed end, wherever that is
+        reach = x - self.fixed_end
+        level = base[:, 0] / np.where(np.abs(reach) > 1e-9, reach, 1e-9) * (np.nanmax(x) - np.nanmin(x))
+        yield np.where(np.abs(reach) > 1e-6, level, 0.0), 0.3
+        for column, freedom in start_states(recording, nonlinear[0], 0.1, 0.5):
+            yield column * x, freedom
+        for factor in (0.3, 3.0):
+            yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25

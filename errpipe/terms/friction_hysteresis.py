@@ -19,6 +19,8 @@ from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, bent
 
 OVERRUN = 0.4  # mm; how far past a target machines run to approach it from the other side (from taste, 0.1..1)
 
@@ -44,12 +46,22 @@ class FrictionHysteresis(Term):
     )
     reports_as = "friction_hysteresis"
     family = "reversal"
+    simulated_log_odds = -4.0
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("length", "mm", (0.02, 0.5), (0.003, 10.0), "travel over which it builds up"),)
+        return (
+            Parameter(
+                "length",
+                "mm",
+                (0.02, 0.5),
+                (0.003, 10.0),
+                "travel over which it builds up",
+                search=Listed((0.01, 0.03, 0.08, 0.2, 0.5, 1.5, 5.0)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (direction_column(recording, self.axis), position_name(recording, self.axis))
@@ -72,6 +84,12 @@ class FrictionHysteresis(Term):
         else:
             z = drive(Approach(axis=self.axis, length=nonlinear[0]), recording)
         return (-0.5 * z * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        for factor in (0.3, 3.0):  # contacts give way one after the other
+            yield self.basis(recording, nonlinear[0] * factor)[:, 0] - base[:, 0], 0.25
+        if not self.radial:
+            yield from bent(base[:, 0], position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         (length,) = self.nonlinear_values(parameters)

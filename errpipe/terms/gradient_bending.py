@@ -30,6 +30,7 @@ class GradientBending(Term):
     second: str = Field(description="Column of the other temperature, taken off.")
     reports_as = "gradient_bending"
     family = "thermal"
+    simulated_log_odds = -6.0
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("gain", "um/K", (1.0, 15.0), (-200.0, 200.0), "shift per kelvin of difference"),)

@@ -14,6 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import axes, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._place import direction_of, own_axis
+from errpipe.terms._search import Listed
 from errpipe.terms._warm import scaled
 
 
@@ -39,7 +40,16 @@ class GravitySag(Term):
         return (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("exponent", "1", (2.0, 3.0), (1.8, 4.0), "2: line load or moment, 3: end load"),)
+        return (
+            Parameter(
+                "exponent",
+                "1",
+                (2.0, 3.0),
+                (1.8, 4.0),
+                "2: line load or moment, 3: end load",
+                search=Listed((2.0, 2.5, 3.0)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)

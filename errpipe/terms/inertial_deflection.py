@@ -15,6 +15,7 @@ from errpipe.drivers.motion import share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._slack import Slack, lagged
 from errpipe.terms._warm import scaled
 
 
@@ -50,6 +51,10 @@ class InertialDeflection(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         lean = -1e-3 * recording.array(self.column)
         return (lean * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        for tau in (0.004, 0.02):  # what is bent swings a while
+            yield lagged(recording, base[:, 0], tau) - base[:, 0], 0.25
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         if self.radial:

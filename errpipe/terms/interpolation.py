@@ -15,6 +15,8 @@ from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Waves
+from errpipe.terms._slack import Slack, uneven_waves
 
 
 class Interpolation(Term):
@@ -33,6 +35,8 @@ class Interpolation(Term):
     harmonics: int = Field(2, description="How many harmonics of the signal period.")
     reports_as = "interpolation"
     family = "geometric"
+    simulated_log_odds = -4.0
+    in_part = "runs"
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(
@@ -42,7 +46,7 @@ class Interpolation(Term):
         )
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("period", "mm", (0.004, 0.1), (0.001, 10.0), "signal period"),)
+        return (Parameter("period", "mm", (0.004, 0.1), (0.001, 10.0), "signal period", search=Waves()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (position_name(recording, self.axis),)
@@ -61,6 +65,10 @@ class Interpolation(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         waves = self._waves(position(recording, self.axis), nonlinear[0])
         return waves * share(recording, self.axis, self.radial)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if not self.radial:
+            yield from uneven_waves(base, position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)

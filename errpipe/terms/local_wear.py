@@ -15,6 +15,8 @@ from errpipe.drivers.motion import axes, position, position_name, share, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, direction_of, is_radial, own_axis
+from errpipe.terms._search import Places, Widths
+from errpipe.terms._slack import Slack
 
 
 class LocalWear(Term):
@@ -35,16 +37,25 @@ class LocalWear(Term):
     )
     reports_as = "local_wear"
     family = "geometric"
+    simulated_log_odds = -12.0
+    in_part = "never"  # it already acts on one stretch
 
     def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump"),)
+        return (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump", at_largest=True),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         narrow, wide = 0.01 * self.length, max(0.15 * self.length, 1.0)
         usual = (min(max(12.0, narrow), wide / 2), max(min(75.0, wide), 2 * narrow))
         return (
-            Parameter("centre", "mm", (0.0, self.length), (-10 * self.length, 10 * self.length), "middle of it"),
-            Parameter("width", "mm", usual, (narrow, wide), "standard deviation of the bell"),
+            Parameter(
+                "centre",
+                "mm",
+                (0.0, self.length),
+                (-10 * self.length, 10 * self.length),
+                "middle of it",
+                search=Places(),
+            ),
+            Parameter("width", "mm", usual, (narrow, wide), "standard deviation of the bell", search=Widths()),
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
@@ -66,6 +77,15 @@ class LocalWear(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         bell = self._bell(position(recording, self.axis), *nonlinear)
         return (bell * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        centre, width = nonlinear
+        for shift in () if self.radial else (-0.6, 0.6):
+            yield self.basis(recording, centre + shift * width, width)[:, 0] - base[:, 0], 0.5
+
+    def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
+        centre, width = nonlinear
+        return {position_name(recording, self.axis): (centre - 2 * width, centre + 2 * width)}
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         depth = parameters["depth"]

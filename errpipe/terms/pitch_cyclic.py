@@ -14,6 +14,8 @@ from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Waves
+from errpipe.terms._slack import Slack, uneven_waves
 
 
 def wave(x: np.ndarray, period: float) -> np.ndarray:
@@ -37,6 +39,7 @@ class PitchCyclic(Term):
     radial: Radial = False
     reports_as = "pitch_cyclic"
     family = "geometric"
+    on_both_axes = False
 
     def linear(self) -> tuple[Parameter, ...]:
         return (
@@ -45,7 +48,9 @@ class PitchCyclic(Term):
         )
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave"),)
+        return (
+            Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves(least_places=200)),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (position_name(recording, self.axis),)
@@ -65,6 +70,13 @@ class PitchCyclic(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (period,) = nonlinear
         return wave(position(recording, self.axis), period) * share(recording, self.axis, self.radial)[:, None]
+
+    def log_prior_odds(self) -> float:
+        return 0.0 if self.fixed else -3.0  # the strongest of some hundred waves is picked
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if not self.radial:
+            yield from uneven_waves(base, position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)

@@ -16,6 +16,8 @@ from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack
 
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
 
@@ -37,13 +39,28 @@ class ReversalSpike(Term):
     from_start: bool = Field(False, description="Do runs that begin where the axis turns begin with a spike?")
     reports_as = "reversal_spike"
     family = "reversal"
+    in_part = "runs"
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("height", "um", (2.0, 15.0), (-200.0, 200.0), "height of the spike (at 1000 mm/min)"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        power = (Parameter("power", "1", (0.0, 1.0), (0.0, 2.0), "growth with feed"),) if self.feed else ()
-        return (Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away"), *power)
+        power = (
+            (Parameter("power", "1", (0.0, 1.0), (0.0, 2.0), "growth with feed", search=Listed((0.0, 0.5, 1.0))),)
+            if self.feed
+            else ()
+        )
+        return (
+            Parameter(
+                "tau",
+                "s",
+                (0.005, 0.05),
+                (0.001, 1.0),
+                "time in which it dies away",
+                search=Listed((0.004, 0.008, 0.015, 0.03, 0.06, 0.12, 0.24)),
+            ),
+            *power,
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (direction_column(recording, self.axis), recording.name("velocity", axis=self.axis), self.feed)
@@ -84,3 +101,9 @@ class ReversalSpike(Term):
         if self.feed:
             size = size * (recording.array(self.feed) / 1000.0) ** nonlinear[1]
         return (-size * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        # a real spike takes a moment to rise, and the loop swings before it is gone: Laguerre's shapes
+        since = np.minimum(self.since_turn(recording) / nonlinear[0], 1e3)
+        for k in (1, 2, 3):
+            yield base[:, 0] * since**k, 0.4

@@ -14,6 +14,7 @@ from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._slack import Slack, chebyshev
 
 
 class ScaleError(Term):
@@ -46,6 +47,10 @@ class ScaleError(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (position(recording, self.axis) * 1e-3 * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if not self.radial:  # a lead error is not quite straight
+            yield from ((column, 0.12) for column in chebyshev(position(recording, self.axis), 8).T[2:])
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         slope = parameters["slope"] * 1e-3

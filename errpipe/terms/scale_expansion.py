@@ -14,6 +14,7 @@ from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial, Reference, Sensor
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._slack import Slack, bent, lagged
 from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
@@ -50,6 +51,19 @@ class ScaleExpansion(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         rise = drive(rise_driver(self.sensor, self.reference), recording)
         return (position(recording, self.axis) * 1e-3 * rise * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if self.radial:
+            return
+        x = position(recording, self.axis)
+        yield x, 0.7
+        yield from bent(base[:, 0], x)
+        # the growth is counted from the fixed end, wherever that is
+        level = base[:, 0] / np.where(np.abs(x) > 1e-9, x, 1e-9) * (np.nanmax(x) - np.nanmin(x))
+        yield np.where(np.abs(x) > 1e-6, level, 0.0), 0.3
+        rise = recording.array(self.sensor)
+        for tau in (400.0, 1500.0):
+            yield (lagged(recording, rise, tau) - rise) * x, 0.3
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         slope = parameters["coefficient"] * 1e-3

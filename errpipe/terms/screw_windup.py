@@ -15,6 +15,7 @@ from errpipe.drivers.motion import direction, direction_column, position, positi
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._slack import Slack, bent, gradual_reversal
 
 
 class ScrewWindup(Term):
@@ -60,6 +61,12 @@ class ScrewWindup(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         step = -0.5 * direction(recording, self.axis) * self._reach(position(recording, self.axis))
         return (step * share(recording, self.axis, self.radial))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if recording.name("direction", axis=self.axis) is None:  # no contact changes sides at once
+            yield from gradual_reversal(base[:, 0], recording, self.axis)
+        if not self.radial:
+            yield from bent(base[:, 0], position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         half = -0.5 * parameters["step_at_far_end"]

@@ -25,6 +25,8 @@ class SensorDrift(Term):
     reports_as = "sensor_drift"
     family = "measurement"
     compensable = False
+    artefact = "it is the instrument that drifts, not the machine: correct the reading"
+    simulated_log_odds = -12.0
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("rate", "um/h", (0.5, 5.0), (-500.0, 500.0), "drift per hour"),)

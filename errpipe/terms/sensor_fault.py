@@ -11,7 +11,8 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.responses import lag
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._slack import Slack
 from errpipe.terms._warm import sensors
 
 
@@ -32,6 +33,9 @@ class SensorFault(Term):
     reports_as = "sensor_fault"
     family = "measurement"
     compensable = False
+    artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"
+    simulated_log_odds = NEVER
+    in_part = "never"
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("gain", "um/K", (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
@@ -54,6 +58,24 @@ class SensorFault(Term):
         before = read[: self.first][np.isfinite(read[: self.first])]
         held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
         return np.where(inside, true - held, 0.0)[:, None]
+
+    def log_prior_odds(self) -> float:
+        return -3.0
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        rows = np.arange(len(recording))
+        inside = ((rows >= self.first) & (rows <= self.last)).astype(float)
+        yield inside, 0.3
+        yield inside * (rows - self.first) / max(self.last - self.first, 1), 0.3
+
+    def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
+        clock, t = recording.name("time"), recording.time()
+        return {} if clock is None else {clock: (float(t[self.first]), float(t[self.last]))}
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[SensorFault]:
+        """Bindings to the sensors as they were read, in which failures show; those left out as unusable are no use."""
+        return (term for term in cls.bind(raw, component) if term.sensor in recording.frame.columns)
 
 
 def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.ndarray:

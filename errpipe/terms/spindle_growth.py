@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
@@ -13,6 +15,8 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, difference_of_shape, start_states
 from errpipe.terms._warm import scaled
 
 
@@ -37,8 +41,17 @@ class SpindleGrowth(Term):
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("tau", "s", (600.0, 6000.0), (60.0, 40000.0), "time constant"),
-            Parameter("exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed"),
+            Parameter(
+                "tau",
+                "s",
+                (600.0, 6000.0),
+                (60.0, 40000.0),
+                "time constant",
+                search=Listed((400, 700, 1100, 1700, 2600, 4000, 6000, 9000)),
+            ),
+            Parameter(
+                "exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed", search=Listed((0.7, 1.0, 1.4, 2.0))
+            ),
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
@@ -58,6 +71,17 @@ class SpindleGrowth(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(*nonlinear), recording)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        tau, exponent = nonlinear
+        yield from start_states(recording, tau, 0.1, 0.7)
+        for factor in (0.3, 3.0):
+            yield self.basis(recording, tau * factor, exponent)[:, 0], 0.25
+        if recording.name("cut_length") is not None:  # or the spindle ran on between the parts
+            ran_on = dataclasses.replace(recording, between="held")
+            yield self.basis(ran_on, *nonlinear)[:, 0] - base[:, 0], 0.3
+        for factor, power in itertools.product((1.0, 0.3), (1.0 / 1.5, 1.5)):  # each body has its own friction
+            yield difference_of_shape(self.basis(recording, tau * factor, exponent * power)[:, 0], base[:, 0]), 0.15
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["growth"])),)

@@ -15,6 +15,7 @@ from errpipe.drivers.motion import axes, position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import direction_of, is_radial, own_axis
+from errpipe.terms._slack import Slack, chebyshev
 
 
 def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
@@ -76,6 +77,13 @@ class Straightness(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         curve = bows(position(recording, self.axis), self.low, self.high, self.order)
         return curve * share(recording, self.across, True)[:, None] if self.across else curve
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        polynomials = chebyshev(position(recording, self.axis), 8)
+        across = share(recording, self.across, True) if self.across else 1.0
+        yield polynomials[:, 1] * across, 0.4  # whichever line it is counted from
+        for k in range(self.order + 1, 9):
+            yield polynomials[:, k] * across, 0.3
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         if self.across:

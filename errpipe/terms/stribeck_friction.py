@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._search import Listed
 
 
 class StribeckFriction(Term):
@@ -29,12 +30,22 @@ class StribeckFriction(Term):
     reports_as = "stribeck_friction"
     family = "friction"
     compensable = False
+    friction_part = "falling"
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
+        return (
+            Parameter(
+                "v_s",
+                "mm/s",
+                (0.5, 20.0),
+                (0.1, 100.0),
+                "speed at which the dry part has gone",
+                search=Listed((0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)

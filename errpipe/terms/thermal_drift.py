@@ -12,6 +12,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
+from errpipe.terms._slack import Slack, lagged
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 
@@ -30,6 +31,7 @@ class ThermalDrift(Term):
     reference: Reference = REFERENCE
     reports_as = "thermal_drift"
     family = "thermal"
+    one_sensor = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
@@ -45,6 +47,10 @@ class ThermalDrift(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(rise_driver(self.sensor, self.reference), recording)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        rise = recording.array(self.sensor)
+        yield lagged(recording, rise, 300.0) - rise, 0.2
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(rise_driver(self.sensor, self.reference), parameters["gain"])),)

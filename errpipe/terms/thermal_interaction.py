@@ -14,6 +14,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference
+from errpipe.terms._slack import Slack
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 
@@ -33,6 +34,7 @@ class ThermalInteraction(Term):
     reference: Reference = REFERENCE
     reports_as = "thermal_interaction"
     family = "thermal"
+    simulated_log_odds = -15.0
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("gain", "um/K2", (0.05, 0.5), (-20.0, 20.0), "shift per kelvin squared"),)
@@ -53,6 +55,18 @@ class ThermalInteraction(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(), recording)[:, None]
+
+    def log_prior_odds(self) -> float:
+        return -2.0  # a product is rarer than a sum
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        for sensor in dict.fromkeys((self.first, self.second)):
+            yield recording.array(sensor) - np.nanmean(recording.array(sensor)), 0.12
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalInteraction]:
+        """Rises are counted from the start of each session: what the absolute ones add are sums of the two."""
+        return (term.model_copy(update={"reference": None}) for term in cls.bind(recording, component))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(), parameters["gain"])),)

@@ -16,6 +16,8 @@ from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 
@@ -36,6 +38,7 @@ class ThermalLag(Term):
     along: str | None = Field(None, description="Axis along which the lagged temperature stretches; none: it shifts.")
     reports_as = "thermal_lag"
     family = "thermal"
+    simulated_log_odds = -4.0
 
     def linear(self) -> tuple[Parameter, ...]:
         if self.along:
@@ -43,7 +46,16 @@ class ThermalLag(Term):
         return (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (600.0, 15000.0), (60.0, 100000.0), "time constant"),)
+        return (
+            Parameter(
+                "tau",
+                "s",
+                (600.0, 15000.0),
+                (60.0, 100000.0),
+                "time constant",
+                search=Listed((600, 1000, 1600, 2500, 4000, 6300, 10000, 16000)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.sensor, position_name(recording, self.along)) if self.along else (self.sensor,)
@@ -63,6 +75,14 @@ class ThermalLag(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         slow = drive(self._driver(nonlinear[0]), recording)
         return (slow * position(recording, self.along) * 1e-3 if self.along else slow)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield from start_states(recording, nonlinear[0], 0.4, 0.6)
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalLag]:
+        """Shifts only: a scale that follows its sensor late is within what an expansion of the scale may depart."""
+        return (term for term in cls.bind(recording, component) if not term.along)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (tau,) = self.nonlinear_values(parameters)

@@ -13,6 +13,8 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
 
 
@@ -35,7 +37,16 @@ class ToolWear(Term):
         return (Parameter("wear", "um", (1.0, 30.0), (-500.0, 500.0), "after 1000 m"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("exponent", "1", (0.5, 1.0), (0.2, 3.0), "shape of the wear curve"),)
+        return (
+            Parameter(
+                "exponent",
+                "1",
+                (0.5, 1.0),
+                (0.2, 3.0),
+                "shape of the wear curve",
+                search=Listed((0.35, 0.55, 0.75, 1.0, 1.3)),
+            ),
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)
@@ -53,6 +64,9 @@ class ToolWear(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(*nonlinear), recording)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield self.basis(recording, min(nonlinear[0] * 1.6, 3.0))[:, 0], 0.3
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["wear"])),)

@@ -11,6 +11,8 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._search import Waves
+from errpipe.terms._slack import Slack, uneven_waves
 
 
 class TorqueRipple(Term):
@@ -36,7 +38,7 @@ class TorqueRipple(Term):
         )
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave"),)
+        return (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave", search=Waves()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (position_name(recording, self.axis),)
@@ -49,3 +51,9 @@ class TorqueRipple(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         angle = 2 * np.pi / nonlinear[0] * position(recording, self.axis)
         return np.column_stack([np.sin(angle), np.cos(angle)])
+
+    def log_prior_odds(self) -> float:
+        return -3.0  # the strongest of some hundred waves is picked
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield from uneven_waves(base, position(recording, self.axis))

@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._slack import Slack
 
 
 class ViscousFriction(Term):
@@ -29,6 +30,7 @@ class ViscousFriction(Term):
     reports_as = "viscous_friction"
     family = "friction"
     compensable = False
+    friction_part = "viscous"
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("damping", "N s/m", (50.0, 3000.0), (-50000.0, 50000.0), "force per speed"),)
@@ -44,3 +46,6 @@ class ViscousFriction(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (1e-3 * recording.array(self.column))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield np.abs(base[:, 0]), 0.4  # it may differ by direction

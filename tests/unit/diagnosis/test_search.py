@@ -6,13 +6,16 @@ import pytest
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.diagnosis.search import Search
+from errpipe.terms import Term
+
+TERM = (Term(term="any"),)
 
 
 def library(columns: dict[str, np.ndarray]) -> Library:
     """One hypothesis of one column for each name."""
     n = next(iter(columns.values())).size
     made = (
-        (Hypothesis(name, (), ((),), (name,)), (v[:, None] / v.std(), np.ones(1), np.array([v.std()])), 1)
+        (Hypothesis(name, TERM, ((),), (name,)), (v[:, None] / v.std(), np.ones(1), np.array([v.std()])), 1)
         for name, v in columns.items()
     )
     return Library(made, np.zeros(n, dtype=int), np.arange(n) * 5 // n)

@@ -1,0 +1,85 @@
+"""How reality departs from a textbook form: columns that a term adds beside its own, each with its freedom.
+
+A lead error is not quite straight, a wall has more than one time constant, the loop rings before a spike is gone.
+A freedom is the prior standard deviation of the column's coefficient relative to the size of the textbook form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import direction, position
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+
+Slack = Iterator[tuple[np.ndarray, float]]  # column, shape (rows,), and its freedom
+
+BENT = 0.07  # freedom of each smooth deformation along an axis; chosen on both trial generators
+DEGREES = range(1, 8)  # Chebyshev degrees of these deformations
+MANY_STARTS = 5  # sessions from which start states share one column, whole sessions are held out, each may have a datum
+
+
+def unit_interval(x: np.ndarray) -> np.ndarray:
+    """x scaled to -1..1 over its own range, shape of x; zeros where it never changes."""
+    low, high = np.nanmin(x), np.nanmax(x)
+    return (2 * x - low - high) / (high - low) if high > low else np.zeros_like(x)
+
+
+def chebyshev(x: np.ndarray, degree: int) -> np.ndarray:
+    """Chebyshev polynomials of degrees 0..degree over the range of x, shape (rows, degree + 1)."""
+    return np.polynomial.chebyshev.chebvander(unit_interval(x), degree)
+
+
+def bent(column: np.ndarray, x: np.ndarray) -> Slack:
+    """A column bent smoothly along x."""
+    polynomials = chebyshev(x, DEGREES[-1])
+    for k in DEGREES:
+        yield column * polynomials[:, k], BENT
+
+
+def uneven_waves(waves: np.ndarray, x: np.ndarray) -> Slack:
+    """Waves (rows, k) stronger here than there, or of a slightly different length."""
+    polynomials = chebyshev(x, 2)
+    for wave in waves.T:
+        yield wave * polynomials[:, 1], 0.15
+        yield wave * polynomials[:, 2], 0.15
+
+
+def difference_of_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """A column less another, both at unit size: it changes the shape and leaves the size to the other."""
+    return column / max(float(np.std(column)), 1e-12) - base / max(float(np.std(base)), 1e-12)
+
+
+def start_states(recording: Recording, tau: float, first: float, later: float) -> Slack:
+    """Decay of an unknown state at the start of each session, time constant tau in s.
+
+    Of many sessions only what they have in common: a state for each would absorb whatever differs between sessions.
+    first, later: freedom in the first session and in each further one.
+    """
+    session, t = sessions(recording), recording.time()
+    made = []
+    for s in np.unique(session):
+        inside = session == s
+        since = np.where(inside, t - t[inside][0], 0.0)
+        made.append(np.where(inside, np.exp(-np.maximum(since, 0.0) / tau), 0.0))
+    if len(made) >= MANY_STARTS:
+        yield np.sum(made, axis=0), 1.0
+        return
+    for k, column in enumerate(made):
+        yield column, first if k == 0 else later
+
+
+def lagged(recording: Recording, values: np.ndarray, tau: float) -> np.ndarray:
+    """First-order lag of values with time constant tau in s, started at the input, shape (rows,)."""
+    return responses.lag(sessions(recording), recording.time(), values, tau, tau, True)
+
+
+def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack:
+    """A step between the directions of an axis that is closed over some travel after each reversal."""
+    side, x = direction(recording, axis), position(recording, axis)
+    for length in (0.005, 0.02, 0.08):
+        late = responses.approach(sessions(recording), x, side, length) - side
+        yield step * side * late, 0.6

@@ -1,0 +1,45 @@
+"""Drive force that accelerates the axis' mass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.domain.recording import Recording
+from errpipe.terms._base import Parameter, Term
+
+
+class MovingMass(Term):
+    """The drive has to accelerate table, workpiece and screw: a force in proportion to acceleration.
+
+    Equation   force = mass * a                                     [N] = [kg] * [m/s2]
+    Assumes    one rigid mass; rotating inertia counted as mass
+    Typical    20..5000 kg
+    Moves      positive mass: force ahead while the axis speeds up
+    Source     Newton's second law
+    """
+
+    term: Literal["moving_mass"] = "moving_mass"
+    column: str = Field(description="Column of the acceleration.")
+    reports_as = "moving_mass"
+    family = "friction"
+    compensable = False
+    missing = False  # every simulation of a drive force holds it
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[MovingMass]:
+        if component.startswith("F_"):
+            for column in recording.names("acceleration", axis=component[2:]):
+                yield cls(column=column)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return (1e-3 * recording.array(self.column))[:, None]
