@@ -11,11 +11,11 @@ CODE := errpipe tests trials bench examples
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow test-all lint types check schemas bench trials trials-scales clean
+.PHONY: help setup demo test test-slow test-all lint types check generated bench trials trials-scales clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' Makefile
 
 setup: $(SETUP) ## make .venv with errpipe and its development extras
 
@@ -49,8 +49,10 @@ types: $(SETUP) ## static types
 check: lint test ## what to run before a change is offered
 	@$(BIN)/errpipe check --no-data pipelines/*.yaml
 
-schemas: $(SETUP) ## write schemas/*.schema.json again from the code
+generated: $(SETUP) ## write schemas/, docs/ (reference pages) and tests/errors/ again from the code
 	@$(BIN)/errpipe schema --write schemas
+	@$(BIN)/errpipe reference --write docs
+	@WRITE_EXPECTED=1 $(PYTEST) tests/errors
 
 bench: $(SETUP) ## speed, as ratios to other libraries in the same run
 	@$(BIN)/python -m bench $(ARGS)

@@ -36,6 +36,7 @@ VERBS = (
     "correct",
     "measure",
     "schema",
+    "reference",
 )
 
 EXIT_CODES = """

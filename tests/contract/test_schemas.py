@@ -30,7 +30,7 @@ def accepts(schema: dict[str, Any], path: Path) -> list[str]:
 @pytest.mark.parametrize("name", MODELS)
 def test_the_file_is_what_the_code_says(name: str) -> None:
     path = ROOT / "schemas" / f"{name}.schema.json"
-    assert path.read_text() == jsonfile.dumps(schema_of(name)), "run `make schemas` and read the difference"
+    assert path.read_text() == jsonfile.dumps(schema_of(name)), "run `make generated` and read the difference"
 
 
 @pytest.mark.parametrize("name", MODELS)

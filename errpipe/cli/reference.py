@@ -1,0 +1,32 @@
+"""`errpipe reference`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    page: str = typer.Argument("terms", metavar="[PAGE]", help="terms, formats, targets, stages or recordings."),
+    name: str = typer.Argument(
+        "", metavar="[NAME]", help="One entry of the page, such as backlash.", show_default=False
+    ),
+    write: Path | None = typer.Option(
+        None, "--write", metavar="DIR", help="Write all pages into DIR instead.", show_default=False
+    ),
+) -> None:
+    """Print a reference page, or one entry of it, as Markdown.
+
+    \b
+    Example:
+      errpipe reference terms backlash
+      errpipe reference stages
+    """
+    from errpipe.cli.output import stage_module
+
+    reference = stage_module("reference")
+    if write is not None:
+        reference.write(write)
+        return
+    typer.echo(reference.entry(page, name) if name else reference.page(page), nl=False)

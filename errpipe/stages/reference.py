@@ -1,0 +1,307 @@
+"""The reference pages, from the code alone: terms, formats, targets, stages, cleaning rules and recordings as Markdown.
+
+Each registry is gone through once; what a page says of a plug-in is what its docstring, its parameters and its options
+say. `errpipe reference --write docs` writes all pages; a test holds the files in `docs/` to them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from errpipe.errors import UsageError, did_you_mean
+
+# The docstring sections of a plug-in: `Equation   text`, two spaces or more after the word, continued by indentation.
+_SECTION = re.compile(r"^([A-Z][A-Za-z-]+) {2,}(\S.*)$")
+_LEFT_OUT = {"kind", "term", "rule", "family", "format"}  # the discriminators: they are the heading
+
+
+def sections(docstring: str) -> tuple[str, list[tuple[str, str]]]:
+    """First paragraph of a docstring, and its sections (heading, text with its own line breaks)."""
+    lines = inspect.cleandoc(docstring).splitlines()
+    head: list[str] = []
+    found: list[tuple[str, list[str]]] = []
+    for line in lines:
+        match = _SECTION.match(line)
+        if match:
+            found.append((match.group(1), [match.group(2)]))
+        elif found and line.startswith("   "):
+            found[-1][1].append(line.strip())
+        elif not found:
+            head.append(line)
+    return " ".join(" ".join(head).split()), [(word, "\n".join(text)) for word, text in found]
+
+
+def _cell(text: object) -> str:
+    return " ".join(str(text).split()).replace("|", "\\|")
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> Iterator[str]:
+    names = list(head)
+    yield "| " + " | ".join(names) + " |"
+    yield "| " + " | ".join("---" for _ in names) + " |"
+    for row in rows:
+        yield "| " + " | ".join(_cell(value) for value in row) + " |"
+
+
+def _options(model: Any, without: frozenset[str] = frozenset()) -> Iterator[str]:
+    """The options of a pydantic model: name, default, unit, meaning."""
+    rows = []
+    for name, field in model.model_fields.items():
+        if name in _LEFT_OUT or name in without:
+            continue
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        default = "required" if field.is_required() else _default(field)
+        rows.append((f"`{field.alias or name}`", default, extra.get("unit", ""), field.description or ""))
+    if rows:
+        yield ""
+        yield from _table(("option", "default", "unit", "meaning"), rows)
+
+
+def _default(field: Any) -> str:
+    value = field.get_default(call_default_factory=True)
+    if value is None or value in ({}, (), ""):
+        return "none"
+    text = str(value)
+    return f"`{text}`" if len(text) <= 40 and "=" not in text and "\n" not in text else "see text"
+
+
+def _term(term: Any) -> Iterator[str]:
+    about, parts = sections(term.__doc__)
+    name = term.model_fields["term"].default
+    yield f"## `{name}`"
+    yield ""
+    yield about
+    yield ""
+    for word, text in parts:
+        if word == "Equation":
+            yield "```\n" + text + "\n```"
+        else:
+            yield f"**{word}.** {_cell(text)}  "
+    if term.reports_as:
+        yield f"**Effect.** `{term.reports_as}`, of the family {term.family or 'none'}  "
+    if not term.compensable:
+        yield "**Compensation.** Never: the effect belongs to the measurement, not to the machine.  "
+    bound = term.example().term
+    rows = [
+        (f"`{p.name}`", p.unit, f"{p.typical[0]:g} … {p.typical[1]:g}", f"{p.bounds[0]:g} … {p.bounds[1]:g}", p.meaning)
+        for p in (*bound.linear(), *bound.nonlinear())
+    ]
+    if rows:
+        yield ""
+        yield "Parameters of its worked example:"
+        yield ""
+        yield from _table(("parameter", "unit", "typical", "bounds", "meaning"), rows)
+    yield from _options(term, frozenset({"fixed"}))
+
+
+def _format(module: Any) -> Iterator[str]:
+    yield f"## `{module.name}`"
+    yield ""
+    yield inspect.cleandoc(module.__doc__)
+    yield from _options(module.Options)
+
+
+def _target(target: Any) -> Iterator[str]:
+    yield f"## `{target.name}`"
+    yield ""
+    yield f"{target.controller}. {_cell(target.__doc__)}"
+    yield ""
+    yield "```\n" + inspect.cleandoc(inspect.getmodule(target).__doc__ or "") + "\n```"
+    yield ""
+    yield f"**Sign.** {_cell(target.sign)}  "
+    yield f"**Limits.** {_cell(target.limits)}  "
+    yield f"**Confidence.** {target.confidence}  "
+    yield f"**Source.** {_cell(target.source)}  "
+    if target.goes_with:
+        yield "**Goes with.** " + ", ".join(f"`{name}`" for name in target.goes_with) + "  "
+    yield ""
+    yield "At the machine:"
+    yield ""
+    yield from (f"{i}. {_cell(step)}" for i, step in enumerate(target.activation, 1))
+
+
+def _stage(stage: Any) -> Iterator[str]:
+    yield f"## `{stage.model_fields['kind'].annotation.__args__[0]}`"
+    yield ""
+    yield inspect.cleandoc(stage.__doc__)
+    yield ""
+    takes = [
+        f"`{need.type}`{' (every)' if need.every else ''}{' (optional)' if need.optional else ''}"
+        for need in stage.takes.values()
+    ]
+    yield f"**Takes.** {', '.join(takes) or 'files'}  "
+    yield f"**Gives.** {', '.join(f'`{artefact}`' for artefact in stage.gives) or 'files'}  "
+    yield from _options(stage, frozenset({"name", "source"}))
+
+
+def _rule(rule: Any) -> Iterator[str]:
+    yield f"### `{rule.model_fields['rule'].default}`"
+    yield ""
+    yield inspect.cleandoc(rule.__doc__)
+    yield from _options(rule)
+
+
+def _terms() -> Iterator[str]:
+    from errpipe.terms import TERMS
+
+    yield from _pages("term", TERMS, _term)
+
+
+def _formats() -> Iterator[str]:
+    from errpipe.formats import FORMATS
+
+    yield from _pages("format", FORMATS, _format)
+
+
+def _targets() -> Iterator[str]:
+    from errpipe.targets import TARGETS
+
+    yield from _pages("target", TARGETS, _target)
+
+
+def _stages() -> Iterator[str]:
+    from errpipe.cleaning import RULES
+    from errpipe.stages import STAGES
+
+    yield from _pages("stage", STAGES, _stage)
+    yield ""
+    yield "## Cleaning rules"
+    for rule in RULES:
+        yield ""
+        yield from _rule(rule)
+
+
+def _recordings() -> Iterator[str]:
+    from errpipe.domain.recording import ROLE_UNITS, Column, Constant, Manifest
+
+    yield "## Manifest"
+    yield from _options(Manifest)
+    yield ""
+    yield "## Columns"
+    yield from _options(Column)
+    yield ""
+    yield "## Roles and their units, the canonical one first"
+    yield ""
+    yield from _table(("role", "units"), ((f"`{role}`", ", ".join(u) or "none") for role, u in ROLE_UNITS.items()))
+    yield ""
+    yield "## Constants of the set-up"
+    yield from _options(Constant)
+
+
+def _pages(word: str, registry: Iterable[Any], page: Callable[[Any], Iterator[str]]) -> Iterator[str]:
+    for number, entry in enumerate(registry):
+        if number:
+            yield ""
+        yield from page(entry)
+
+
+PAGES: Mapping[str, tuple[str, str, Callable[[], Iterator[str]]]] = {
+    "terms": (
+        "Terms",
+        "A term is one piece of physics: fitting solves for its parameters, diagnosis offers it as a hypothesis, "
+        "simulation plays it, tables compile it. Deviation = actual minus commanded, um; positions mm, rises K.\n\n"
+        "```yaml\n"
+        "stages:\n"
+        "  - {kind: simulate}\n"
+        "  - {kind: ingest}\n"
+        "  - kind: fit\n"
+        "    components:\n"
+        "      - component: EXX\n"
+        "        terms:\n"
+        "          - {term: offset}\n"
+        "          - {term: chebyshev, axis: X, degree: 6}\n"
+        "          - {term: scale_expansion, axis: X, sensor: T_nut}\n"
+        "```",
+        _terms,
+    ),
+    "formats": (
+        "Measurement file formats",
+        "`ingest` recognises a file by its content, or reads it as the format that is named:\n\n"
+        "```yaml\n"
+        "stages:\n"
+        "  - {kind: ingest, recording: recordings/x-axis, format: manifest}\n"
+        "```",
+        _formats,
+    ),
+    "targets": (
+        "Controller formats",
+        "A correction is minus the deviation. Every format states its sign in words and is read back by a reader that "
+        "works as the controller does; what it cannot express is reported in um.\n\n"
+        "```yaml\n"
+        "stages:\n"
+        "  - {kind: export, targets: [linuxcnc_screw, c_runtime]}\n"
+        "```",
+        _targets,
+    ),
+    "stages": (
+        "Stages of a pipeline",
+        "Stages are linked by the types of what they take and give, in the order of the file.\n\n"
+        "```yaml\n"
+        "pipeline: 1\n"
+        "title: a simulated axis\n"
+        "stages:\n"
+        "  - {kind: simulate}\n"
+        "  - {kind: ingest}\n"
+        "  - {kind: clean}\n"
+        "  - kind: fit\n"
+        "    components:\n"
+        "      - {component: EXX, terms: [{term: offset}, {term: backlash, axis: X}]}\n"
+        "  - {kind: validate}\n"
+        "  - {kind: export}\n"
+        "  - {kind: report}\n"
+        "```",
+        _stages,
+    ),
+    "recordings": (
+        "Recordings",
+        "A recording is a folder: `recording.yaml` says what every column of its tables is; nothing is guessed from a "
+        "name.\n\n"
+        "```yaml\n"
+        "recording: 1\n"
+        "title: X axis, bidirectional positioning\n"
+        "tables: [recording.csv]\n"
+        "constants:\n"
+        "  X: {role: axis, kind: linear, travel: [0, 800], screw_lead: 10, unit: mm}\n"
+        "columns:\n"
+        "  run:   {role: run}\n"
+        "  t:     {role: time, unit: s}\n"
+        "  x:     {role: position, axis: X, unit: mm}\n"
+        "  dir:   {role: direction, axis: X}\n"
+        "  T_nut: {role: temperature, unit: degC, location: ball-screw nut}\n"
+        "  EXX:   {role: error, component: EXX, unit: um}\n"
+        "```",
+        _recordings,
+    ),
+}
+
+
+def page(name: str) -> str:
+    """One reference page as Markdown. Raises UsageError for a name that is none of PAGES."""
+    if name not in PAGES:
+        raise UsageError(f"no reference page {name!r} (allowed: {', '.join(PAGES)}).{did_you_mean(name, PAGES)}")
+    title, about, body = PAGES[name]
+    note = "<!-- Generated by `errpipe reference --write docs`; edit the code, not this page. -->"
+    lines = [f"# {title}", "", note, "", about, "", *body()]
+    return "\n".join(line.rstrip() if not line.endswith(".  ") else line for line in lines).rstrip() + "\n"
+
+
+def entry(page_name: str, name: str) -> str:
+    """The part of a page about one plug-in, as Markdown. Raises UsageError naming the nearest."""
+    parts = re.split(r"(?m)^(?=#{2,3} `)", page(page_name))[1:]
+    known = {re.match(r"#+ `([^`]+)`", part).group(1): part for part in parts}  # type: ignore[union-attr]
+    if name not in known:
+        raise UsageError(f"no {page_name} entry {name!r} (allowed: {', '.join(known)}).{did_you_mean(name, known)}")
+    return known[name].rstrip() + "\n"
+
+
+def write(folder: Path) -> list[str]:
+    """Write every page into a folder as <name>.md; the names written."""
+    from errpipe import jsonfile
+
+    for name in PAGES:
+        jsonfile.write_text(Path(folder) / f"{name}.md", page(name))
+    return [f"{name}.md" for name in PAGES]
