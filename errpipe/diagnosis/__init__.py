@@ -26,7 +26,7 @@ from errpipe.domain.recording import Recording
 
 @dataclass(frozen=True)
 class Rows:
-    """A judged response row by row, for figures: mismatch before and after, run, what each finding carries.
+    """A judged response row by row, for figures: mismatch before and after, run, what each finding contributes.
 
     inputs: values of the columns that drive the findings, and of time, by name.
     """
@@ -34,7 +34,7 @@ class Rows:
     before: np.ndarray
     after: np.ndarray
     run: np.ndarray
-    carried: Mapping[str, np.ndarray]
+    contribution: Mapping[str, np.ndarray]
     inputs: Mapping[str, np.ndarray]
 
 
@@ -61,9 +61,9 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
         case = judge.judge(recording, conditioned, pair, done)
         progress((k + 0.8) / len(pairs), f"{pair.component}: proving it on rows that had no say")
-        response, carried, left = report.response(case)
+        response, contribution, left = report.response(case)
         responses.append(response)
         inputs = report.inputs(case, response)
-        rows.append(Rows(case.y, left, case.run, carried, inputs))
+        rows.append(Rows(case.y, left, case.run, contribution, inputs))
         del case  # or two tables of products are held at once
     return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes)), rows

@@ -12,7 +12,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Signs:
+class Indicators:
     """What is known about a finding once the search is over.
 
     gain: log Bayes factor beside the other findings; margin: over the best other effect in its place;
@@ -70,10 +70,10 @@ UNKNOWN = {
 # the truth was in the class in 84 % of them, where the curve for names said 75 %); cross-validated by set of cases the
 # log loss falls from 0.339 to 0.330.
 CLASS = {"constant": 0.5, "naming": 1.3}
-STRANGE = 0.55  # chance of a mechanism without a name from which that is said first (names are right far more often)
+UNKNOWN_FIRST = 0.55  # probability from which `unknown` is reported first (names are right far more often)
 
 
-def features(s: Signs) -> dict[str, float]:
+def features(s: Indicators) -> dict[str, float]:
     """The inputs of the curves."""
     return {
         "constant": 1.0,
@@ -92,12 +92,12 @@ def features(s: Signs) -> dict[str, float]:
     }
 
 
-def naming(s: Signs) -> float:
+def naming(s: Indicators) -> float:
     """Chance that the name is right."""
     return _curve(NAMING, s, 0.03, 0.99)
 
 
-def of_class(s: Signs) -> float:
+def of_class(s: Indicators) -> float:
     """Chance that a name or one of the effects that the data cannot tell from it is right.
 
     s: as for the name, with its margin over the best effect outside of the class.
@@ -107,12 +107,12 @@ def of_class(s: Signs) -> float:
     return float(np.clip(1.0 / (1.0 + np.exp(-z)), 0.03, 0.99))
 
 
-def unknown(s: Signs) -> float:
+def unknown(s: Indicators) -> float:
     """Chance that a mechanism outside the vocabulary is at work."""
     return _curve(UNKNOWN, s, 0.01, 0.98)
 
 
-def _curve(weights: dict[str, float], s: Signs, low: float, high: float) -> float:
+def _curve(weights: dict[str, float], s: Indicators, low: float, high: float) -> float:
     x = features(s)
     z = sum(weights[k] * x[k] for k in weights)
     return float(np.clip(1.0 / (1.0 + np.exp(-z)), low, high))

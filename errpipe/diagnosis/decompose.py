@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import SIZES, Active, Data, Scene, hollow, textbook_share
+from errpipe.diagnosis.evidence import SIZES, Active, Data, Scene, textbook_penalty, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
 
@@ -14,7 +14,7 @@ MOST_PARTS = 5
 BEAM = 6  # states followed at once
 ALTERNATIVES = 3  # sets of effects handed on
 MOST_MOVES = 6  # effects tried beside a state
-BEHIND = 40.0  # log evidence by which they may be behind the best
+MAX_BEHIND = 40.0  # log evidence by which they may be behind the best
 COARSE = (0.004, 0.08)  # what textbook forms cannot reach, relative to the signal: taken for noise
 MATTERS = 20.0  # a part left over matters once a tenth of it, over all rows, stands out of the measuring noise
 ROWS = (60.0, 0.025)  # what is left is no noise: it counts as so many rows, and for each row so many more
@@ -150,7 +150,7 @@ class _Work:
         out: dict[tuple, tuple[float, Chosen]] = {}
         for worth, state in beam:
             effects = tuple(sorted(self.library.hypotheses[i].effect for i, _ in state))
-            if effects not in out and worth > beam[0][0] - BEHIND:
+            if effects not in out and worth > beam[0][0] - MAX_BEHIND:
                 out[effects] = (worth, state)
         return list(out.values())[:ALTERNATIVES]
 
@@ -193,7 +193,7 @@ class _Work:
 
     def _listed(self, others: Chosen) -> Chosen:
         gain, size, core = self._scene(others).scores(self.library.listed, rows=self.count)
-        gain = gain - hollow(core) + self.prior
+        gain = gain - textbook_penalty(core) + self.prior
         seen = {self.library.hypotheses[i].effect for i, _ in others}
         out: Chosen = []
         for k in np.argsort(-gain):
@@ -218,7 +218,11 @@ class _Work:
         b, start, price = scene.coefficients()[1:], 0, 0.0
         for i, _ in chosen:
             width = self.freedom[i].size
-            price += PRICE - self.prior[i] + hollow(textbook_share(b[start : start + width], self.library.cores[i]))
+            price += (
+                PRICE
+                - self.prior[i]
+                + textbook_penalty(textbook_share(b[start : start + width], self.library.cores[i]))
+            )
             start += width
         return scene.evidence(self.count) - price
 

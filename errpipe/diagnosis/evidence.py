@@ -26,8 +26,8 @@ MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blin
 SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
 ROOM = 512  # columns that products have room for besides those of the hypotheses
 AT_ONCE = 64  # columns filtered together
-LEAST_CORE = 0.25  # below this share of its textbook form an effect is not what its name says,
-HOLLOW = 60.0  # and at none it would need this log Bayes factor
+MIN_TEXTBOOK_SHARE = 0.25  # below this share of its textbook form an effect is not what its name says,
+MAX_TEXTBOOK_PENALTY = 60.0  # and at none it would need this log Bayes factor
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
@@ -240,7 +240,7 @@ class Listed:
 @dataclass(frozen=True)
 class Scored:
     """A hypothesis' log Bayes factor against the active columns alone, the size that fits best, and at that size the
-    textbook form's share in what it carries."""
+    textbook form's share in what it explains."""
 
     gain: float
     size: float
@@ -366,9 +366,9 @@ def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndar
     return core / np.maximum(core + slack, 1e-300)
 
 
-def hollow(share: Any) -> Any:
+def textbook_penalty(share: Any) -> Any:
     """Log Bayes factor that a hypothesis must bring besides, where its textbook form has so small a share."""
-    return HOLLOW * np.maximum(0.0, 1.0 - share / LEAST_CORE)
+    return MAX_TEXTBOOK_PENALTY * np.maximum(0.0, 1.0 - share / MIN_TEXTBOOK_SHARE)
 
 
 def correlation_time(left: np.ndarray, run: np.ndarray) -> float:

@@ -3,7 +3,7 @@
     force = mass a + damping v + friction tanh(v / sharpness) + offset                       both ways alike
     force = mass a + damping(way) v + friction(way) tanh(|v| / sharpness)                    each way its own
 
-The second is said to hold where blocks of the recording that sat out are predicted better with it and a
+The second is said to hold where held-out blocks of the recording are predicted better with it and a
 difference between the ways is beyond doubt. Intervals come from leaving out blocks in turn, for neighbouring rows of
 a trace tell the same.
 """
@@ -20,15 +20,15 @@ from errpipe.terms import TERMS, ViscousFriction
 
 SHARPNESS = (0.0, 0.3, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # mm/s
 BLOCKS = 40
-BETTER = 0.97  # rms on blocks that sat out, over that of one law both ways, below which the ways differ
-NEAR = 1.02  # rms on blocks that sat out, over that of the best sharpness, up to which another one may be true
+BETTER = 0.97  # rms on held-out blocks, over that of one law both ways, below which the ways differ
+MAX_LOSS = 1.02  # rms on held-out blocks, over that of the best sharpness, up to which another one may be true
 DOUBT = 4.0  # standard errors by which a parameter must differ between the ways
 WIDER = 1.25  # as for all parameters: see model.py
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Coefficients, their standard errors, differences (last two pairs), and the rms on blocks that sat out."""
+    """Coefficients, their standard errors, differences (last two pairs), and the rms on held-out blocks."""
 
     value: np.ndarray
     covariance: np.ndarray
@@ -77,7 +77,7 @@ class ByDirection:
         told = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g})" for p in (*self.damping(), *self.force())]
         return (
             f"Friction differs by direction: {told[0]} N s/m forwards and {told[1]} backwards, beside a dry part of "
-            f"{told[2]} N and {told[3]}; on stretches that sat out the force is then met to {self.law.held_out:.3g} N "
+            f"{told[2]} N and {told[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} N "
             f"rms instead of {self.alike.held_out:.3g} with one law both ways."
         )
 
@@ -120,7 +120,7 @@ def by_direction(case: Case) -> ByDirection | None:
 
 def widened(law: Fitted, others: list[Fitted]) -> Fitted:
     """A law whose intervals know that friction may as well turn round a little more or less sharply than was found."""
-    apart = np.stack([o.value - law.value for o in others if o.held_out < NEAR * law.held_out])
+    apart = np.stack([o.value - law.value for o in others if o.held_out < MAX_LOSS * law.held_out])
     return replace(law, covariance=law.covariance + apart.T @ apart / len(apart))
 
 
@@ -137,7 +137,7 @@ def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
     return Fitted(value, (BLOCKS - 1) / BLOCKS * moved.T @ moved, float(np.sqrt(np.mean(left**2))))
 
 
-def told_by_direction(findings: list[Finding], law: ByDirection) -> list[Finding]:
+def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Finding]:
     """The findings once friction is known to differ by direction.
 
     Dry friction gets its two levels. A Stribeck part that would have friction rise from standstill is no such thing: it

@@ -1,4 +1,4 @@
-"""Gains of a simulation stay within limits: where only an absurd one explains, something else does.
+"""Gains of a simulation stay within limits: where only a gain beyond them explains, something else does.
 
 The simulated signal is taken apart into parts, each with a gain of its own beside that of the whole. A Gaussian prior
 lets enough rows push a gain anywhere; here an explanation pays for what the limits would cost it.

@@ -9,14 +9,14 @@ import numpy as np
 from errpipe.diagnosis import admit
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.judge import Case
-from errpipe.diagnosis.left_out import ZEROED, LeftOut, spoken_for
+from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """rms on rows that sat out; how often the full search's first effect was chosen without them."""
+    """rms on held-out rows; how often the full search's first effect was chosen without them."""
 
     scheme: str
     before: float
@@ -31,10 +31,10 @@ def held_out(case: Case) -> HeldOut:
     """
     search, library = case.search, case.library
     _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
-    judged = LeftOut(library, case.recording, case.pair.rows, case.y, case.recal, case.session, case.loose)
+    judged = LeftOut(library, case.recording, case.pair.rows, case.y, case.recal, case.session, case.free_shapes)
     if judged.session is not None:
         scheme += f"; the datum of each from its first {ZEROED} rows, which do not count"
-    first = case.explanation.found[0].hypothesis.effect if case.explanation.found else None
+    first = case.explanation.accepted[0].hypothesis.effect if case.explanation.accepted else None
     before, after, same, shaped = [], [], [], 0
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
@@ -49,13 +49,13 @@ def held_out(case: Case) -> HeldOut:
             search.threshold_more,
             search.rows,
         )
-        if any(found.hypothesis.mask for found in case.explanation.found):
+        if any(found.hypothesis.mask for found in case.explanation.accepted):
             chosen = part.tune(case.chosen())  # where a partial effect acts cannot be found without its runs
         else:
-            chosen = [(x.index, x.size) for x in part.explain(starts=2).found] if first else []
-            chosen = spoken_for(part, chosen, judged)
+            chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if first else []
+            chosen = supported_by_held_out(part, chosen, judged)
         names = [i for i, _ in chosen]
-        rest = admit.remainder(part, library, chosen, case.loose, case.places)
+        rest = admit.remainder(part, library, chosen, case.free_shapes, case.places)
         ways = [(part.active(chosen), judged.columns(names))]
         if rest.taken:
             ways.append((rest.active, judged.columns(names, rest.taken)))

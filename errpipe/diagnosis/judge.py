@@ -11,7 +11,7 @@ import numpy as np
 from errpipe.diagnosis import admit, gains, hypotheses, partial
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.evidence import Active, Data, Scene, correlation_time
-from errpipe.diagnosis.left_out import LeftOut, carries, datums, spoken_for
+from errpipe.diagnosis.left_out import LeftOut, datums, predicts_held_out, supported_by_held_out
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MOST, Explanation, Search
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -50,14 +50,14 @@ class Case:
     explanation: Explanation
     sigma: float
     remainder: admit.Remainder
-    rough: float  # noise from second differences
-    loose: list[Shape]  # shapes without a name
+    noise_estimate: float  # noise from second differences
+    free_shapes: list[Shape]  # shapes without a name
     places: list[np.ndarray]  # their columns in the library's table
     session: np.ndarray | None = None  # of each row, where each session has its own datum
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
-        return [(f.index, f.size) for f in self.explanation.found]
+        return [(f.index, f.size) for f in self.explanation.accepted]
 
 
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
@@ -65,14 +65,14 @@ DEPENDENT = 1.8  # rows per independent row of what is left, from which rows cou
 WIDE_PRICE = 10.0  # log Bayes factor it takes to believe so
 
 
-def _settled(library, data, nuisance, prior, rough, rows=None, most=MOST) -> tuple[Search, Explanation]:
+def _settled(library, data, nuisance, prior, noise_estimate, rows=None, most=MOST) -> tuple[Search, Explanation]:
     """Search until the noise level agrees with what the explanation leaves."""
-    sigma = rough
+    sigma = noise_estimate
     for _ in range(4):
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
         search.most = most
         explanation = search.explain()
-        left = search.scene([(f.index, f.size) for f in explanation.found]).rms()
+        left = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
         if abs(left / sigma - 1) < 0.03:
             break
         sigma = max(left, 1e-9)
@@ -84,71 +84,76 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
     if not partial.add_parts(search, conditioned, rows, explanation.alone):
         return explanation
     in_part = search.explain()
-    if not in_part.found:
+    if not in_part.accepted:
         return explanation
-    search.sigma = max(search.scene([(f.index, f.size) for f in in_part.found]).rms(), 1e-9)
+    search.sigma = max(search.scene([(f.index, f.size) for f in in_part.accepted]).rms(), 1e-9)
     return in_part
 
 
-def _reached(search: Search, explanation: Explanation, rough: float, share: float = 0.88) -> bool:
+def _reached(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:
     """Does the explanation reach this share of the variance that is neither noise nor recalibration?"""
-    noise, base = 1.2 * rough, search.scene([]).rms()
-    left = search.scene([(f.index, f.size) for f in explanation.found]).rms()
-    return bool(explanation.found) and left**2 - noise**2 < (1 - share) * (base**2 - noise**2)
+    noise, base = 1.2 * noise_estimate, search.scene([]).rms()
+    left = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+    return bool(explanation.accepted) and left**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
-FAINT = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
+MIN_SIZE = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
 
 
-MENDS = 0.2  # size beside the simulation's own part of that name and driver, below which a finding mends its form
+MIN_SHARE_OF_PART = (
+    0.2  # size beside the simulation's own part of that name and driver, below which a finding mends its form
+)
 
 
 def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
-    """The explanation without findings too faint to be physics of their own: they mend the form of something else."""
-    own = {(p.hypothesis.effect, p.hypothesis.drivers): MENDS * float(np.std(p.contribution)) for p in held.parts}
-    kept = list(explanation.found)
+    """The explanation without findings too small to be physics of their own: they mend the form of something else."""
+    own = {
+        (p.hypothesis.effect, p.hypothesis.drivers): MIN_SHARE_OF_PART * float(np.std(p.contribution))
+        for p in held.parts
+    }
+    kept = list(explanation.accepted)
     while kept:
         scene = search.scene([(f.index, f.size) for f in kept])
         b, first = scene.coefficients(), search.nuisance.index.size
         sizes = []
         for f in kept:
             block = search.library.block(f.index, conditioned, rows)
-            carried = block @ b[first : first + block.shape[1]]
+            contribution = block @ b[first : first + block.shape[1]]
             first += block.shape[1]
-            acting = np.abs(carried) > 0.1 * np.abs(carried).max()
-            size = float(np.sqrt(np.mean(carried[acting] ** 2)))
+            acting = np.abs(contribution) > 0.1 * np.abs(contribution).max()
+            size = float(np.sqrt(np.mean(contribution[acting] ** 2)))
             mends = size < own.get((f.hypothesis.effect, f.hypothesis.drivers), 0.0)
             sizes.append(0.0 if mends else size / search.sigma)
-        faint = [k for k, size in enumerate(sizes) if size < FAINT[min(k, 1)]]
-        if not faint:
+        too_small = [k for k, size in enumerate(sizes) if size < MIN_SIZE[min(k, 1)]]
+        if not too_small:
             break
-        del kept[faint[-1]]
-    return replace(explanation, found=tuple(kept))
+        del kept[too_small[-1]]
+    return replace(explanation, accepted=tuple(kept))
 
 
-WILD = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
+OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
 
 
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
     """Explain one response; outliers that only the explanation shows are set aside, and it is explained again."""
     case = _judge(raw, conditioned, pair, progress)
-    wild = _lone(residual(case))
-    if not wild.any() or wild.mean() > 0.03:
+    outlying = _isolated(residual(case))
+    if not outlying.any() or outlying.mean() > 0.03:
         return case
     kept = replace(
         pair,
-        rows=pair.rows[~wild],
-        mismatch=pair.mismatch[~wild],
-        outliers=np.sort(np.r_[pair.outliers, pair.rows[wild]]),
+        rows=pair.rows[~outlying],
+        mismatch=pair.mismatch[~outlying],
+        outliers=np.sort(np.r_[pair.outliers, pair.rows[outlying]]),
     )
     del case  # or two tables of products are held at once
     return _judge(raw, conditioned, kept, progress)
 
 
-def _lone(left: np.ndarray) -> np.ndarray:
+def _isolated(left: np.ndarray) -> np.ndarray:
     """Rows far out whose neighbours are not."""
     size = np.abs(left) / (1.4826 * np.median(np.abs(left)) + 1e-300)
-    out = size > WILD
+    out = size > OUTLIER
     beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
     return out & (beside < size)
 
@@ -160,55 +165,57 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     library = hypotheses.build(conditioned, pair.component, rows, raw, (pair.mismatch, simulated))
     progress(0.3, f"{pair.component}: taking the simulation apart")
     run = conditioned.run_codes()[rows]
-    rough = first_noise(pair.mismatch, run)
+    noise_estimate = first_noise(pair.mismatch, run)
     data = Data(library.table, pair.mismatch)
     plain = parts.static(simulated, library, raw, conditioned, rows)
-    alternatives = [plain] if plain else parts.decompose(simulated, library, conditioned, rows, rough)
+    alternatives = [plain] if plain else parts.decompose(simulated, library, conditioned, rows, noise_estimate)
     progress(0.5, f"{pair.component}: looking for what is missing")
-    decomposition, (nuisance, names, recal, sizes) = _likeliest(alternatives, simulated, library, data, rough)
+    decomposition, (nuisance, names, recal, sizes) = _likeliest(alternatives, simulated, library, data, noise_estimate)
     prior = log_prior(library, decomposition)
     session = sessions(conditioned)[rows]
-    anew = datums(conditioned, rows, session, library, pair.mismatch)
-    if anew is not None and asked_for(anew[0], nuisance, library, data, prior, rough, run):
-        nuisance = nuisance.plus(anew[0].index, anew[0].sd)
-        recal, names = np.column_stack([recal, anew[1]]), [*names, *anew[2]]
-        sizes = np.r_[sizes, np.ones(len(anew[2]))]
+    each_datum = datums(conditioned, rows, session, library, pair.mismatch)
+    if each_datum is not None and favours_session_datums(
+        each_datum[0], nuisance, library, data, prior, noise_estimate, run
+    ):
+        nuisance = nuisance.plus(each_datum[0].index, each_datum[0].sd)
+        recal, names = np.column_stack([recal, each_datum[1]]), [*names, *each_datum[2]]
+        sizes = np.r_[sizes, np.ones(len(each_datum[2]))]
     else:
         session = None
-    loose: list[Shape] = shapes(conditioned, pair.component, rows)
-    every = library.add(np.column_stack([s.columns for s in loose]))
-    edges = np.cumsum([0, *[s.columns.shape[1] for s in loose]])
+    free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
+    every = library.add(np.column_stack([s.columns for s in free_shapes]))
+    edges = np.cumsum([0, *[s.columns.shape[1] for s in free_shapes]])
     places = [every[a:b] for a, b in itertools.pairwise(edges)]
-    search, explanation = _settled(library, data, nuisance, prior, rough)
+    search, explanation = _settled(library, data, nuisance, prior, noise_estimate)
     explanation = _with_parts(search, explanation, conditioned, rows)
-    left = search.scene([(f.index, f.size) for f in explanation.found]).residual()
+    left = search.scene([(f.index, f.size) for f in explanation.accepted]).residual()
     time = correlation_time(left, run)
     if time > DEPENDENT:
         # the best that can be said leaves rows that go together: they count for less, and gains may be far off
         # (how much less, the best single effect tells: what two reach together may have been bent to the rows)
         worth = max(run.size / time, 30.0)
-        single, one = _settled(library, data, nuisance, search.prior, rough, worth, most=1)
-        left = single.scene([(f.index, f.size) for f in one.found]).residual()
-        if not (_reached(search, explanation, rough) and not _reached(single, one, rough, 0.75)):
+        single, one = _settled(library, data, nuisance, search.prior, noise_estimate, worth, most=1)
+        left = single.scene([(f.index, f.size) for f in one.accepted]).residual()
+        if not (_reached(search, explanation, noise_estimate) and not _reached(single, one, noise_estimate, 0.75)):
             worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
-            search, explanation = _settled(library, data, nuisance, search.prior, rough, worth)
+            search, explanation = _settled(library, data, nuisance, search.prior, noise_estimate, worth)
         wide = Active(nuisance.index, nuisance.sd * np.where([n.startswith("datum") for n in names], 1.0, WIDE))
-        other, loose_gains = _settled(library, data, wide, search.prior, rough, worth)
-        chosen = [[(f.index, f.size) for f in e.found] for e in (explanation, loose_gains)]
+        other, wide_gains = _settled(library, data, wide, search.prior, noise_estimate, worth)
+        chosen = [[(f.index, f.size) for f in e.accepted] for e in (explanation, wide_gains)]
         if search.rows and other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
-            search, explanation, nuisance = other, loose_gains, wide
+            search, explanation, nuisance = other, wide_gains, wide
     if search.rows is None:  # else the simulation lacks so much that its gains may be anything
-        search, explanation = _within_limits(search, explanation, decomposition, names, recal, sizes, rough)
+        search, explanation = _within_limits(search, explanation, decomposition, names, recal, sizes, noise_estimate)
     explanation = worth_naming(search, explanation, conditioned, rows, decomposition)
-    judged = LeftOut(library, conditioned, rows, pair.mismatch, recal, session, loose)
-    kept = spoken_for(search, [(f.index, f.size) for f in explanation.found], judged)
-    if len(kept) < len(explanation.found):
-        explanation = replace(explanation, found=search.found(kept))
-    sigma = max(search.scene([(f.index, f.size) for f in explanation.found]).rms(), 1e-9)
+    judged = LeftOut(library, conditioned, rows, pair.mismatch, recal, session, free_shapes)
+    kept = supported_by_held_out(search, [(f.index, f.size) for f in explanation.accepted], judged)
+    if len(kept) < len(explanation.accepted):
+        explanation = replace(explanation, accepted=search.accepted(kept))
+    sigma = max(search.scene([(f.index, f.size) for f in explanation.accepted]).rms(), 1e-9)
     search.sigma = sigma
-    chosen = [(f.index, f.size) for f in explanation.found]
-    rest = admit.remainder(search, library, chosen, loose, places)
-    if session is not None and not carries(search, chosen, rest, judged):
+    chosen = [(f.index, f.size) for f in explanation.accepted]
+    rest = admit.remainder(search, library, chosen, free_shapes, places)
+    if session is not None and not predicts_held_out(search, chosen, rest, judged):
         rest = admit.remainder(search, library, chosen, [], [])
     return Case(
         conditioned,
@@ -226,64 +233,70 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         explanation,
         sigma,
         rest,
-        rough,
-        loose,
+        noise_estimate,
+        free_shapes,
         places,
         session,
     )
 
 
-ANEW_PRICE = 10.0  # log Bayes factor from which it is believed
+SESSION_DATUM_PRICE = 10.0  # log Bayes factor from which it is believed
 
 
-def asked_for(anew: Active, nuisance: Active, library, data: Data, prior, rough: float, run: np.ndarray) -> bool:
+def favours_session_datums(
+    each_datum: Active, nuisance: Active, library, data: Data, prior, noise_estimate: float, run: np.ndarray
+) -> bool:
     """Is the best explanation likelier with a datum for each session than the best one with a single datum?
 
     Each datum pays for its freedom. Rows count for less where what is left beside all datums still goes together.
     """
-    tried = [nuisance.plus(anew.index, anew.sd), nuisance]
-    settled = [_settled(library, data, n, prior, rough) for n in tried]
-    left = [s.scene([(f.index, f.size) for f in e.found]) for s, e in settled]
+    tried = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
+    settled = [_settled(library, data, n, prior, noise_estimate) for n in tried]
+    left = [s.scene([(f.index, f.size) for f in e.accepted]) for s, e in settled]
     worth = max(run.size / correlation_time(left[0].residual(), run), 30.0)
     with_each, with_one = (
-        scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.found)
+        scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.accepted)
         for scene, (_, e) in zip(left, settled, strict=True)
     )
-    return with_each > with_one + ANEW_PRICE
+    return with_each > with_one + SESSION_DATUM_PRICE
 
 
-ABSURD = 60.0  # log evidence that absurd gains can cost at most: the signal may have been taken apart wrongly
-CLAMPED = 0.03  # freedom of a gain that was absurd, while another explanation is looked for
+MAX_GAIN_PENALTY = (
+    60.0  # log evidence that gains beyond the limits can cost at most: the signal may have been taken apart wrongly
+)
+CLAMPED_SD = 0.03  # freedom of a gain beyond the limits, while another explanation is looked for
 
 
 def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
-    """Log evidence less what findings and absurd gains cost."""
-    chosen = [(f.index, f.size) for f in explanation.found]
-    absurd, _ = gains.excess(search.scene(chosen), rows, search.rows)
-    return search.evidence(chosen) - MISSING * len(chosen) - min(absurd, ABSURD)
+    """Log evidence less what findings and gains beyond the limits cost."""
+    chosen = [(f.index, f.size) for f in explanation.accepted]
+    gain_penalty, _ = gains.excess(search.scene(chosen), rows, search.rows)
+    return search.evidence(chosen) - MISSING * len(chosen) - min(gain_penalty, MAX_GAIN_PENALTY)
 
 
-def _within_limits(search, explanation, d: parts.Decomposition, names, recal, sizes, rough):
-    """The explanation, or a likelier one without the absurd gains that it needs."""
+def _within_limits(search, explanation, d: parts.Decomposition, names, recal, sizes, noise_estimate):
+    """The explanation, or a likelier one without the gains beyond the limits that it needs."""
     labels, rows = gains.totals(names, sizes)
-    absurd, beyond = gains.excess(search.scene([(f.index, f.size) for f in explanation.found]), rows, search.rows)
-    if absurd < OFF or beyond is None or d.plain:  # a static model of sensors may hold any gains
+    gain_penalty, beyond = gains.excess(
+        search.scene([(f.index, f.size) for f in explanation.accepted]), rows, search.rows
+    )
+    if gain_penalty < OFF or beyond is None or d.plain:  # a static model of sensors may hold any gains
         return search, explanation
-    absurdly = {name for name, out in zip(labels, beyond, strict=False) if out}
-    prior = _less_surely_held(search, d, {name.split(" on ")[0] for name in absurdly})
-    kept = _clamped(search, absurdly, names, recal, sizes)
-    other, clamped = _settled(search.library, search.data, kept, prior, rough, search.rows)
+    beyond_limits = {name for name, out in zip(labels, beyond, strict=False) if out}
+    prior = _less_surely_held(search, d, {name.split(" on ")[0] for name in beyond_limits})
+    kept = _clamped(search, beyond_limits, names, recal, sizes)
+    other, clamped = _settled(search.library, search.data, kept, prior, noise_estimate, search.rows)
     free, fair = (
         Search(search.library, search.data, search.nuisance, sigma, prior, MISSING, MORE, search.rows)
         for sigma in (other.sigma, search.sigma)
     )
-    found = free.found(free.tune([(f.index, f.size) for f in clamped.found]))
-    second, nothing = replace(clamped, found=found), replace(clamped, found=())
+    found = free.accepted(free.tune([(f.index, f.size) for f in clamped.accepted]))
+    second, nothing = replace(clamped, accepted=found), replace(clamped, accepted=())
     if not found or _worth(fair, second, rows) <= _worth(fair, explanation, rows) + OFF:
         return search, explanation
     if len(found) == 1:  # it brings what it does for the rows, and what it spares the gains
         spared = _worth(fair, second, rows) + MISSING - _worth(fair, nothing, rows)
-        second = replace(second, found=(replace(found[0], gain=max(found[0].gain, spared)),))
+        second = replace(second, accepted=(replace(found[0], gain=max(found[0].gain, spared)),))
     return free, second
 
 
@@ -294,12 +307,12 @@ def _clamped(search: Search, parts_held: set[str], names, recal, sizes) -> Activ
     size = max(float(np.std(rest)), 1e-12)
     index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
     index[1], sd[1] = search.library.add((rest / size)[:, None])[0], GAIN_SD * size
-    sd[theirs] = np.minimum(sd[theirs], CLAMPED * sizes[theirs])
+    sd[theirs] = np.minimum(sd[theirs], CLAMPED_SD * sizes[theirs])
     return Active(index, sd)
 
 
 def _less_surely_held(search: Search, d: parts.Decomposition, effects: set[str]) -> np.ndarray:
-    """Log prior odds where parts with absurd gains are not so sure to be in the simulation after all."""
+    """Log prior odds where parts with gains beyond the limits are not so sure to be in the simulation after all."""
     prior = search.prior.copy()
     held = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
     for i, h in enumerate(search.library.hypotheses):
@@ -311,14 +324,14 @@ def _less_surely_held(search: Search, d: parts.Decomposition, effects: set[str])
 TRUST = 0.3  # weight of the evidence from taking the simulation apart: what it leaves over is no noise
 
 
-def _likeliest(alternatives: list[parts.Decomposition], simulated, library, data: Data, rough: float):
+def _likeliest(alternatives: list[parts.Decomposition], simulated, library, data: Data, noise_estimate: float):
     """The decomposition that makes signal and mismatch likeliest together, with its recalibration."""
     tried = []
     for d in alternatives:
         nuisance, *told = recalibration(simulated, d, library)
         worth = TRUST * d.worth
         if len(alternatives) > 1:
-            search, e = _settled(library, data, nuisance, log_prior(library, d), rough)
+            search, e = _settled(library, data, nuisance, log_prior(library, d), noise_estimate)
             worth += _worth(search, e, gains.totals(told[0], told[2])[1])
         tried.append((worth, (d, (nuisance, *told))))
     return max(tried, key=lambda t: t[0])[1]
@@ -377,7 +390,7 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
 
 
 def first_noise(y: np.ndarray, run: np.ndarray) -> float:
-    """Noise from second differences between neighbours, robust; an upper bound where the mismatch is rough."""
+    """Noise from second differences between neighbours, robust; an upper bound where the mismatch is noise_estimate."""
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
     bend = (y[2:] - 2 * y[1:-1] + y[:-2])[same]
     if bend.size < 10:

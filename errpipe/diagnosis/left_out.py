@@ -1,6 +1,6 @@
 """How well an explanation, fitted without some folds, predicts their rows; and what of it these rows speak for.
 
-Where each session has a datum of its own, a session that sat out tells its datum by its first rows, which do not count.
+Where each session has a datum of its own, a held-out session tells its datum by its first rows, which do not count.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from errpipe.diagnosis.shapes import Shape
 from errpipe.domain.recording import Recording
 from errpipe.terms import MANY_STARTS
 
-ZEROED = 5  # rows of a session that sat out which tell its datum
+ZEROED = 5  # rows of a held-out session which tell its datum
 
 
 @dataclass
 class LeftOut:
-    """A response's columns before whitening, and how rows that sat out are judged.
+    """A response's columns before whitening, and how held-out rows are judged.
 
     recal: columns of the nuisances (rows, k); session: of each row, where each session has its own datum, else None.
     """
@@ -33,7 +33,7 @@ class LeftOut:
     y: np.ndarray
     recal: np.ndarray
     session: np.ndarray | None
-    loose: list[Shape]
+    free_shapes: list[Shape]
     _blocks: dict[int, np.ndarray] = field(default_factory=dict)
 
     def columns(self, chosen: list[int], shapes: tuple[int, ...] = ()) -> np.ndarray:
@@ -42,7 +42,7 @@ class LeftOut:
             if i not in self._blocks:
                 self._blocks[i] = self.library.block(i, self.recording, self.rows)
         return np.column_stack(
-            [self.recal, *[self._blocks[i] for i in chosen], *[self.loose[k].columns for k in shapes]]
+            [self.recal, *[self._blocks[i] for i in chosen], *[self.free_shapes[k].columns for k in shapes]]
         )
 
     def zeroed(self, values: np.ndarray, test: np.ndarray) -> np.ndarray:
@@ -103,8 +103,8 @@ def datums(
     return Active(index, sd), columns, [f"datum of run {labels[run[k]]}" for k in first]
 
 
-def spoken_for(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
-    """Of findings, strongest first, as many as predict sessions that sit out best; the first one always stays.
+def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
+    """Of findings, strongest first, as many as predict held-out sessions best; the first one always stays.
 
     Only where sessions have their own datums: what is much alike within a session, and not between them, is then many
     rows that say the same, and a further finding may only bend the first one to them.
@@ -118,7 +118,7 @@ def spoken_for(search: Search, chosen: list[tuple[int, float]], judged: LeftOut)
     return ways[int(np.argmin(squares))]
 
 
-def carries(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
+def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
     """Do shapes without a name predict rows that sit out? What differs from start to start is no mechanism's shape."""
     names = [i for i, _ in chosen]
     without = judged.mean_square(search.data, search.active(chosen), search.sigma, judged.columns(names))

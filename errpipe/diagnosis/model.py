@@ -39,8 +39,8 @@ class Modelled:
 
 def modelled(case: Case, k: int) -> Modelled:
     """Parameters of finding k beside the others."""
-    f = case.explanation.found[k]
-    others = [(g.index, g.size) for j, g in enumerate(case.explanation.found) if j != k]
+    f = case.explanation.accepted[k]
+    others = [(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k]
     scene = case.search.scene(others)
     hypothesis, spans = _refine(case, scene, f.hypothesis, f.size)
     block, freedom, scale, cores = _columns(case, hypothesis)
@@ -60,7 +60,7 @@ def modelled(case: Case, k: int) -> Modelled:
 
 def core_share(case: Case, k: int) -> float:
     """Share of the textbook form in the contribution of finding k, as it was searched."""
-    found = case.explanation.found
+    found = case.explanation.accepted
     scene = case.search.scene(case.chosen())
     b = scene.coefficients()
     first = case.nuisance.index.size + sum(case.library.indices(f.index).size for f in found[:k])

@@ -68,10 +68,10 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
         raise DataError(f"{component}: only {rows.size} different rows (at least {LEAST_ROWS})")
     if np.nanstd(recording.array(error)[rows]) == 0:
         raise DataError(f"{component}: the recorded value never changes")
-    wild = spikes(mismatch[rows], recording.run_codes()[rows])
+    outlying = spikes(mismatch[rows], recording.run_codes()[rows])
     keep = _enough(recording, rows)
-    rows, wild = rows[keep], wild[keep]
-    return Pair(component, unit, error, twin, rows[~wild], mismatch[rows[~wild]], rows[wild])
+    rows, outlying = rows[keep], outlying[keep]
+    return Pair(component, unit, error, twin, rows[~outlying], mismatch[rows[~outlying]], rows[outlying])
 
 
 def _enough(recording: Recording, rows: np.ndarray) -> np.ndarray:

@@ -23,22 +23,22 @@ from errpipe.terms import Term
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, from which it is said
-UNPROVED = 0.5  # confidence of a name, at most, where rows that sat out are no better explained with it
+UNPROVED = 0.5  # confidence of a name, at most, where held-out rows are no better explained with it
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
-    """One response of diagnosis.json, what each finding carries on the judged rows, and what all of it leaves."""
+    """One response of diagnosis.json, what each finding contributes on the judged rows, and what all of it leaves."""
     before, after = case.y, residual(case)
     held = holdout.held_out(case)
-    signs = [signs_of(case, k, held) for k in range(len(case.explanation.found))]
-    made = [model.modelled(case, k) for k in range(len(signs))]
-    findings = [finding(case, k, made[k], signs) for k in range(len(signs))]
-    carried = {m.hypothesis.effect: m.contribution for m in made}
-    strange = confidence.unknown(signs[0]) if signs else _strange_alone(case, held)
-    findings, verdict = _verdict(case, findings, strange)
+    indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
+    made = [model.modelled(case, k) for k in range(len(indicators))]
+    findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
+    contribution = {m.hypothesis.effect: m.contribution for m in made}
+    p_unknown = confidence.unknown(indicators[0]) if indicators else _p_unknown_alone(case, held)
+    findings, verdict = _verdict(case, findings, p_unknown)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
-        carried["unknown"], after = _with_shape(case)
-    floor = float(min(case.sigma, case.rough) if signs or strange > 0.5 else case.sigma)
+        contribution["unknown"], after = _with_shape(case)
+    floor = float(min(case.sigma, case.noise_estimate) if indicators or p_unknown > 0.5 else case.sigma)
     recalibrated = residual(case, [])
     datums = own_datums(case, [])
     found = significance.chance(case)
@@ -46,8 +46,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     if held.after >= held.before:
         findings = [f.model_copy(update=_no_surer(f, UNPROVED)) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
-    findings = friction.told_by_direction(findings, law) if law else findings
-    carried = {name: values for name, values in carried.items() if name in {f.effect for f in findings}}
+    findings = friction.with_directional_law(findings, law) if law else findings
+    contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component,
@@ -72,16 +72,16 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         ),
     )
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
-    return out.model_copy(update={"says": says}), carried, after
+    return out.model_copy(update={"says": says}), contribution, after
 
 
 def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
     """What the shapes without a name carry on the judged rows, and what names and shapes leave together."""
-    shapes = np.column_stack([case.loose[k].columns for k in case.remainder.taken])
+    shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
     named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
     b = Scene(case.search.data, case.remainder.active, case.search.sigma).coefficients()
-    carried = shapes @ b[-shapes.shape[1] :]
-    return carried, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - carried
+    contribution = shapes @ b[-shapes.shape[1] :]
+    return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
 
 
 def _datums(case: Case) -> str:
@@ -106,7 +106,7 @@ def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
 
 def _beyond_chance(case: Case, f: Finding) -> dict[str, object]:
     """How often surrogates that hold nothing take the search as far, for a finding that has a name."""
-    place = [k for k, g in enumerate(case.explanation.found) if g.hypothesis.effect == f.effect]
+    place = [k for k, g in enumerate(case.explanation.accepted) if g.hypothesis.effect == f.effect]
     if not place:
         return {}
     found = significance.chance(case, place[0])
@@ -119,17 +119,17 @@ def _rms(v: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(v))))
 
 
-def signs_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Signs:
+def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indicators:
     """What the search says about finding k."""
-    found = case.explanation.found
+    found = case.explanation.accepted
     rivals = case.search.rivals(found, k)
     own = {f.hypothesis.effect for f in found}
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
     shaped = case.remainder
-    return confidence.Signs(
+    return confidence.Indicators(
         gain=found[k].gain,
         margin=margin,
-        leftover=case.sigma / max(case.rough, 1e-12),
+        leftover=case.sigma / max(case.noise_estimate, 1e-12),
         share=shaped.share,
         shapes=sum(g for _, g in shaped.shapes),
         others=len(found) - 1,
@@ -144,7 +144,7 @@ def signs_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Signs:
 
 def unreached(case: Case, left: float) -> float:
     """Share of the structured variance that is still there at a residual rms of `left`."""
-    noise = 1.2 * case.rough  # neighbours do not see the slow share of the noise
+    noise = 1.2 * case.noise_estimate  # neighbours do not see the slow share of the noise
     base = case.search.scene([]).rms()
     if base <= noise:
         return 0.0
@@ -158,19 +158,19 @@ def is_fast(case: Case) -> bool:
     return bool(step.size and np.median(step) < 0.1)
 
 
-def _strange_alone(case: Case, held: holdout.HeldOut) -> float:
+def _p_unknown_alone(case: Case, held: holdout.HeldOut) -> float:
     """Chance of a mechanism without a name where no effect was accepted."""
     gain = sum(g for _, g in case.remainder.shapes)
     base = case.search.scene([]).rms()
     drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
-    rough = base / max(case.rough, 1e-12)
-    z = -3.5 + 0.06 * min(gain, 100.0) + 3.0 * drop + 6.0 * max(rough - 1.25, 0.0)
+    noise_estimate = base / max(case.noise_estimate, 1e-12)
+    z = -3.5 + 0.06 * min(gain, 100.0) + 3.0 * drop + 6.0 * max(noise_estimate - 1.25, 0.0)
     return float(np.clip(1 / (1 + np.exp(-z)), 0.01, 0.97))
 
 
-def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Signs]) -> Finding:
+def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
     """One finding, with its rivals and what would tell them apart."""
-    found = case.explanation.found
+    found = case.explanation.accepted
     h = found[k].hypothesis
     rivals = sorted(case.search.rivals(found, k), key=lambda r: r[1])
     own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in found}  # the same effect by other columns is a rival
@@ -178,8 +178,8 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
     every = [r for r in other if r[1] < CLOSE or _alike(case, made, r[2])]
     close = every[:4]
     beyond = min((r[1] for r in other if r not in every), default=50.0)
-    sure = confidence.of_class(replace(signs[k], margin=max(beyond, signs[k].margin)))
-    sure = max(sure, confidence.naming(signs[k]))
+    sure = confidence.of_class(replace(indicators[k], margin=max(beyond, indicators[k].margin)))
+    sure = max(sure, confidence.naming(indicators[k]))
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
@@ -191,7 +191,7 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
     values = dict(zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True))
     return Finding(
         effect=h.effect,
-        confidence=round(confidence.naming(signs[k]), 3),
+        confidence=round(confidence.naming(indicators[k]), 3),
         drivers=h.drivers,
         where=locate.where(h, case.recording, made.hypothesis.nonlinear[0]),
         parameters=tuple(
@@ -200,7 +200,7 @@ def finding(case: Case, k: int, made: model.Modelled, signs: list[confidence.Sig
         indistinguishable_from=tuple(r[0] for r in close),
         confidence_of_class=round(sure, 3) if close else None,
         would_separate=sentence,
-        says=_says(case, h.effect, h.drivers, made, signs[k]),
+        says=_says(case, h.effect, h.drivers, made, indicators[k]),
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
         compensable=term.compensable and bool(term.lower(_parameters(made, values))) and not h.mask,
@@ -240,16 +240,16 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
     return h, b[1:] / scale
 
 
-def _verdict(case: Case, findings: list[Finding], strange: float) -> tuple[list[Finding], str]:
+def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[list[Finding], str]:
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
-    if findings and strange > confidence.STRANGE:
-        named = [f.model_copy(update=_no_surer(f, 1.0 - strange)) for f in findings]
-        return [_unknown(case, strange), *named, *_recalibration(case, recalibrated)], "unexplained"
+    if findings and p_unknown > confidence.UNKNOWN_FIRST:
+        named = [f.model_copy(update=_no_surer(f, 1.0 - p_unknown)) for f in findings]
+        return [_unknown(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
-    if strange > 0.5:
-        return [_unknown(case, strange), *_recalibration(case, recalibrated)], "unexplained"
+    if p_unknown > 0.5:
+        return [_unknown(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
     return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
 
 
@@ -291,7 +291,7 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
 
 
 def _unknown(case: Case, chance: float) -> Finding:
-    """Structure that no effect carries: its drivers, and the shape that still explains."""
+    """Structure that no effect explains: its drivers, and the shape that still explains."""
     shapes = case.remainder.shapes
     drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
         case.recording.name("time") or "row",
@@ -301,7 +301,7 @@ def _unknown(case: Case, chance: float) -> Finding:
         confidence=round(chance, 3),
         drivers=drivers,
         where=Where(),
-        says=f"Structure remains that no effect of the vocabulary carries; it goes with "
+        says=f"Structure remains that no effect of the vocabulary explains; it goes with "
         f"{' and '.join(drivers)}. A data-driven shape brings it from {case.sigma:.3g} to "
         f"{case.remainder.rms:.3g} {case.pair.unit} rms.",
         rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))),
@@ -309,7 +309,7 @@ def _unknown(case: Case, chance: float) -> Finding:
     )
 
 
-def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Signs) -> str:
+def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:
     numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in made.estimates[:3])
     numbers += _unusual(made)
     size = float(np.std(made.contribution))
@@ -353,14 +353,14 @@ def in_words(r: ResponseDiagnosis) -> str:
     if after >= before:
         verb, them = ("is", "it") if one else ("are", "them")
         return (
-            f"{r.component}: {what} {verb} the best name{s} found, but unproved: rows that sat out are no better "
+            f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
             f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after).{_set_anew(r)}"
         )
     if names[0] == "unknown":
         told = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]
         near = f" (the nearest name would be {told[0]})" if told else ""
         return (
-            f"{r.component}: something is missing that no known effect carries{near}; a shape in the data brings the "
+            f"{r.component}: something is missing that no known effect explains{near}; a shape in the data brings the "
             f"mismatch, held out, from {before:.3g} to {after:.3g} {unit} rms."
         )
     return (

@@ -7,19 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Data, Scene, hollow
+from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
 SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason,
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
-EXCHANGES = 4  # effects tried in the place of each finding
-FINALISTS, NEAR = 4, 25.0  # explanations judged as a whole at the end, and how far behind the best they may be
+MAX_EXCHANGES = 4  # effects tried in the place of each finding
+FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged as a whole at the end, and how far behind the best they may be
 
 
 @dataclass(frozen=True)
-class Found:
+class Accepted:
     """One accepted hypothesis: size in noise rms, gain = what its absence would cost beside the others."""
 
     index: int
@@ -39,7 +39,7 @@ class Scores(NamedTuple):
 class Explanation:
     """Accepted hypotheses, strongest first; every hypothesis' gain alone, shape (hypotheses,); the total gain."""
 
-    found: tuple[Found, ...]
+    accepted: tuple[Accepted, ...]
     alone: np.ndarray
     total: float
 
@@ -70,7 +70,7 @@ class Search:
         if not alone.size or alone.max() < self.threshold:
             return Explanation((), alone, 0.0)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
-        for first in self.leaders(alone, starts):
+        for first in self.best_of_each_key(alone, starts):
             if alone[first] < 0.3 * alone.max() - 5:
                 break
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
@@ -79,9 +79,9 @@ class Search:
                 tried[keys] = (total, chosen)
         ranked = sorted(tried.values(), key=lambda t: -t[0])
         best_total = ranked[0][0]
-        best = max((self.tune(c) for total, c in ranked[:FINALISTS] if total > best_total - NEAR), key=self.joint)
+        best = max((self.tune(c) for total, c in ranked[:FINALISTS] if total > best_total - MAX_LOSS), key=self.joint)
         best = self._exchanged(best)
-        return Explanation(self.found(best), alone, float(best_total))
+        return Explanation(self.accepted(best), alone, float(best_total))
 
     def _exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
         """One finding after the other gives way to another effect, while the whole grows likelier."""
@@ -108,15 +108,15 @@ class Search:
             if self.library.hypotheses[i].effect not in seen:
                 seen.add(self.library.hypotheses[i].effect)
                 out.append((int(i), float(scored.size[i])))
-            if len(out) == EXCHANGES:
+            if len(out) == MAX_EXCHANGES:
                 break
         return out
 
-    def found(self, chosen: list[tuple[int, float]]) -> tuple[Found, ...]:
+    def accepted(self, chosen: list[tuple[int, float]]) -> tuple[Accepted, ...]:
         """Findings of a set of hypotheses, strongest first."""
         return tuple(sorted(self._worth(chosen), key=lambda f: -f.gain))
 
-    def rivals(self, found: tuple[Found, ...], k: int) -> list[tuple[str, float, int]]:
+    def rivals(self, found: tuple[Accepted, ...], k: int) -> list[tuple[str, float, int]]:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
         others = [(f.index, f.size) for j, f in enumerate(found) if j != k]
         gain = self.score(others).gain + self.prior
@@ -165,7 +165,7 @@ class Search:
         scene, listed = self.scene(chosen), self.library.listed
         which = listed.every if candidates is None else np.array(candidates)
         gain, size, core = scene.scores(listed, which, self.rows)
-        gain = gain - hollow(core)
+        gain = gain - textbook_penalty(core)
         known = np.flatnonzero(np.isfinite(self.library.gain_sd[which]))
         if known.size:
             at = np.array([self.library.places[k][0] for k in which[known]])
@@ -174,7 +174,7 @@ class Search:
             size[known] = unit / self.sigma
         return Scores(gain, size)
 
-    def leaders(self, gain: np.ndarray, most: int) -> list[int]:
+    def best_of_each_key(self, gain: np.ndarray, most: int) -> list[int]:
         """The best point of each key, best first."""
         out, seen = [], set()
         for i in np.argsort(-gain):
@@ -215,9 +215,9 @@ class Search:
                 break
         return chosen
 
-    def _worth(self, chosen: list[tuple[int, float]]) -> list[Found]:
+    def _worth(self, chosen: list[tuple[int, float]]) -> list[Accepted]:
         found = []
         for place, (i, _) in enumerate(chosen):
             s = self.score(chosen[:place] + chosen[place + 1 :], [i])
-            found.append(Found(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
+            found.append(Accepted(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
         return found

@@ -1,4 +1,4 @@
-"""Shapes without a name: smooth in a column or in time, per run, or a surface, to catch what no effect carries.
+"""Shapes without a name: smooth in a column or in time, per run, or a surface, to catch what no effect explains.
 
 They stand against named effects: where a shape goes on explaining after the best name, the name is in doubt.
 """
@@ -104,8 +104,8 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
         if codes.size > 1 and len(found) == 1:
             slopes = (run[:, None] == codes) * (x - x.mean())[:, None]
             yield "slope of each run", (name, recording.name("run") or clock), slopes, np.ones(codes.size)
-            slow, loose = _waves(place, 20)
-            yield "slope in time", (name, clock), slow * (x - x.mean())[:, None], loose
+            slow, free_shapes = _waves(place, 20)
+            yield "slope in time", (name, clock), slow * (x - x.mean())[:, None], free_shapes
     if len(found) >= 2:
         units = []
         for axis in found[:3]:

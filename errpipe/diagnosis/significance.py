@@ -2,7 +2,7 @@
 
 A surrogate is what the other findings and the recalibration leave, its rows moved and turned so that no input can
 explain them any more, while neighbours stay together: half of the surrogates by random signs (of whole runs where
-there are enough, else of blocks), half by blocks drawn anew from anywhere (moving-block bootstrap). Each is searched
+there are enough, else of blocks), half by blocks drawn again from anywhere (moving-block bootstrap). Each is searched
 with every hypothesis at every point of its grid of non-linear parameters, and the best gain is kept: the p value
 pays for all that was tried. Only products with the surrogates are new; those among the columns are the search's own.
 
@@ -46,7 +46,7 @@ def effective_rows(case: Case) -> float:
 
 def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES) -> Chance:
     """Significance of finding k beside the others; without k, of the best gain that the search saw at all."""
-    found = case.explanation.found
+    found = case.explanation.accepted
     others = [(f.index, f.size) for j, f in enumerate(found) if j != k] if k is not None else []
     scene = case.search.scene(others)
     rows = effective_rows(case)
@@ -79,7 +79,7 @@ def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int)
             group = inside if by_run else (np.arange(n) + rng.integers(0, block)) // block
             out[:, k] = left * rng.choice([-1.0, 1.0], int(group.max()) + 1)[group]
     turned = "signs of runs turned" if by_run else f"signs of blocks of {block} rows turned"
-    return out, f"{count} surrogates: {turned}, or blocks of {block} rows drawn anew"
+    return out, f"{count} surrogates: {turned}, or blocks of {block} rows drawn again"
 
 
 def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:

@@ -46,7 +46,9 @@ def judged(
 
     found, rows = judge(recording, progress)
     found = found.model_copy(update={"notes": (*notes, *found.notes)})
-    traces = [Trace(before=r.before, after=r.after, run=r.run, contributions=r.carried, inputs=r.inputs) for r in rows]
+    traces = [
+        Trace(before=r.before, after=r.after, run=r.run, contributions=r.contribution, inputs=r.inputs) for r in rows
+    ]
     page = render(found, traces, machine=recording.manifest.machine, version=__version__)
     return found.document(), page, found
 

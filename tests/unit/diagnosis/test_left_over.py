@@ -93,7 +93,7 @@ def test_on_nulls_every_p_of_the_search_is_as_likely_as_any(quiet):
 def test_a_planted_effect_is_beyond_chance():
     case = judged(axis(3, hidden=lambda c: -2.0 * c["dir"]))
     found = significance.chance(case, 0)
-    assert case.explanation.found[0].hypothesis.effect in ("backlash", "friction_hysteresis")  # no short reversals
+    assert case.explanation.accepted[0].hypothesis.effect in ("backlash", "friction_hysteresis")  # no short reversals
     assert found.p == 0.01 and found.gain > 5 * max(found.limit, 1.0)
     assert found.rows == pytest.approx(case.run.size, rel=0.3)  # what is left is noise: rows count
 

@@ -25,7 +25,7 @@ def explained(columns: dict[str, np.ndarray], y: np.ndarray) -> set[str]:
     made = library(columns)
     nuisance = Active(np.array([made.datum]), np.array([np.inf]))
     search = Search(made, Data(made.table, y), nuisance, 1.0, np.zeros(len(columns)), 10.0, 10.0)
-    return {f.hypothesis.effect for f in search.explain().found}
+    return {f.hypothesis.effect for f in search.explain().accepted}
 
 
 @pytest.mark.parametrize("seed", [11, 118, 128, 185, 199, 279])
