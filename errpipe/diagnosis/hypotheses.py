@@ -145,7 +145,8 @@ BLOCKS = 8  # stretches of the recording that make up one fold
 def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarray, str]:
     """Which rows sit out together, shape (rows,), and the scheme's name.
 
-    Where the machine was started anew often enough (session of each row: see `terms.sessions`), whole sessions are held out.
+    Where the machine was started anew often enough (session of each row: see `drivers.sessions`), whole sessions are
+    held out.
     Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, dealt out in turn, so that each fold
     sees every run and thermal state, and no row is judged beside its own neighbours alone.
     """
