@@ -1,0 +1,216 @@
+"""Checks of a recording's other columns: axes, directions, runs, time, temperatures, copies of one another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from errpipe.domain import components
+from errpipe.domain.recording import Recording
+from errpipe.validation.plausibility_finding import Finding
+
+FEWEST_MOVES = 10
+AT_REST = 1e-3  # of the largest travel: an axis that moves less than that stands still
+FASTEST = {"mm": 10_000.0, "deg": 36_000.0}  # mm/s (linear motors reach 5 m/s), deg/s (100 rev/s)
+ROOM = (-30.0, 150.0)  # degC: what a sensor of a machine tool can read
+COPY = 1e-6  # of its range: the rms of what an affine copy leaves
+OUTSIDE = 0.1  # of the travel: room beyond the travel that a rounded constant may need
+INCH = 25.4  # mm
+
+
+def axis_of_component(recording: Recording) -> Iterator[Finding]:
+    """A component of an axis whose position is not recorded, or stands still while another axis moves."""
+    travels = {}
+    for role in ("command", "position"):
+        for name in recording.names(role):
+            values = recording.array(name)
+            if np.isfinite(values).any():
+                travels[str(recording.manifest.columns[name].axis)] = float(np.nanmax(values) - np.nanmin(values))
+    if not travels:
+        return
+    moving = max(travels, key=lambda axis: travels[axis])
+    for name in recording.names("error"):
+        component = components.parse(str(recording.manifest.columns[name].component))
+        motion = component.kind in ("positioning", "straightness", "angular positioning")
+        if not motion or component.axis is None:
+            continue
+        own = travels.get(component.axis)
+        if own is None:
+            has = f"no column holds the position of {component.axis} (found: {', '.join(sorted(travels))})"
+            yield Finding("wrong-axis", name, f"{component.name}: {has}", _renamed(component, moving))
+        elif own <= AT_REST * travels[moving]:
+            rests = f"{component.axis} moves {own:.3g} while {moving} moves {travels[moving]:.4g}"
+            yield Finding("wrong-axis", name, f"{component.name}: {rests}", _renamed(component, moving))
+
+
+def _renamed(component: components.Component, axis: str) -> str:
+    if component.kind in ("positioning", "angular positioning"):
+        return f"component {components.positioning(axis)}"
+    return f"component E{component.direction}{axis}, or the axis of the position column"
+
+
+def direction_against_motion(recording: Recording) -> Iterator[Finding]:
+    """A direction that says the opposite of how the position changes from row to row."""
+    for side in recording.names("direction"):
+        axis = recording.manifest.columns[side].axis
+        place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+        if place is None:
+            continue
+        x, d, run = recording.array(place), recording.array(side), recording.run_codes()
+        good = np.isfinite(x) & np.isfinite(d)
+        x, d, run = x[good], d[good], run[good]
+        if x.size < FEWEST_MOVES or np.unique(d).size < 2:
+            continue  # approached from one side only: the order of the targets says nothing
+        step = np.where(np.diff(run) == 0, np.diff(x), 0.0)
+        moved = np.abs(step) > AT_REST * np.ptp(x)
+        if moved.sum() < FEWEST_MOVES:
+            continue
+        agree = float(np.mean(np.sign(step[moved]) == d[1:][moved]))
+        if agree <= 0.1:
+            found = f"it says the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
+            yield Finding("reversed-direction", side, found, "+1 when approached from below (the position rises)")
+
+
+def travel(recording: Recording) -> Iterator[Finding]:
+    """Positions beyond the stated travel, or so small a part of it that the unit is wrong."""
+    for axis, facts in recording.manifest.constants.items():
+        name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+        if facts.role != "axis" or facts.travel is None or name is None:
+            continue
+        x = recording.array(name)
+        low, high = sorted(facts.travel)
+        if not np.isfinite(x).any() or high <= low:
+            continue
+        room = OUTSIDE * (high - low)
+        seen = (float(np.nanmin(x)), float(np.nanmax(x)))
+        if seen[0] < low - room or seen[1] > high + room:
+            found = f"positions from {seen[0]:.6g} to {seen[1]:.6g} leave the travel {low:g} to {high:g} of {axis}"
+            ratio = max(abs(seen[0]), abs(seen[1])) / max(abs(low), abs(high), 1e-12)
+            yield Finding("outside-travel", name, found, _other_unit(ratio))
+        elif 0 < seen[1] - seen[0] < 1.2 / INCH * (high - low):
+            share = 100 * (seen[1] - seen[0]) / (high - low)
+            found = f"positions span {seen[1] - seen[0]:.4g}, {share:.2g} % of the travel of {axis}"
+            yield Finding("outside-travel", name, found, "positions in inch or m that were declared as mm")
+
+
+def _other_unit(ratio: float) -> str:
+    if ratio > 300:
+        return "positions in um that were declared as mm, or a travel in m"
+    if ratio > 5:
+        return "positions in mm that were declared as inch, or a travel in inch"
+    return "another axis, or another zero of the travel"
+
+
+def run_per_row(recording: Recording) -> Iterator[Finding]:
+    """A run column with a new label in every row: held-out runs would be single rows."""
+    name = recording.name("run")
+    rows = len(recording)
+    if name is not None and rows >= FEWEST_MOVES and len(recording.run_labels()) > 0.9 * rows:
+        found = f"{len(recording.run_labels())} labels in {rows} rows"
+        yield Finding("run-per-row", name, found, "another column (this one looks like a row number)")
+
+
+def speed(recording: Recording) -> Iterator[Finding]:
+    """An axis faster than any axis is: time in another unit, or position in another unit."""
+    time = recording.name("time")
+    if time is None:
+        return
+    t, run = recording.array(time), recording.run_codes()
+    for name in recording.names("position"):
+        x, unit = recording.array(name), recording.manifest.columns[name].unit or "mm"
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = np.abs(np.diff(x) / np.diff(t))[np.diff(run) == 0]
+        rate = rate[np.isfinite(rate) & (rate > 0)]
+        if rate.size >= FEWEST_MOVES and float(np.median(rate)) > FASTEST.get(unit, np.inf):
+            found = f"half of all steps of {name} are faster than {np.median(rate):.4g} {unit}/s"
+            yield Finding("too-fast", time, found, "a time in ms, min or h that was declared as s, or a position in um")
+
+
+def temperatures(recording: Recording) -> Iterator[Finding]:
+    """A temperature in kelvin, in tenths, or of something that is no temperature."""
+    for name in recording.names("temperature"):
+        t = recording.array(name)
+        t = t[np.isfinite(t)]
+        if not t.size:
+            continue
+        low, high = float(t.min()), float(t.max())
+        if ROOM[0] <= low and high <= ROOM[1]:
+            continue
+        found = f"readings from {low:.5g} to {high:.5g} degC"
+        if low > 250 and high < 400:
+            meant = "tenths of a degree" if low < 250 or high > 340 else "K, or tenths of a degree"
+        elif low > 1500 and high < 4000:
+            meant = "hundredths of a degree"
+        else:
+            meant = "another column, or a sensor that failed (clean it, or give the column the role ignore)"
+        yield Finding("temperature-range", name, found, meant)
+
+
+def fahrenheit(recording: Recording) -> Iterator[Finding]:
+    """A temperature that follows another one 1.8 times as fast: degF beside degC."""
+    names = recording.names("temperature")
+    for name in names:
+        t = recording.array(name)
+        for other in names:
+            u = recording.array(other)
+            good = np.isfinite(t) & np.isfinite(u)
+            if name == other or good.sum() < FEWEST_MOVES:
+                continue
+            if float(np.median(t[good])) > 50 and np.abs(t[good] - (1.8 * u[good] + 32)).max() < 4.0:
+                found = f"it is 1.8 times {other} plus 32"
+                yield Finding("temperature-range", name, found, "degF that was declared as degC")
+                break
+
+
+def temperature_of_position(recording: Recording) -> Iterator[Finding]:
+    """A 'temperature' that follows the position within every run: columns swapped."""
+    places = [n for role in ("command", "position") for n in recording.names(role)]
+    run = recording.run_codes()
+    for name in recording.names("temperature"):
+        t = recording.array(name)
+        for place in places:
+            x = recording.array(place)
+            good = np.isfinite(t) & np.isfinite(x)
+            matches = []
+            for k in np.unique(run[good]):
+                rows = good & (run == k)
+                turns = np.count_nonzero(np.diff(np.sign(np.diff(x[rows]))))
+                if rows.sum() >= FEWEST_MOVES and turns and np.ptp(t[rows]) > 2.0 and np.ptp(x[rows]) > 0:
+                    matches.append(abs(float(np.corrcoef(t[rows], x[rows])[0, 1])))
+            if matches and float(np.median(matches)) > 0.8:
+                found = f"it follows {place} back and forth (correlation {np.median(matches):.2f} within the runs)"
+                yield Finding("not-a-temperature", name, found, "the columns of temperature and deviation swapped")
+                break
+
+
+def copies(recording: Recording) -> Iterator[Finding]:
+    """An error column that is another column times a constant."""
+    roles = ("position", "command", "temperature", "time", "feed", "spindle_speed", "velocity")
+    for name in recording.names("error"):
+        d = recording.array(name)
+        for other in (n for role in roles for n in recording.names(role)):
+            u = recording.array(other)
+            good = np.isfinite(d) & np.isfinite(u)
+            if good.sum() < FEWEST_MOVES or np.ptp(u[good]) == 0 or np.ptp(d[good]) == 0:
+                continue
+            x, y = u[good] - u[good].mean(), d[good] - d[good].mean()
+            slope = float(x @ y) / float(x @ x)
+            levels = np.unique(u[good]).size
+            if levels > 5 and float(np.sqrt(np.mean((y - slope * x) ** 2))) < COPY * np.ptp(y):
+                found = f"it is {other} times {slope:.6g} and a constant, row for row"
+                yield Finding("copy-of-column", name, found, "another column: this one holds no measurement of its own")
+                break
+
+
+CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
+    axis_of_component,
+    direction_against_motion,
+    travel,
+    run_per_row,
+    speed,
+    temperatures,
+    fahrenheit,
+    temperature_of_position,
+    copies,
+)

@@ -1,0 +1,327 @@
+"""Checks of one error column: slope, size, sign, unit, steps and order of its deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.validation.plausibility_finding import Check, Finding, Response
+
+ABSOLUTE_SLOPE = 0.1  # of the position: no axis is wrong by 10 %; a belt with a wrong pulley reaches 3 %
+LARGEST_SHARE = 0.03  # of the travel, offsets of runs and directions removed: a belt with a wrong pulley reaches 3 %
+SMALLEST_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is what air of 1 degC more does to a laser
+STRAIGHT = (
+    3e-4  # rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
+)
+UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
+FEWEST_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
+EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
+SHIFT_GAIN = 0.5  # the best shift must halve the difference between the directions to be believed
+COMMON_SLOPES = (
+    (1.0, "error = reading - commanded (these are absolute readings, not deviations)"),
+    (-1.0, "another reading (this one is empty, in m beside commands in mm, or absolute with the sign turned)"),
+    (-2.0, "a reading that counts the other way: error = -reading - commanded"),
+    (1 / 25.4 - 1, "readings in inch beside commands in mm: convert before subtracting"),
+    (24.4, "commands in inch beside readings in mm: convert before subtracting"),
+    (999.0, "readings in um beside commands in mm: convert before subtracting"),
+    (-0.5, "a radius beside a diameter"),
+)
+UNITS = ((1e-3, "1000 times smaller"), (1 / 25.4, "25.4 times smaller"), (1e-3 / 25.4, "25400 times smaller"))
+
+
+def absolute_readings(r: Response) -> Finding | None:
+    """A slope near +1 or -1 (or a unit's ratio) over the own position: readings, not deviations."""
+    if r.per_unit is None or r.position is None or r.span == 0:
+        return None
+    slope, residual = _line(r)
+    share = slope / r.per_unit
+    reach = abs(slope) * r.span
+    percent = f"the deviation changes by {100 * share:.3g} % of the position it is measured at"
+    if abs(share) >= ABSOLUTE_SLOPE and residual < 0.2 * reach:
+        nearest = min(COMMON_SLOPES, key=lambda s: abs(s[0] - share) / abs(s[0]))
+        meant = nearest[1] if abs(nearest[0] - share) < 0.03 * abs(nearest[0]) else COMMON_SLOPES[0][1]
+        return Finding("absolute-readings", r.column, percent, meant)
+    for ratio, words in UNITS:
+        if abs(abs(share) / ratio - 1) < 1e-3 and residual < STRAIGHT * reach:
+            what = f"{percent}, {words} than the position and without any shape of its own"
+            return Finding("absolute-readings", r.column, what, "absolute readings whose unit is wrong as well")
+    return None
+
+
+def as_large_as_travel(r: Response) -> Finding | None:
+    """A change beyond 3 % of the travel: swapped columns, or a position in a larger unit."""
+    if r.per_unit is None or r.position is None or absolute_readings(r) is not None:
+        return None
+    shape = r.deviation - _means(r.deviation, _group(r))
+    size = float(np.percentile(shape, 97.5) - np.percentile(shape, 2.5))
+    if r.span == 0 or size <= LARGEST_SHARE * r.span * r.per_unit:
+        return None
+    found = f"the deviation spans {size:.4g} {r.component.unit} over a travel of {r.span:.4g}"
+    if _regular(r.deviation) and not _regular(r.position):
+        meant = "the columns of position and deviation the other way round (the deviation has equal steps)"
+    elif size > 0.5 * r.span * r.per_unit:
+        meant = "columns of position and deviation the other way round, or um declared as mm"
+    else:
+        meant = "a position in m or inch that was declared as mm, or um declared as mm for the deviation"
+    return Finding("as-large-as-travel", r.column, found, meant)
+
+
+def too_small(r: Response) -> Finding | None:
+    """Deviations below the instrument's own wavelength: millimetres declared as micrometres."""
+    if r.component.unit != "um" or r.per_unit is None or r.span < 1.0:
+        return None
+    largest, least = float(np.abs(r.deviation).max()), max(SMALLEST_UM, SMALLEST_SHARE * 1e3 * r.span)
+    if largest == 0.0 or largest >= least:
+        return None
+    found = f"no deviation exceeds {largest:.3g} um over {r.span:.4g} mm of travel, finer than a laser can read in air"
+    return Finding("too-small", r.column, found, "readings in mm that were declared as um (or um declared as nm)")
+
+
+def constant(r: Response) -> Finding | None:
+    """A deviation that never changes."""
+    if np.ptp(r.deviation) > 0:
+        return None
+    return Finding(
+        "constant-deviation",
+        r.column,
+        f"every reading is {r.deviation[0]:.6g}",
+        "another column, or a reading not logged",
+    )
+
+
+def jump(r: Response) -> Finding | None:
+    """A step of one turn of a dial (1 mm) or one inch between neighbours."""
+    if r.component.unit != "um":
+        return None
+    steps = np.diff(r.deviation)[np.diff(r.run) == 0]
+    if steps.size < FEWEST_STEPS:
+        return None
+    usual = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    for size, name in ((1000.0, "1 mm, one turn of a dial gauge"), (25400.0, "one inch"), (2540.0, "0.1 inch")):
+        hit = np.abs(np.abs(steps) - size) < max(UNIT_RATIO * size, 3 * usual)
+        if hit.any() and usual < 0.02 * size and hit.mean() < 0.2:
+            place = f"between row {r.rows[int(np.argmax(hit))] + 1} and the next"
+            return Finding(
+                "jump",
+                r.column,
+                f"a step of {size:g} um {place}",
+                f"a reading that lost {name}: add it to the rows after",
+            )
+    return None
+
+
+def mixed_units(r: Response) -> Finding | None:
+    """Runs or directions that hold the same curve 25.4 or 1000 times larger than the others."""
+    if r.position is None or r.component.unit == "N":
+        return None
+    keys = [("run", r.run)] + ([] if r.direction is None else [("direction", r.direction)])
+    for what, key in keys:
+        labels = np.unique(key)
+        if labels.size < 2:
+            continue
+        size = np.array([_scatter(r.deviation[key == k]) for k in labels])
+        middle = float(np.median(size)) if labels.size > 2 else float(size.min())
+        for label, ratio in zip(labels, size / middle if middle > 0 else size * 0, strict=True):
+            for factor in (25.4, 1000.0, 1 / 25.4, 1e-3):
+                if 0.4 < ratio / factor < 2.5 and _alike(r, key, label):
+                    name = r.recording.run_labels()[int(label)] if what == "run" else f"{label:+g}"
+                    return Finding(
+                        "mixed-units",
+                        r.column,
+                        f"{what} {name} is {ratio:.4g} times as large as the others, with the same shape",
+                        "another unit there (25.4: inch and mm; 1000: mm and um)",
+                    )
+    return None
+
+
+def reversed_sign(r: Response) -> Finding | None:
+    """An error column that is commanded minus actual, where both stand in the recording."""
+    rec, axis = r.recording, r.component.axis
+    if r.component.kind not in ("positioning", "angular positioning") or axis is None or r.per_unit is None:
+        return None
+    actual, command = rec.name("position", axis=axis), rec.name("command", axis=axis)
+    if actual is None or command is None:
+        return None
+    true = r.per_unit * (rec.array(actual) - rec.array(command))[r.rows]
+    good = np.isfinite(true)
+    if good.sum() < FEWEST_STEPS or np.ptp(true[good]) == 0 or np.ptp(r.deviation[good]) == 0:
+        return None
+    match = float(np.corrcoef(true[good], r.deviation[good])[0, 1])
+    slope = float(np.polyfit(true[good], r.deviation[good], 1)[0])
+    if match < -0.9:
+        found = f"it is minus the difference of {actual} and {command} (correlation {match:.2f})"
+        return Finding("reversed-sign", r.column, found, "error = actual - commanded: turn the sign")
+    if match > 0.99 and not 0.9 < slope < 1.1:
+        found = f"it is {slope:.4g} times {actual} minus {command}"
+        return Finding("reversed-sign", r.column, found, "another unit of the error, or of one of the positions")
+    return None
+
+
+def shrinking_when_warm(r: Response) -> Finding | None:
+    """Every warm run has a smaller slope: a scale that shrinks when warm means a reversed sign."""
+    warm = r.recording.names("temperature")
+    runs = np.unique(r.run)
+    if r.component.kind != "positioning" or not warm or runs.size < 3 or r.position is None:
+        return None
+    wide = [k for k in runs if np.ptp(r.position[r.run == k]) > 0.3 * r.span and (r.run == k).sum() >= FEWEST_STEPS]
+    if len(wide) < 3:
+        return None
+    slopes = np.array([_slope(r.position[r.run == k], r.deviation[r.run == k]) for k in wide]) * 1e3  # um/m
+    rates = []
+    for name in warm:
+        t = r.recording.array(name)[r.rows]
+        if not all(np.isfinite(t[r.run == k]).any() for k in wide):
+            continue
+        mean = np.array([np.nanmean(t[r.run == k]) for k in wide])
+        if np.ptp(mean) >= 2.0 and np.ptp(slopes) > 0:  # K: less does not move a scale by more than its noise
+            rates.append((float(np.corrcoef(mean, slopes)[0, 1]), _slope(mean, slopes)))
+    if not rates or not all(match < -0.9 and EXPANSION[0] <= rate <= EXPANSION[1] for match, rate in rates):
+        return None
+    rate = sorted(rates)[0][1]
+    return Finding(
+        "shrinks-when-warm",
+        r.column,
+        f"the axis gets {-rate:.3g} um/m shorter for each kelvin of warmth",
+        "error = actual - commanded: turn the sign (steel, iron and glass get longer)",
+    )
+
+
+def worse_with_compensation(r: Response) -> Finding | None:
+    """Runs with the compensation on that are twice as wrong as those with it off."""
+    rec = r.recording
+    for name in rec.names("group"):
+        if rec.manifest.columns[name].of != "compensation" or r.position is None:
+            continue
+        label = rec.frame[name].astype(str).str.lower().to_numpy()[r.rows]
+        on, off = np.isin(label, ("on", "after", "1")), np.isin(label, ("off", "before", "0"))
+        if on.sum() < FEWEST_STEPS or off.sum() < FEWEST_STEPS:
+            continue
+        before, after = (float(np.sqrt(np.mean(r.deviation[k] ** 2))) for k in (off, on))
+        if after > 1.3 * before:
+            found = (
+                f"with the compensation on the deviation is {after:.3g} {r.component.unit} rms, without it {before:.3g}"
+            )
+            return Finding(
+                "worse-with-compensation", r.column, found, "the other sign, here or in the parameter of the controller"
+            )
+    return None
+
+
+def shifted_rows(r: Response) -> Finding | None:
+    """Both directions agree only when each is moved by one target: the deviations are shifted by a row."""
+    if r.direction is None or r.position is None:
+        return None
+    up, down = _curve(r, 1.0), _curve(r, -1.0)
+    shared = np.intersect1d(list(up), list(down))
+    if shared.size < 9:
+        return None
+    a, b = (np.array([c[x] for x in shared]) for c in (up, down))
+    gaps = {k: _gap(a[1 + k : a.size - 1 + k], b[1 - k : b.size - 1 - k]) for k in (-1, 0, 1)}
+    best = min(gaps, key=lambda k: gaps[k])
+    wave = _scatter(np.diff(a))
+    if best == 0 or gaps[best] > SHIFT_GAIN * gaps[0] or gaps[0] < 0.5 * wave:
+        return None
+    which = "the row before" if best == 1 else "the row after"
+    return Finding(
+        "shifted-rows",
+        r.column,
+        f"both directions agree {gaps[0] / max(gaps[best], 1e-12):.3g} times better with each value at its neighbour",
+        f"deviations that belong to {which} (a header counted as a row, or a value logged one target late)",
+    )
+
+
+def reversal_of_the_other_sign(r: Response) -> Finding | None:
+    """Lost motion stops an axis short; the other sign is possible (a scale, an overcompensated control) but rare."""
+    if r.direction is None or r.component.kind != "positioning":
+        return None
+    up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
+    if min(up.size, down.size) < FEWEST_STEPS:
+        return None
+    step = float(np.median(up) - np.median(down))
+    spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in (up, down))
+    if step < max(5.0, spread):  # um
+        return None
+    return Finding(
+        "reversal-sign",
+        r.column,
+        f"approached from below the axis stands {step:.3g} um further than from above",
+        "the same with the sign or the direction turned, unless the control already corrects backlash too much",
+        level="ask",
+    )
+
+
+# ---------------------------------------------------------------- arithmetic
+
+
+def _line(r: Response) -> tuple[float, float]:
+    """Slope of the deviation over the position, and rms of what the line leaves (the mean of each direction apart)."""
+    group = np.zeros(r.rows.size) if r.direction is None else r.direction
+    x, y = r.position - _means(r.position, group), r.deviation - _means(r.deviation, group)
+    slope = float(x @ y) / max(float(x @ x), 1e-300)
+    return slope, float(np.sqrt(np.mean((y - slope * x) ** 2)))
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> float:
+    x = x - x.mean()
+    return float(x @ y) / max(float(x @ x), 1e-300)
+
+
+def _group(r: Response) -> np.ndarray:
+    return r.run * 2 + (0 if r.direction is None else (r.direction > 0))
+
+
+def _means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    _, code = np.unique(group, return_inverse=True)
+    return (np.bincount(code, values) / np.bincount(code))[code]
+
+
+def _scatter(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((values - values.mean()) ** 2))) if values.size else 0.0
+
+
+def _regular(values: np.ndarray) -> bool:
+    """Whether values repeat on a grid of equal steps, as targets do."""
+    levels = np.unique(np.round(values, 6))
+    if levels.size < 4 or levels.size > values.size / 2:
+        return False
+    steps = np.diff(levels)
+    return float(np.ptp(steps)) < 0.05 * float(steps.mean())
+
+
+def _alike(r: Response, key: np.ndarray, label: float) -> bool:
+    """Whether one group's curve over position has the shape of the others'."""
+    mine, others = key == label, key != label
+    levels = np.round(r.position, 3)
+    shared = np.intersect1d(levels[mine], levels[others])
+    if shared.size < 5:
+        return False
+    a = np.array([r.deviation[mine & (levels == x)].mean() for x in shared])
+    b = np.array([r.deviation[others & (levels == x)].mean() for x in shared])
+    return np.ptp(a) > 0 and np.ptp(b) > 0 and float(np.corrcoef(a, b)[0, 1]) > 0.8
+
+
+def _curve(r: Response, side: float) -> dict[float, float]:
+    rows = r.direction == side
+    levels, code = np.unique(np.round(r.position[rows], 3), return_inverse=True)
+    if not levels.size:
+        return {}
+    run_free = r.deviation[rows] - _means(r.deviation[rows], r.run[rows])
+    return dict(zip(levels.tolist(), (np.bincount(code, run_free) / np.bincount(code)).tolist(), strict=True))
+
+
+def _gap(a: np.ndarray, b: np.ndarray) -> float:
+    return _scatter(a - b)
+
+
+CHECKS: tuple[Check, ...] = (
+    constant,
+    absolute_readings,
+    as_large_as_travel,
+    too_small,
+    jump,
+    mixed_units,
+    reversed_sign,
+    shrinking_when_warm,
+    worse_with_compensation,
+    shifted_rows,
+    reversal_of_the_other_sign,
+)

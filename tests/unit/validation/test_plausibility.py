@@ -1,0 +1,99 @@
+"""Wrong declarations are refused with what was meant; right ones, however odd, are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.domain.recording import Column
+from errpipe.errors import GateError
+from errpipe.validation import plausibility
+from tests.unit.validation.wrong_declarations import WRONG, Wrong, axis_test, declare, put, rotary_test, with_actual
+
+
+def test_there_are_forty_and_more() -> None:
+    assert len(WRONG) >= 40
+    assert len({w.declared for w in WRONG}) == len(WRONG)
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda w: w.declared.replace(" ", "-"))
+def test_a_wrong_declaration_is_refused_by_its_name(wrong: Wrong) -> None:
+    found = plausibility.findings(wrong.made())
+    named = [f for f in found if f.code == wrong.code]
+    assert named, [str(f) for f in found]
+    assert wrong.meant in str(named[0])
+    with pytest.raises(GateError, match="export: refused") as refusal:
+        plausibility.refuse(found)
+    assert wrong.code in str(refusal.value) and wrong.meant in str(refusal.value)
+    codes = sorted({f.code for f in found})
+    assert any("Allowed by name" in note for note in plausibility.refuse(found, codes))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_right_declaration_is_not_refused(seed: int) -> None:
+    for recording in (axis_test(seed), axis_test(seed, warm=False), with_actual(axis_test(seed)), rotary_test()):
+        assert [str(f) for f in plausibility.findings(recording)] == []
+
+
+def test_what_is_rare_but_true_is_not_refused() -> None:
+    plain = axis_test(3)
+    f = plain.frame
+    belt = put(plain, EXX=f.EXX + 20.0 * f.x)  # a belt whose pulley is 2 % too large: only the limit speaks
+    assert [x.code for x in plausibility.findings(belt)] == []
+    upside_down = put(plain, EXX=f.EXX - 40e-3 * f.x)  # a lead that is too short: the slope is negative, not its change
+    assert [x.code for x in plausibility.findings(upside_down)] == []
+    noisy = put(plain, EXX=f.EXX + 30 * np.random.default_rng(1).normal(size=len(f)))
+    assert [x.code for x in plausibility.findings(noisy)] == []
+    short = put(plain, x=f.x / 100 + 300, EXX=20 * np.sin(f.x / 10) - 10 * f["dir"])  # 8 mm of a screw, one pitch
+    short = declare(short, {"x": Column(role="command", axis="X", unit="mm")})
+    assert [x.code for x in plausibility.findings(short)] in ([], ["outside-travel"])
+
+
+def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
+    plain = axis_test(4)
+    turned = put(plain, EXX=plain.frame.EXX + 16 * plain.frame["dir"])
+    (found,) = plausibility.findings(turned)
+    assert found.code == "reversal-sign" and found.level == "ask"
+    assert plausibility.refuse([found])[0].startswith("Check: ")
+
+
+def test_allowing_one_name_allows_no_other() -> None:
+    found = plausibility.findings(next(w for w in WRONG if w.declared == "positions in m declared as mm").made())
+    codes = {f.code for f in found if f.level == "refuse"}
+    assert len(codes) > 1
+    with pytest.raises(GateError):
+        plausibility.refuse(found, [codes.pop()])
+
+
+@pytest.mark.parametrize(
+    ("largest", "travel", "limit", "refused"),
+    [
+        (499.0, 300.0, None, False),
+        (501.0, 300.0, None, True),
+        (501.0, None, None, True),
+        (900.0, 1000.0, None, False),
+        (1100.0, 1000.0, None, True),
+        (40.0, 1000.0, 30.0, True),
+    ],
+)
+def test_a_correction_beyond_its_limit(largest: float, travel: float, limit: float, refused: bool) -> None:
+    assert (plausibility.too_large("EXX", largest, "um", travel, limit) is not None) is refused
+
+
+def test_the_limit_names_the_unit_that_would_fit() -> None:
+    found = plausibility.too_large("EXX", 12_000.0, "um", 300.0)
+    assert found is not None and "um that were declared as mm" in found.meant
+    assert plausibility.too_large("ECC", 999.0, "urad", None) is None
+    assert plausibility.too_large("ECC", 1001.0, "urad", None) is not None
+    assert plausibility.too_large("F_X", 1e9, "N", None) is None
+
+
+def test_the_consequence_in_one_sentence() -> None:
+    says = plausibility.consequence("X", "X", 600.0, 1.0, 16.6)
+    assert says == (
+        "at X = 600 mm approached from below the axis stands 16.6 um too far and will be told to go 16.6 um less"
+    )
+    says = plausibility.consequence("Z", "X", 600.0, -1.0, -10.0)
+    assert says == (
+        "at X = 600 mm approached from above the axis Z stands 10.0 um short and will be told to go 10.0 um further"
+    )
