@@ -10,6 +10,7 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.validation.codes import Code
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -45,6 +46,13 @@ class Export(Stage):
         False, description="Watch the temperatures against each other in the table, and stand in for one that fails."
     )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
+    limit: float | None = Field(
+        None,
+        gt=0,
+        description="Largest plausible correction; default: 0.5 mm, or 1/1000 of the travel where that is more.",
+        json_schema_extra={"unit": "um"},
+    )
+    allow: tuple[Code, ...] = Field((), description="Implausible declarations that are true, by name.")
     gate: Literal["better-than-nothing", "none"] = Field(
         "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."
     )
@@ -59,12 +67,15 @@ class Export(Stage):
         return (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe.stages import _plausible
+
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
+        recording = _artefacts.recording_in(context.needed("recording"))
+        checks = _plausible.refuse(recording, model, self.allow, self.limit)
         validation = context.maybe("validation")
         left_out: list[str] = []
         if self.gate != "none" and validation is not None:
             model, left_out = better_than_nothing(model, validation / "validation.json")
-        recording = _artefacts.recording_in(context.needed("recording"))
         guard = _guard(context, recording, model) if self.guard else None
         context.progress(0.2, "compiling")
         table = compile_model(model, self, guard)
@@ -74,6 +85,7 @@ class Export(Stage):
 
         files = _write(context, table, model, self.targets)
         document = {"proof": proof, "files": files, "left_out": left_out}
+        document |= {"checks": checks, "consequences": _plausible.of_table(table)}
         document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)

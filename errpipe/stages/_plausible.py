@@ -1,0 +1,119 @@
+"""Plausibility before export, and what the exported correction will do, in one sentence for each axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from errpipe.domain import components
+from errpipe.validation import plausibility
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.domain.table import CompensationTable
+
+PLACES = 41  # positions along an axis at which the largest correction is looked for
+
+
+def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit: float | None) -> list[str]:
+    """Notes on what was allowed or should be checked. Raises GateError for an implausible recording or correction."""
+    from errpipe.fitting.components import evaluate
+    from errpipe.stages import _inputs
+
+    found = plausibility.findings(recording)
+    travels = _inputs.travel(model)
+    for name, values in evaluate(model, recording).items():
+        component = components.parse(name)
+        finite = values[np.isfinite(values)]
+        low, high = travels.get(component.axis or "", (0.0, 0.0))
+        largest = float(np.abs(finite).max()) if finite.size else 0.0
+        over = plausibility.too_large(name, largest, component.unit, high - low, limit)
+        found += [over] if over is not None else []
+    return plausibility.refuse(found, allow)
+
+
+def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | None) -> None:
+    """Raises GateError where a table moves an axis further than a machine tool can be wrong."""
+    from errpipe.targets import _sample
+
+    found = []
+    for axis in _sample.outputs_by_axis(table):
+        rotary = axis[0] in "ABC"
+        size, _ = _largest(table, axis)
+        low, high = _sample.reach(table, axis)
+        value = np.deg2rad(size) * 1e6 if rotary else 1e3 * size
+        over = plausibility.too_large(axis, value, "urad" if rotary else "um", high - low, limit)
+        found += [over] if over is not None else []
+    plausibility.refuse(found, allow)
+
+
+def _largest(table: CompensationTable, axis: str) -> tuple[float, str]:
+    """Size (mm or deg) and sentence of the largest correction of an axis in the reference state."""
+    from errpipe.targets import _sample
+
+    names = _sample.positions_of(table)
+    best, says = 0.0, ""
+    for over in _sample.own_first(table, axis):
+        grid = np.linspace(*_sample.span(table, over), PLACES)
+        for side in (1.0, -1.0):
+            found = _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, side))
+            k = int(np.argmax(np.abs(found)))
+            if abs(found[k]) > 1.01 * best:
+                best, says = float(abs(found[k])), _sentence(axis, over, float(grid[k]), side, -float(found[k]))
+    for i in table.inputs:
+        if i.valid is not None and i.name not in names.values():
+            ends = np.array(i.valid)
+            found = _sample.corrections(table, axis, {i.name: ends}, np.ones(2))
+            k = int(np.argmax(np.abs(found)))
+            if abs(found[k]) > 1.01 * best:
+                unit = i.unit or ""
+                best = float(abs(found[k]))
+                says = _sentence(axis, i.name, float(ends[k]), 0.0, -float(found[k]), unit)
+    return best, says
+
+
+def of_table(table: CompensationTable) -> list[str]:
+    """One sentence for each axis that a table moves: where its correction is largest, and which way it goes."""
+    from errpipe.targets import _sample
+
+    return [says for axis in _sample.outputs_by_axis(table) for _, says in [_largest(table, axis)] if says]
+
+
+def of_files(read: Any) -> list[str]:
+    """The same for what a controller made of its files (`targets._base.ReadBack`): sensors at their reference."""
+    spans = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
+    for part in (*read.products, *read.planes):
+        grids = part.positions if hasattr(part, "positions") else (part.first, part.second)
+        spans |= {over: (float(x[0]), float(x[-1])) for over, x in zip(part.over, grids, strict=True)}
+    cold = {line.sensor: np.full(PLACES, line.reference) for line in read.lines}
+    out = []
+    for axis in read.axes():
+        best, says = 0.0, ""
+        for over, (low, high) in sorted(spans.items(), key=lambda item: item[0] != axis):
+            at = {name: np.full(PLACES, (a + b) / 2) for name, (a, b) in spans.items()}
+            at[over] = np.linspace(low, high, PLACES)
+            for side in (1.0, -1.0):
+                found = read.correction(axis, at, np.full(PLACES, side), cold)
+                k = int(np.argmax(np.abs(found)))
+                if abs(found[k]) > 1.01 * best:
+                    best = float(abs(found[k]))
+                    says = _sentence(axis, over, float(at[over][k]), side, -float(found[k]))
+        out += [says] if says else [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
+    return out
+
+
+def _per_kelvin(line: Any) -> str:
+    says = _sentence(line.axis, line.sensor, line.reference + 1.0, 0.0, -line.level, "degC")
+    return f"{says} (1 K above the reference, at {line.axis} = {line.zero:g})"
+
+
+def _sentence(axis: str, over: str, at: float, side: float, deviation: float, over_unit: str | None = None) -> str:
+    """deviation: mm (deg) of the axis; rotary ones are said in arcsec."""
+    rotary = axis[0] in "ABC"
+    size, unit = (deviation * 3600, "arcsec") if rotary else (deviation * 1e3, "um")
+    if over_unit is None:
+        over_unit = "deg" if over[0] in "ABC" else "mm"
+    return plausibility.consequence(axis, over, at, side, size, unit, over_unit)

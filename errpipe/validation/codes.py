@@ -1,0 +1,85 @@
+"""Names of implausible declarations, and what `errpipe explain NAME` says of each."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Code = Literal[
+    "absolute-readings",
+    "as-large-as-travel",
+    "beyond-limit",
+    "constant-deviation",
+    "copy-of-column",
+    "jump",
+    "mixed-units",
+    "not-a-temperature",
+    "outside-travel",
+    "reversal-sign",
+    "reversed-direction",
+    "reversed-sign",
+    "run-per-row",
+    "shifted-rows",
+    "shrinks-when-warm",
+    "temperature-range",
+    "too-fast",
+    "too-small",
+    "worse-with-compensation",
+    "wrong-axis",
+]
+
+EXPLANATIONS: dict[str, str] = {
+    "absolute-readings": (
+        "The error column changes with the position at a rate near +1 or -1 (or at the ratio of two units). "
+        "Deviation is actual minus commanded: subtract the commanded position, both in one unit."
+    ),
+    "as-large-as-travel": (
+        "The error column spans more than 3 % of the travel. Columns are swapped, the error is in um but "
+        "declared as mm, or the position is in m or inch but declared as mm."
+    ),
+    "beyond-limit": (
+        "The correction is larger than `export: {limit: ...}`; by default 0.5 mm or 1/1000 of the travel, "
+        "whichever is more (1 mm/m for angles). A machine that is that wrong needs its screw pitch or steps "
+        "per mm set right first."
+    ),
+    "constant-deviation": (
+        "Every reading of the error column is the same number. It is another column, or the instrument did not log."
+    ),
+    "copy-of-column": (
+        "The error column is another column times a constant, row for row. It holds no measurement of its own."
+    ),
+    "jump": (
+        "The error steps by exactly 1 mm, 0.1 inch or 1 inch between neighbours: a dial gauge went through a "
+        "full turn that was not counted."
+    ),
+    "mixed-units": "One run or one direction holds the same curve 25.4 or 1000 times larger than the others.",
+    "not-a-temperature": "A temperature column follows the position back and forth within every run.",
+    "outside-travel": (
+        "Positions leave the travel of the manifest, or cover so little of it that their unit must be another one."
+    ),
+    "reversal-sign": (
+        "Approached from below the axis stands further than from above. Lost motion does the opposite; check "
+        "the sign of the error and of the direction."
+    ),
+    "reversed-direction": ("The direction column is +1 when the position falls. It is +1 for an approach from below."),
+    "reversed-sign": "The error column is commanded minus actual. Deviation is actual minus commanded.",
+    "run-per-row": ("The run column has a new label in every row. Held-out validation would leave out single rows."),
+    "shifted-rows": (
+        "The two directions agree much better when each deviation is moved to the neighbouring target: the "
+        "column is shifted by one row."
+    ),
+    "shrinks-when-warm": (
+        "The slope of the deviation falls by 5 to 26 um/m for each kelvin of every temperature. Scales and "
+        "screws get longer when warm, so the sign is reversed."
+    ),
+    "temperature-range": (
+        "A temperature lies outside -30 to 150 degC, or follows another one as degF does. Declare its unit "
+        "(degC, degF, K)."
+    ),
+    "too-fast": "Half of all steps are faster than 10 m/s (100 rev/s). Time or position is in another unit.",
+    "too-small": "No deviation exceeds 0.05 um (or 1 ppm of the travel). Readings in mm were declared as um.",
+    "worse-with-compensation": (
+        "Rows with the compensation on (a column of role group, of: compensation, labels on and off) are more "
+        "wrong than those with it off. The sign is reversed in the file or in a parameter of the controller."
+    ),
+    "wrong-axis": "The component belongs to an axis that stands still, or whose position is not recorded.",
+}
