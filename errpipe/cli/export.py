@@ -13,6 +13,17 @@ def command(
     table: Path = typer.Argument(..., metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
     target: list[str] = typer.Option(..., "--target", metavar="NAME", help="Controller format. Repeatable."),
     out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for the controller's files."),
+    limit: float | None = typer.Option(
+        None,
+        "--limit",
+        metavar="UM",
+        min=0.001,
+        help="Largest plausible correction; default: 0.5 mm or 1/1000 of the travel.",
+        show_default=False,
+    ),
+    allow: list[str] = typer.Option(
+        [], "--allow", metavar="NAME", help="An implausible declaration that is true, by name. Repeatable."
+    ),
     json: bool = Json,
 ) -> None:
     """Write a compensation table as the files of a controller.
@@ -23,4 +34,4 @@ def command(
     """
     from errpipe.cli.output import print_answer, stage_module
 
-    print_answer("export", stage_module("targets").export(table, target, out), as_json=json)
+    print_answer("export", stage_module("targets").export(table, target, out, allow, limit), as_json=json)

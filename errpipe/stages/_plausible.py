@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from errpipe.domain import components
-from errpipe.validation import plausibility
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -16,12 +13,16 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 PLACES = 41  # positions along an axis at which the largest correction is looked for
+UNBOUNDED = (-1e5, 1e5)  # mm: the believable range of a position (`_inputs.CHANNELS`) where no profile has an end
 
 
 def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit: float | None) -> list[str]:
     """Notes on what was allowed or should be checked. Raises GateError for an implausible recording or correction."""
+    import numpy as np
+
     from errpipe.fitting.components import evaluate
     from errpipe.stages import _inputs
+    from errpipe.validation import plausibility
 
     found = plausibility.findings(recording)
     travels = _inputs.travel(model)
@@ -37,7 +38,10 @@ def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit:
 
 def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | None) -> None:
     """Raises GateError where a table moves an axis further than a machine tool can be wrong."""
+    import numpy as np
+
     from errpipe.targets import _sample
+    from errpipe.validation import plausibility
 
     found = []
     for axis in _sample.outputs_by_axis(table):
@@ -52,12 +56,17 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
 
 def _largest(table: CompensationTable, axis: str) -> tuple[float, str]:
     """Size (mm or deg) and sentence of the largest correction of an axis in the reference state."""
+    import numpy as np
+
     from errpipe.targets import _sample
 
     names = _sample.positions_of(table)
     best, says = 0.0, ""
     for over in _sample.own_first(table, axis):
-        grid = np.linspace(*_sample.span(table, over), PLACES)
+        low, high = _sample.span(table, over)
+        if (low, high) == UNBOUNDED:
+            continue
+        grid = np.linspace(low, high, PLACES)
         for side in (1.0, -1.0):
             found = _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, side))
             k = int(np.argmax(np.abs(found)))
@@ -84,6 +93,10 @@ def of_table(table: CompensationTable) -> list[str]:
 
 def of_files(read: Any) -> list[str]:
     """The same for what a controller made of its files (`targets._base.ReadBack`): sensors at their reference."""
+    import numpy as np
+
+    if hasattr(read, "table"):  # nothing was lost: the table itself was read back
+        return of_table(read.table)
     spans = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
     for part in (*read.products, *read.planes):
         grids = part.positions if hasattr(part, "positions") else (part.first, part.second)
@@ -112,6 +125,8 @@ def _per_kelvin(line: Any) -> str:
 
 def _sentence(axis: str, over: str, at: float, side: float, deviation: float, over_unit: str | None = None) -> str:
     """deviation: mm (deg) of the axis; rotary ones are said in arcsec."""
+    from errpipe.validation import plausibility
+
     rotary = axis[0] in "ABC"
     size, unit = (deviation * 3600, "arcsec") if rotary else (deviation * 1e3, "um")
     if over_unit is None:

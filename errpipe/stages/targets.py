@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import GateError, UsageError, did_you_mean
-from errpipe.stages import _artefacts
+from errpipe.stages import _artefacts, _plausible
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
@@ -94,19 +94,30 @@ def _best_together(table: CompensationTable) -> list[tuple[tuple[str, ...], list
     return [(names, lost) for _, names, lost in best.values()]
 
 
-def export(table: Path, names: Sequence[str], out: Path) -> dict[str, Any]:
-    """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads."""
+def export(
+    table: Path, names: Sequence[str], out: Path, allow: Sequence[str] = (), limit: float | None = None
+) -> dict[str, Any]:
+    """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads.
+
+    allow, limit: as the options of the export stage (limit in um). Raises GateError for an implausible correction.
+    """
     from errpipe import jsonfile
     from errpipe.tables import ect
 
     found = _artefacts.read_table(table)
+    _plausible.refuse_table(found, allow, limit)
     files = write_targets(found, names, Path(out))
     ect.write(found, Path(out) / _artefacts.TABLE)
     ect.write_json(found, Path(out) / _artefacts.TWIN)
+    consequences = _plausible.of_table(found)
     document = {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files, "left_out": []}
+    document["consequences"] = consequences
     document["sha256"] = checksums(Path(out), files, [_artefacts.TABLE, _artefacts.TWIN])
     jsonfile.write(Path(out) / "export.json", document)
-    return {"files": files, "says": [f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files]}
+    return {
+        "files": files,
+        "says": [*(f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files), *consequences],
+    }
 
 
 def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[str] = ()) -> dict[str, str]:
@@ -197,7 +208,8 @@ def told(lost: list[dict[str, Any]]) -> str:
 def checklist(target: Any, read: Any, lost: list[dict[str, Any]]) -> str:
     """What a person at the machine does: sign, activation, a move list with expected values, what is lost."""
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
-    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## Switch it on", ""]
+    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
+    lines += [f"- {says}." for says in _plausible.of_files(read)] + ["", "## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
     lines += ["", "## Three-point check", "", "Go there from below, then from above, other axes at mid travel;"]
     lines += ["expect this correction:", ""]

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from errpipe.domain.recording import Column
 from errpipe.errors import GateError
-from errpipe.validation import plausibility
-from tests.unit.validation.wrong_declarations import WRONG, Wrong, axis_test, declare, put, rotary_test, with_actual
+from errpipe.validation import codes, plausibility
+from tests.unit.validation.wrong_declarations import (
+    WRONG,
+    Wrong,
+    axis_test,
+    declare,
+    page,
+    put,
+    rotary_test,
+    with_actual,
+)
 
 
 def test_there_are_forty_and_more() -> None:
@@ -97,3 +109,15 @@ def test_the_consequence_in_one_sentence() -> None:
     assert says == (
         "at X = 600 mm approached from above the axis Z stands 10.0 um short and will be told to go 10.0 um further"
     )
+
+
+def test_the_page_of_wrong_declarations_is_up_to_date() -> None:
+    path = Path(__file__).parents[3] / "docs" / "wrong-declarations.md"
+    again = "python -m tests.unit.validation.wrong_declarations"
+    written = [line.split("|")[1:3] for line in path.read_text(encoding="utf-8").splitlines()]
+    assert written == [line.split("|")[1:3] for line in page().splitlines()], f"write it again: {again}"
+
+
+def test_every_name_is_explained() -> None:
+    assert set(codes.EXPLANATIONS) == set(get_args(codes.Code))
+    assert {w.code for w in WRONG} <= set(codes.EXPLANATIONS)

@@ -294,3 +294,35 @@ WRONG: tuple[Wrong, ...] = (
         "another column",
     ),
 )
+
+
+def page() -> str:
+    """The list as `docs/wrong-declarations.md`: what was declared, and the refusal that names it."""
+    from errpipe.validation import plausibility
+
+    lines = [
+        "# Wrong declarations, and the refusal each one meets",
+        "",
+        "Deviation is actual minus commanded. Each line was declared on a bidirectional test of an axis (five runs, 21",
+        "targets, 800 mm) and refused at the export stage with exit code 4. `errpipe explain NAME` says more of a name;",
+        "where a declaration is true although it looks wrong, `export: {allow: [NAME]}` lets it through by that name alone.",
+        "Made by `python -m tests.unit.validation.wrong_declarations`; every line is a test",
+        "(`tests/unit/validation/test_plausibility.py`).",
+        "",
+        "| declared | name of the refusal | what is said |",
+        "| --- | --- | --- |",
+    ]
+    for wrong in WRONG:
+        found = next(f for f in plausibility.findings(wrong.made()) if f.code == wrong.code)
+        lines.append(f"| {wrong.declared} | `{wrong.code}` | {found.found}; probably meant: {found.meant} |")
+    lines.append(
+        "| a correction of -300 mm at 300 mm | `beyond-limit` | any correction beyond `export: {limit: ...}`, by default"
+        " 0.5 mm or 1/1000 of the travel |"
+    )
+    return "\n".join([*lines, ""])
+
+
+if __name__ == "__main__":
+    from pathlib import Path
+
+    (Path(__file__).parents[3] / "docs" / "wrong-declarations.md").write_text(page(), encoding="utf-8")

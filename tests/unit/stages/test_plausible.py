@@ -1,0 +1,39 @@
+"""What is implausible is not exported, and every checklist says what will happen in one sentence."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from errpipe.errors import GateError
+from errpipe.stages import targets
+from errpipe.tables import ect
+from tests.unit.targets.machines import compile_, straight, too_long_at_plus_x
+
+
+@pytest.mark.parametrize("name", ["linuxcnc_screw", "sinumerik_lec", "heidenhain_com", "iec_st"])
+def test_a_checklist_says_what_will_happen(tmp_path: Path, name: str) -> None:
+    ect.write(too_long_at_plus_x(), tmp_path / "table.ect")
+    done = targets.export(tmp_path / "table.ect", [name], tmp_path / "out")
+    text = (tmp_path / "out" / name / targets.CHECKLIST).read_text()
+    (says,) = re.findall(r"- (at X = .*)[.]", text)
+    wanted = "at X = 500 mm approached from below the axis stands 10.0 um too far and will be told to go 10.0 um less"
+    assert says == wanted and done["says"][-1] == wanted
+
+
+def test_a_machine_too_short_is_told_to_go_further(tmp_path: Path) -> None:
+    ect.write(compile_(("EXX", [straight("X", -10.0)])), tmp_path / "table.ect")
+    says = targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out")["says"][-1]
+    assert says.endswith("the axis stands 10.0 um short and will be told to go 10.0 um further")
+
+
+def test_a_table_beyond_the_limit_is_refused_and_allowed_by_name(tmp_path: Path) -> None:
+    ect.write(compile_(("EXX", [straight("X", 300_000.0)])), tmp_path / "table.ect")
+    with pytest.raises(GateError, match=r"the correction reaches 3e[+]05 um, the limit is 500"):
+        targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out", ["beyond-limit"])
+    with pytest.raises(GateError):
+        targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out2", limit=9.0)
