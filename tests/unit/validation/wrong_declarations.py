@@ -303,9 +303,9 @@ def page() -> str:
     lines = [
         "# Wrong declarations, and the refusal each one meets",
         "",
-        "Deviation is actual minus commanded. Each line was declared on a bidirectional test of an axis (five runs, 21",
-        "targets, 800 mm) and refused at the export stage with exit code 4. `errpipe explain NAME` says more of a name;",
-        "where a declaration is true although it looks wrong, `export: {allow: [NAME]}` lets it through by that name alone.",
+        "Deviation is actual minus commanded. Each line was declared on a bidirectional test of an axis (five",
+        "runs, 21 targets, 800 mm) and refused at the export stage with exit code 4. `errpipe explain NAME` says more of a name;",
+        "where a declaration is true although it looks wrong, `export: {allow: [NAME]}` lets it through by that name.",
         "Made by `python -m tests.unit.validation.wrong_declarations`; every line is a test",
         "(`tests/unit/validation/test_plausibility.py`).",
         "",
@@ -316,8 +316,8 @@ def page() -> str:
         found = next(f for f in plausibility.findings(wrong.made()) if f.code == wrong.code)
         lines.append(f"| {wrong.declared} | `{wrong.code}` | {found.found}; probably meant: {found.meant} |")
     lines.append(
-        "| a correction of -300 mm at 300 mm | `beyond-limit` | any correction beyond `export: {limit: ...}`, by default"
-        " 0.5 mm or 1/1000 of the travel |"
+        "| a correction of -300 mm at 300 mm | `beyond-limit` | any correction beyond `export: {limit: ...}`, by"
+        " default 0.5 mm or 1/1000 of the travel |"
     )
     return "\n".join([*lines, ""])
 
