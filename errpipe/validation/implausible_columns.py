@@ -138,7 +138,7 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
         if ROOM[0] <= low and high <= ROOM[1]:
             continue
         found = f"readings from {low:.5g} to {high:.5g} degC"
-        if low > 250 and high < 400:
+        if low > 100 and high < 400:
             meant = "tenths of a degree" if low < 250 or high > 340 else "K, or tenths of a degree"
         elif low > 1500 and high < 4000:
             meant = "hundredths of a degree"
