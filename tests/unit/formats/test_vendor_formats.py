@@ -11,7 +11,7 @@ from errpipe.errors import DataError, UsageError
 from errpipe.formats import ecmc_dat, manifest_folder, renishaw_rtl
 
 SAMPLES = Path(__file__).parents[2] / "data" / "formats"
-DAT, RTL = SAMPLES / "two_targets.dat", SAMPLES / "six_targets.rtl"
+DAT, RTL = SAMPLES / "ecmc_dat.dat", SAMPLES / "renishaw_rtl.rtl"
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared/real-data")) / "iso230-linear-stage"
 
 

@@ -1,0 +1,42 @@
+"""Every format of the registry has a sample in tests/data/formats, recognised and read without being named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe import formats
+from errpipe.domain.recording import ROLE_UNITS
+from errpipe.formats import FORMATS
+
+SAMPLES = Path(__file__).parents[2] / "data" / "formats"
+
+
+def sample_of(name: str) -> Path:
+    """The one file or folder named after a format."""
+    found = [path for path in SAMPLES.iterdir() if path.name.split(".")[0] == name]
+    assert len(found) == 1, f"tests/data/formats needs one sample named {name} (found {[p.name for p in found]})"
+    return found[0]
+
+
+@pytest.mark.parametrize("door", FORMATS, ids=lambda door: door.name)
+def test_a_sample_is_recognised_and_read_in_canonical_units(door) -> None:
+    sample = sample_of(door.name)
+    assert [f.name for f in FORMATS if f.sniff(sample)] == [door.name]
+    recording = formats.read(sample)
+    responses = recording.names("error")
+    assert len(recording) > 0 and responses
+    assert np.isfinite(recording.array(responses[0])).any()
+    for name, column in recording.manifest.columns.items():
+        units = ROLE_UNITS.get(column.role, ())
+        assert column.unit is None or not units or column.unit in units, f"{name}: {column.unit}"
+
+
+@pytest.mark.parametrize("door", FORMATS, ids=lambda door: door.name)
+def test_sniff_never_raises(door, tmp_path: Path) -> None:
+    (tmp_path / "empty").write_bytes(b"")
+    (tmp_path / "bytes").write_bytes(bytes(range(256)))
+    for path in (tmp_path, tmp_path / "empty", tmp_path / "bytes", tmp_path / "nothing"):
+        assert door.sniff(path) is False
