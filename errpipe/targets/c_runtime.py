@@ -15,6 +15,7 @@ from errpipe.domain.table import CompensationTable
 from errpipe.errors import VerifyError
 from errpipe.tables import ect
 from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
 _PER_LINE = 16
@@ -59,11 +60,6 @@ def _macro(kind: str, name: str) -> str:
     return f"ECT_{kind}_" + re.sub(r"[^A-Z0-9]", "_", name.upper())
 
 
-def _comment(text: str) -> str:
-    """Text that cannot end a comment."""
-    return text.replace("*/", "* /").replace("/*", "/ *")
-
-
 def _header(table: CompensationTable, data: bytes) -> str:
     rows = [(_macro("IN", i.name), n, f"{i.name}, {i.unit or '-'}") for n, i in enumerate(table.inputs)]
     rows += [(_macro("OUT", o.name), n, f"{o.name}, {o.correction_unit}") for n, o in enumerate(table.outputs)]
@@ -73,9 +69,9 @@ def _header(table: CompensationTable, data: bytes) -> str:
         while macro in taken:
             macro += "_"
         taken.add(macro)
-        lines.append(f"#define {macro} {number} /* {_comment(what)} */")
+        lines.append(f"#define {macro} {number} /* {plain(what)} */")
     return (
-        f"/* Table {ect.fingerprint(table)}: {_comment(table.machine)} {_comment(table.title)} */\n"
+        f"/* Table {ect.fingerprint(table)}: {plain(table.machine)} {plain(table.title)} */\n"
         "#ifndef ECT_TABLE_H\n#define ECT_TABLE_H\n\n#include <stdint.h>\n\n"
         f"#define ECT_TABLE_SIZE {len(data)}\n"
         f"#define ECT_CYCLE_S {table.position_cycle_s!r}\n"

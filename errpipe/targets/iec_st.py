@@ -27,6 +27,7 @@ from errpipe.errors import VerifyError
 from errpipe.tables import ect
 from errpipe.tables import layout as lay
 from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
 TYPES = ("ECT_FILE", "ECT_INPUTS", "ECT_FRESH", "ECT_OUTPUTS", "ECT_TABLE")
@@ -130,24 +131,19 @@ def _bytes_at(match: re.Match[str]) -> str:
 
 def _data_block(data: bytes, table: CompensationTable, room: Mapping[str, int]) -> str:
     shown = "\n".join(
-        [f"   afReading[{n}]: {i.name}, {i.unit or '-'}" for n, i in enumerate(table.inputs)]
-        + [f"   afCorrection[{n}]: {o.name}, {o.correction_unit}" for n, o in enumerate(table.outputs)]
+        [f"   afReading[{n}]: {plain(i.name)}, {plain(i.unit) or '-'}" for n, i in enumerate(table.inputs)]
+        + [f"   afCorrection[{n}]: {plain(o.name)}, {o.correction_unit}" for n, o in enumerate(table.outputs)]
     )
     # Only the bytes of this table: a PLC fills the rest with zeros, and FB_EctLoad takes nSize of them.
     rows = [", ".join(map(str, data[k : k + _BYTES_PER_LINE])) for k in range(0, len(data), _BYTES_PER_LINE)]
     body = ",\n        ".join(rows)
     return (
-        f"(* Table {ect.fingerprint(table)}: {_comment(table.machine)} {_comment(table.title)}\n{_comment(shown)} *)\n"
+        f"(* Table {ect.fingerprint(table)}: {plain(table.machine)} {plain(table.title)}\n{shown} *)\n"
         "VAR_GLOBAL\n"
         f"    nFileSize : DINT := {len(data)};\n"
         f"    aFile : ARRAY [0..{room['BYTES']}] OF BYTE := [\n        {body}];\n"
         "END_VAR\n"
     )
-
-
-def _comment(text: str) -> str:
-    """Text that cannot end or open a comment."""
-    return text.replace("*)", "* )").replace("(*", "( *")
 
 
 def _bytes_of(name: str, text: str) -> bytes:

@@ -25,6 +25,7 @@ from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import Target, expect
+from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
 COMPONENT = "errpipe.comp"
@@ -100,8 +101,8 @@ def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
     joint = {letter: n for n, letter in enumerate(_sample.axes_of(table))}
     pins = {p["input"]: p for p in inputs}
     return {
-        "machine": _plain(table.machine),
-        "version": _plain(table.version),
+        "machine": plain(table.machine),
+        "version": plain(table.version),
         "crc": ect.fingerprint(table),
         "crc_number": int(ect.fingerprint(table), 16),
         "period_ns": round(table.position_cycle_s * 1e9),
@@ -127,15 +128,16 @@ def _input_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
     pins = []
     for i in table.inputs:
         short = _identifier(i.name, taken)
-        unit = f", {_plain(i.unit)}" if i.unit else ""
+        unit = f", {plain(i.unit)}" if i.unit else ""
         pins.append(
             {
-                "input": _plain(i.name),
+                "input": i.name,
+                "what": plain(i.name),
                 "name": f"in_{short}",
                 "fresh": f"fresh_{short}",
                 "fault": f"fault_{short}",
                 "stale": i.stale_after_s is not None,
-                "text": f"{_plain(i.name)}: {i.kind}{unit}",
+                "text": f"{plain(i.name)}: {i.kind}{unit}",
             }
         )
     return pins
@@ -151,7 +153,7 @@ def _output_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
     for (axis, name), numbers in groups.items():
         short = _identifier(axis or name, taken)
         unit = table.outputs[numbers[0]].correction_unit
-        text = f"{_plain(axis or name)}: correction in {unit}, to be added to the command"
+        text = f"{plain(axis or name)}: correction in {unit}, to be added to the command"
         pin = {"axis": axis, "short": short, "name": f"correction_{short}", "counts": "", "of": numbers, "text": text}
         if axis:
             pin |= {part: f"{part}_{short}" for part in ("counts", "planned", "command", "measured", "feedback")}
@@ -165,10 +167,10 @@ def _other_lines(table: t.CompensationTable, pins: Mapping[str, dict[str, Any]])
     for i in table.inputs:
         if i.kind == "position":
             continue
-        pin = hal(pins[_plain(i.name)]["name"])
+        pin = hal(pins[i.name]["name"])
         known = {"speed": "spindle.0.speed-out", "tool": "motion.tooloffset.z"}.get(i.kind, f"(your {i.kind} signal)")
-        unit = f" in {_plain(i.unit)}" if i.unit else ""
-        lines.append(f"# INPUT: net errpipe-{pin} {known} => errpipe.{pin}    # {_plain(i.name)}{unit}")
+        unit = f" in {plain(i.unit)}" if i.unit else ""
+        lines.append(f"# INPUT: net errpipe-{pin} {known} => errpipe.{pin}    # {plain(i.name)}{unit}")
     return lines
 
 
@@ -234,8 +236,3 @@ def _identifier(name: str, taken: set[str]) -> str:
         found, n = f"{base}_{n}", n + 1
     taken.add(found)
     return found
-
-
-def _plain(text: str) -> str:
-    """Text that may stand inside a quoted string and a comment of the component."""
-    return re.sub(r'["\\\n\r*]', " ", text)
