@@ -17,6 +17,9 @@ from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 
 Confidence = Literal["verified", "documented", "experimental"]
+# What a format can say: an axis over its own position (one curve, or one for each direction of travel), an axis over
+# another one, Z over a bed, lost motion alone, a straight line per kelvin.
+Holds = Literal["screw", "both directions", "cross", "bed", "reversal", "temperature"]
 # What the files of an experimental format say of themselves, as a comment.
 CAUTION = "experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use"
 
@@ -141,6 +144,8 @@ class Target:
     confidence: ClassVar[Confidence]
     sign: ClassVar[str]  # what a positive value does, in words
     limits: ClassVar[str]  # of the format, in words
+    holds: ClassVar[tuple[Holds, ...]]  # for the tests that every format goes through
+    rounding_um: ClassVar[float] = 0.1  # largest error at a node
     source: ClassVar[str]  # the manual or the program's source that says so
     activation: ClassVar[Sequence[str]] = ()  # what a person at the machine sets and reads back
     goes_with: ClassVar[Sequence[str]] = ()  # targets whose files the same controller adds to these (said by either)

@@ -29,6 +29,8 @@ class BeckhoffSsfk(ScrewMap):
     confidence = "documented"
     sign = "a positive value means the axis went too far; it is moved in minus"
     limits = "1500 equidistant nodes; whole tenths of a micrometre; the axis' own position; no temperature"
+    holds = ("screw", "both directions")
+    rounding_um = 0.15
     source = "TF5200 axis compensation lists; ISG kernel parameters kw.ssfk"
     activation = (
         "announce the list in hochlauf.lis (zahl_kw, achs_kw[i], achs_kw_log_ax_nr[i])",

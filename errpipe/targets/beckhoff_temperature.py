@@ -27,6 +27,7 @@ class BeckhoffTemperature(Target):
     confidence = "experimental"
     sign = "a positive value means the axis went too far (as the screw table; prove it on the machine)"
     limits = "a straight line over the axis per sensor; settled state, no lag"
+    holds = ("temperature",)
     source = "ISG kernel documentation, temperature compensation (P-AXIS-00272, -00273, -00274)"
     activation = ("lr_param.temp_comp 1", "the PLC writes offset and coefficient; read the axis' compensation back")
     goes_with = ("beckhoff_ssfk", "beckhoff_crosscomp")

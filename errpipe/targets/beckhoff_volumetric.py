@@ -31,6 +31,7 @@ class BeckhoffVolumetric(Target):
     confidence = "documented"
     sign = "a positive EXX means the axis goes too far (a deviation); the controller moves it in minus"
     limits = "components over one axis; 5 compensations of 10 files; static: temperatures stand at their default"
+    holds = ("screw",)
     source = "TF5280 volumetric compensation, ISG CSV; ISG kernel units page"
     activation = (
         "list the file in the volumetric compensation's configuration; mm and rad, arguments of rotary axes in degrees",

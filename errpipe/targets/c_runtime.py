@@ -29,6 +29,7 @@ class CRuntime(Target):
     confidence = "verified"
     sign = "a positive correction is added to the command: it moves the axis in plus"
     limits = "whole table; single precision loses a few nanometres"
+    holds = ("screw", "both directions", "cross", "temperature")
     source = "schemas/ect-1.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"
     activation = (
         "ect_load must return ECT_OK; e.crc shows the table's checksum: compare it with `errpipe whatis table.ect`",

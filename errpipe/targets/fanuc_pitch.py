@@ -31,6 +31,8 @@ class FanucPitch(ScrewMap):
     confidence = "experimental"
     sign = "a running sum above zero moves the axis in plus (prove it on the machine)"
     limits = "whole micrometres; -7..+7 per point; 1024 points in all; the axis' own position; no temperature"
+    holds = ("screw", "both directions")
+    rounding_um = 1.0
     source = "B-63980EN, B-63950EN, A-77810E (parameters 3620 to 3627); pitch block from experience"
     activation = (
         "parameters 3620 to 3624, 3626, 3627; 3605#0 = 1 for two directions; power off and on; reference again",

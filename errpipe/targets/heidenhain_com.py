@@ -31,6 +31,7 @@ class HeidenhainCom(Target):
     confidence = "experimental"
     sign = "a positive value means the travel is too long; the axis is moved in minus (prove it on the control)"
     limits = "256 rows; sums of curves over one axis each; one reversal value per position; no temperature"
+    holds = ("screw", "both directions", "cross")
     source = "MANUALplus 620 technical manual p. 716, 718; TNC 407 technical manual p. 153 to 156"
     activation = (
         "take the first line of each file out: it says what this list says",

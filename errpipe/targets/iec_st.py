@@ -61,6 +61,7 @@ class IecSt(Target):
     confidence = "verified"
     sign = "a positive value of afCorrection is added to the command: it moves the axis in plus"
     limits = "whole table; memory of the PLC (LREAL); arrays have room for tables twice as large"
+    holds = ("screw", "both directions", "cross", "temperature")
     source = "IEC 61131-3 ed. 2 and 3; PLCopen TC6 XML 2.01; executed and compared in the tests"
     activation = (
         "call FB_EctLoad once with the bytes of table.ect (or GVL_EctData.aFile); bOk must be TRUE",

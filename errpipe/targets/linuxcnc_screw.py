@@ -25,6 +25,7 @@ class LinuxcncScrew(ScrewMap):
     confidence = "verified"
     sign = "a positive value moves the joint further in plus"
     limits = "256 rows per joint; the joint's own position only; no temperature"
+    holds = ("screw", "both directions")
     source = "LinuxCNC: src/emc/motion/usrmotintf.cc (usrmotLoadComp), docs ini-config COMP_FILE"
     activation = (
         "[JOINT_n] COMP_FILE = <axis>.comp",

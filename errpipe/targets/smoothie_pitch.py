@@ -28,6 +28,7 @@ class SmoothiePitch(ScrewMap):
     confidence = "documented"
     sign = "a multiplier above 1 moves the axis further per commanded travel"
     limits = "multipliers 0.5 to 1.5; both directions alike; zero at position 0; no temperature"
+    holds = ("screw",)
     source = "the firmware's own reader of pitch_compensation.dat"
     activation = ("copy the file to the SD card; reset; compare three points with a gauge",)
 

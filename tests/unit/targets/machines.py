@@ -44,6 +44,19 @@ def wavy_both_directions():
     return compile_(("EXX", [straight("X", 10.0), wave, gap]))
 
 
+def too_long_from_above():
+    """Approached from below X is right; approached from above it is 10 um too long: 10 um of lost motion."""
+    return compile_(
+        (
+            "EXX",
+            [
+                Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -5.0)),
+                Lowered(d.ONE, None, lambda x: np.full(np.shape(x), 5.0)),
+            ],
+        )
+    )
+
+
 def bent():
     """Y over X (straightness), X over Y (squareness) and Z over X and Y (a bed)."""
     # A positive C0Y leans Y towards minus X: the tool is pushed by -C0Y * y.

@@ -19,20 +19,23 @@ from errpipe.tables import batch, reference
 from errpipe.targets import TARGETS
 from tests.unit.targets import machines
 
-# Largest error of a format at the end of the travel, um: whole pulses of 1 um, whole tenths of a micrometre.
-ROUNDING_UM = {"fanuc_pitch": 1.0, "beckhoff_crosscomp": 0.2, "beckhoff_ssfk": 0.15}
 WARM = 10.0  # K, at which a machine of the temperature formats is 10 um too long
-OTHERS = {
-    "beckhoff_crosscomp": ("Y", 0.0),
-    "klipper_sections": ("Z", 0.0),
-    "beckhoff_temperature": ("X", WARM),
-    "sinumerik_temperature": ("X", WARM),
-}
 
 
 def by_target(target) -> tuple[str, float]:
-    """(axis, how far it is moved at X = +500 against X = 0, um) of what the controller makes of the files."""
-    axis, rise = OTHERS.get(target.name, ("X", 0.0))
+    """(axis, how far it is moved at X = +500 against X = 0, um) of what the controller makes of the files.
+
+    Formats that hold the reversal of an axis only: a machine that is 10 um too long where it comes from above.
+    """
+    one = np.ones(1)
+    if set(target.holds) == {"reversal"}:
+        read = target.read_back(target.write(machines.too_long_from_above()))
+        up, down = (float(read.correction("X", {"X": 500.0 * one}, side * one, {})[0]) for side in (1, -1))
+        return "X", 1e3 * (down - up)
+    axis = "X"
+    if "screw" not in target.holds:
+        axis = {"cross": "Y", "bed": "Z", "temperature": "X"}[target.holds[0]]
+    rise = WARM if target.holds[0] == "temperature" else 0.0
     warm = d.Affine(weights=(1.0 / WARM,), of=(d.above("T", 20.0),)) if rise else d.ONE
     read = target.read_back(target.write(machines.too_far(axis, warm)))
     at = {"X": np.array([0.0, 500.0]), "Y": np.zeros(2), "Z": np.full(2, -150.0)}
@@ -85,5 +88,6 @@ def test_every_target_and_every_runtime_moves_a_machine_that_goes_too_far_back(t
         for name, axis, moved in rows:
             print(f"  {name:<24}{axis}{moved:+9.3f} um")
     assert len(rows) >= len(TARGETS) + 4
+    rounding = {t.name: t.rounding_um for t in TARGETS}
     for name, _, moved in rows:
-        assert moved == pytest.approx(-10.0, abs=ROUNDING_UM.get(name, 0.1)), name
+        assert moved == pytest.approx(-10.0, abs=rounding.get(name, 0.1)), name
