@@ -6,12 +6,13 @@ BIN := $(VENV)/bin
 SETUP := $(VENV)/.set-up
 PYTEST := $(BIN)/python -m pytest
 SEED ?= 7
+FROM ?= ../shared/real-data
 CODE := errpipe tests trials bench examples
 # One thread for linear algebra: results must not depend on how many cores a machine has.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow test-all lint types check generated bench trials trials-scales clean
+.PHONY: help setup demo test test-slow test-all lint types check generated bench trials trials-scales trials-real clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -63,6 +64,9 @@ trials: $(SETUP) ## diagnosis on machines whose faults are known
 
 trials-scales: $(SETUP) ## diagnosis of one textbook effect on machines of every scale
 	@$(BIN)/python -m trials.scales --seed $(SEED) --jobs 2 $(ARGS)
+
+trials-real: $(SETUP) ## diagnosis on real recordings whose repetition stands in for the simulation (FROM=folders)
+	@$(BIN)/python -m trials.real --from $(FROM) --seed $(SEED) --jobs 2 $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

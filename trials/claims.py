@@ -15,7 +15,7 @@ def impossible(sheet: Sheet, component: str, response: dict[str, Any], mismatch:
     """One line for each claim that cannot be true."""
     out = []
     rotary = {n for n in sheet.names("position") if sheet.columns[n].get("unit") == "deg"}
-    own = sheet.responses()[component][0]
+    unit = sheet.columns[sheet.responses()[component][0]].get("unit")
     for finding in response.get("findings") or []:
         if finding["effect"] == "recalibration" or float(finding["confidence"]) < SURE:
             continue
@@ -27,6 +27,8 @@ def impossible(sheet: Sheet, component: str, response: dict[str, Any], mismatch:
         for p in parameters:
             if str(p.get("unit")) in LENGTH_ONLY and rotary & set(finding.get("drivers") or []):
                 out.append(f"{component}: {finding['effect']}: {p['unit']} on a rotary axis")
-            if p.get("unit") == sheet.columns[own].get("unit") and abs(p["value"]) > TIMES_THE_MISMATCH * 6 * mismatch:
+            if unit == "urad" and str(p.get("unit")).startswith("um"):
+                out.append(f"{component}: {finding['effect']}: {p['unit']} on an angle in urad")
+            if p.get("unit") == unit and abs(p["value"]) > TIMES_THE_MISMATCH * 6 * mismatch:
                 out.append(f"{component}: {finding['effect']}: {p['value']:g} {p['unit']}, mismatch {mismatch:.3g} rms")
     return out

@@ -31,11 +31,12 @@ def outcome(judged: Judged, key: dict[str, Any], responses: dict[str, dict] | No
     ((component, wanted),) = key["responses"].items()
     accepted = {e for group in wanted["effects"] for e in group} | {"unknown", "recalibration"}
     findings = (responses.get(component) or {}).get("findings") or []
-    wrong = [float(f["confidence"]) for f in findings if f["effect"] not in accepted]
-    if wrong:
-        return "confident wrong name" if max(wrong) >= SURE else "wrong name"
-    said = judged.said[0] if judged.said else "nothing"
-    return "unknown" if said == "unknown" else "nothing" if said in ("no_mismatch", "recalibrate") else "incomplete"
+    if any(f["effect"] not in accepted and float(f["confidence"]) >= SURE for f in findings):
+        return "confident wrong name"
+    said = judged.said[0] if judged.said else "no_mismatch"
+    if said in ("no_mismatch", "recalibrate", "unexplained"):
+        return "nothing"
+    return "unknown" if said == "unknown" else "incomplete" if said in accepted else "wrong name"
 
 
 def judge_all(out: Path) -> list[dict[str, Any]]:

@@ -1,0 +1,154 @@
+"""Real twins: the repetitions that are found are repetitions, and the judge counts as the page says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.formats import manifest_folder
+from trials.folder import Sheet
+from trials.real.__main__ import figures, judge_all, markdown, sources
+from trials.real.draw import additions, generate
+from trials.real.repetitions import Twin, trajectory_period, twins, window
+
+SHARED = Path(__file__).parents[4] / "shared" / "real-data"
+
+
+def strokes(rows: int = 4000, noise: float = 0.1) -> Sheet:
+    """A drive force along a trajectory that comes again every 4 s."""
+    rng = np.random.default_rng(0)
+    t = np.arange(rows) / 200
+    x = 100 * np.sin(2 * np.pi * t / 4) + 20 * np.sin(6 * np.pi * t / 4)
+    v = np.gradient(x, t)
+    table = pd.DataFrame({"t": t, "x": x, "v": v, "F_X": 5 * np.sign(v) + 0.1 * v + noise * rng.normal(size=rows)})
+    columns = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
+        "F_X": {"role": "error", "component": "F_X", "unit": "N"},
+    }
+    return Sheet("strokes", table, columns)
+
+
+def warm_up(rows: int = 1200, noise: float = 0.5, bent: float = 0.0) -> Sheet:
+    """A drift read once a minute; bent: a ripple as fast as the readings, which no interpolation can follow."""
+    rng = np.random.default_rng(1)
+    t = 60.0 * np.arange(rows)
+    temperature = 20 + 8 * (1 - np.exp(-t / 9000)) + 2 * np.sin(t / 7000)
+    drift = 4 * (temperature - 20) + bent * np.sin(2 * np.pi * t / 400) + noise * rng.normal(size=rows)
+    table = pd.DataFrame({"t": t, "T_head": temperature, "T_room": 20 + np.cos(t / 11000), "E_Z": drift})
+    columns = {
+        "t": {"role": "time", "unit": "s"},
+        "T_head": {"role": "temperature", "unit": "degC", "location": "head"},
+        "T_room": {"role": "temperature", "unit": "degC", "location": "room"},
+        "E_Z": {"role": "error", "component": "E_Z", "unit": "um"},
+    }
+    return Sheet("warm-up", table, columns)
+
+
+def plate_twice() -> Sheet:
+    """The same holes measured twice: shifted, turned and at another temperature the second time."""
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 600, (2, 150))
+    shape = 8 * np.sin(x / 90)
+    second = shape + 40 + 0.05 * x - 0.1 * y
+    noise = 1.5 * rng.normal(size=(2, 150))
+    table = pd.DataFrame({"plate": ["a"] * 150 + ["b"] * 150, "x": np.tile(x, 2), "y": np.tile(y, 2)})
+    table["E_X"] = np.concatenate([shape + noise[0], second + noise[1]])
+    columns = {
+        "plate": {"role": "run"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "y": {"role": "position", "axis": "Y", "unit": "mm"},
+        "E_X": {"role": "error", "component": "E_X", "unit": "um"},
+    }
+    return Sheet("plate", table, columns)
+
+
+def one(sheet: Sheet) -> Twin:
+    (twin,) = twins("source", sheet)
+    return twin
+
+
+def test_period_of_a_trajectory() -> None:
+    sheet = strokes()
+    assert trajectory_period(sheet.values("t"), sheet.values("x")) == pytest.approx(4.0, abs=0.01)
+    rng = np.random.default_rng(3)
+    walk = np.cumsum(rng.normal(size=4000))
+    assert trajectory_period(sheet.values("t"), walk) is None
+
+
+@pytest.mark.parametrize(
+    ("sheet", "kind", "noise"),
+    [(strokes(), "periods", 0.1 * 2**0.5), (warm_up(), "interleaved", 0.5 * 1.5**0.5), (plate_twice(), "runs", 2.1)],
+    ids=["periods", "interleaved", "runs"],
+)
+def test_twin_leaves_the_scatter_of_two_readings(sheet: Sheet, kind: str, noise: float) -> None:
+    twin = one(sheet)
+    assert twin.kind == kind
+    middle = np.clip(twin.gap(), -4 * noise, 4 * noise)  # a row beside a reversal may match the other side of it
+    assert np.std(middle) == pytest.approx(noise, rel=0.12)
+
+
+def test_no_twin_where_neighbours_do_not_tell_what_lies_between() -> None:
+    assert twins("source", warm_up(bent=6.0)) == []
+
+
+def test_additions_are_of_the_component_and_no_gain_plays_them() -> None:
+    rng = np.random.default_rng(4)
+    names = {a[0] for a in additions(rng, one(strokes()))}
+    assert {"torque_ripple", "stribeck_friction"} <= names and "backlash" not in names
+    assert "coulomb_friction" not in names  # most of the force: another gain on the repetition would play it
+    warm = {(a[0], a[2]) for a in additions(rng, one(warm_up()))}
+    assert ("thermal_drift", ("T_head",)) not in warm  # the whole drift follows that sensor: a gain would play it
+    assert ("thermal_drift", ("T_room",)) in warm
+    assert {a[0] for a in additions(rng, one(plate_twice()))} >= {"scale_error", "squareness", "straightness"}
+
+
+def test_windows_keep_enough_rows() -> None:
+    twin = one(strokes())
+    for seed in range(20):
+        assert len(window(np.random.default_rng(seed), twin).sheet.table) >= 40
+
+
+def test_cases_are_readable_sealed_and_counted(tmp_path: Path) -> None:
+    sheets = [("strokes", strokes()), ("warm-up", warm_up()), ("plate", plate_twice())]
+    generate(tmp_path / "a", sheets, 5, 4, 5)
+    generate(tmp_path / "b", sheets, 5, 4, 5)
+    for path in sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file()):
+        assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
+    for case in sorted((tmp_path / "a" / "cases").iterdir()):
+        manifest_folder.read(case)
+        key = json.loads((tmp_path / "a" / "answers" / f"{case.name}.json").read_text())
+        ((component, wanted),) = key["responses"].items()
+        findings = [{"effect": g[0], "confidence": 0.9} for g in wanted["effects"]]
+        if key["tier"] == "null":
+            findings = [{"effect": "unknown", "confidence": 0.97}]  # always wrong: no null is quiet
+        answer = {"component": component, "verdict": "missing_physics", "findings": findings}
+        (tmp_path / "a" / "diagnoses" / case.name).mkdir(parents=True)
+        text = json.dumps({"diagnosis": 1, "responses": [answer]})
+        (tmp_path / "a" / "diagnoses" / case.name / "diagnosis.json").write_text(text)
+    rows = judge_all(tmp_path / "a")
+    found = figures(rows)
+    assert (found["nulls"], found["quiet"], found["unknown_alarms"]) == (4, 0, 4)
+    assert (found["additions"], found["named"], found["confident_wrong"]) == (5, 5, 0)
+    assert "| all | 0 of 4 (0 %) | 5 of 5 (100 %) | 0 of 9 (0 %) |" in markdown(rows, "title")
+
+
+def test_no_repetition_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="none of these recordings has a repetition"):
+        generate(tmp_path, [("bent", warm_up(bent=6.0))], 1, 1, 1)
+
+
+@pytest.mark.realdata
+def test_real_recordings_have_the_repetitions_that_their_sources_tell_of() -> None:
+    if not SHARED.is_dir():
+        pytest.skip(f"no real recordings at {SHARED}")
+    kinds = {(t.source, t.kind) for name, sheet in sources([SHARED]) for t in twins(name, sheet)}
+    assert ("positioning-axis-force", "periods") in kinds
+    assert ("damper-hysteresis", "periods") in kinds
+    assert ("drilled-plates", "runs") in kinds and ("psi", "runs") in kinds
+    assert ("turning-centre-thermal", "interleaved") in kinds
