@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
+from errpipe import files
 from errpipe.errors import VerifyError
 
 
@@ -38,18 +37,8 @@ def write_bytes(path: Path, data: bytes) -> bool:
     path = Path(path)
     if path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data:
         return False
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with files.whole(path) as stream:
+        stream.write(data)
     return True
 
 
@@ -66,8 +55,12 @@ def write(path: Path, value: Any) -> bool:
 def read(path: Path) -> Any:
     """Read a JSON file. Raises VerifyError naming line and column where it is not JSON."""
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
+        return json.loads(files.read(Path(path), files.MAX_JSON_BYTES, VerifyError).decode())
     except json.JSONDecodeError as err:
         raise VerifyError(f"{path}:{err.lineno}:{err.colno}  not JSON: {err.msg}") from None
     except UnicodeDecodeError as err:
         raise VerifyError(f"{path}: not UTF-8 text at byte {err.start}") from None
+    except RecursionError:
+        raise VerifyError(f"{path}: not JSON that is read here: brackets nested too deep") from None
+    except ValueError as err:  # a whole number of more digits than Python turns into a number
+        raise VerifyError(f"{path}: not JSON that is read here: {str(err).split(';')[0].lower()}") from None

@@ -7,6 +7,7 @@ that starts with `Example:`. A verb returns nothing; it ends with `print_result`
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -47,6 +48,9 @@ Exit codes:
   2 usage or configuration      6 verification failed
   3 input data rejected
 """
+
+# Failures of the system that name no file: no errors of errpipe.
+_OUTSIDE_CAUSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE, errno.ENFILE)
 
 # click's own errors, whichever copy of click this typer carries
 _CLICK_USAGE: type[Exception] = typer.BadParameter.__mro__[1]  # type: ignore[assignment]
@@ -147,8 +151,11 @@ def _refusal(name: str, err: Exception, as_json: bool) -> int:
         line = f"errpipe {name}".strip()
         text = f"{line}: {text[0].lower()}{text[1:]}\n({line} --help shows what is possible)"
         return print_error(name, text, 2, as_json)
-    if isinstance(err, OSError) and err.filename is not None and err.strerror:
-        return print_error(name, f"{err.filename}: {err.strerror.lower()}", 2, as_json)
+    if isinstance(err, OSError) and err.strerror and (err.filename is not None or err.errno in _OUTSIDE_CAUSES):
+        where = f"{err.filename}: " if err.filename is not None else ""
+        return print_error(name, f"{where}{err.strerror.lower()}", 2, as_json)
+    if isinstance(err, MemoryError):
+        return print_error(name, "out of memory: fewer rows or columns at a time, or a larger machine", 3, as_json)
     text = f"internal error, please report it: {type(err).__name__}: {err}\n(--debug shows where it happened)"
     return print_error(name, text, 1, as_json)
 

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.formats import ecmc_dat, manifest_folder, renishaw_rtl
+from errpipe.formats._magnitude import refuse_impossible
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -54,7 +55,11 @@ def read(path: Path, format: str | None = None, options: Mapping[str, Any] | Non
             f"format {found.name}, {key}: {wrong['msg'].lower()} (options: {', '.join(allowed) or 'none'})."
             + did_you_mean(key, allowed)
         ) from None
-    return found.read(Path(path), chosen)
+    recording = found.read(Path(path), chosen)
+    for column, facts in recording.manifest.columns.items():
+        if facts.role not in ("run", "group", "ignore"):
+            refuse_impossible(recording.array(column), facts.role, facts.unit, column, lambda row: str(path))
+    return recording
 
 
 def by_name(name: str) -> ModuleType:

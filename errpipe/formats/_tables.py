@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import csv
 import difflib
-import filecmp
 import io
 import itertools
 import math
 import os
 import re
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,10 +25,12 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
+from errpipe import files
 from errpipe.errors import DataError, did_you_mean
 
 BLOCK_BYTES = 8 << 20  # 8 MB of text is about 150 000 rows; two threads hold 3 such blocks at a time
 MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header row
+MAX_LINE_BYTES = 4 << 20  # a row of a hundred thousand columns; a file without line feeds is not held in memory
 MAX_PROBLEMS = 5  # a file with a wrong decimal mark is wrong in every line; five lines show it
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\xef\xbb\xbf": "a UTF-8 byte order mark"}
 
@@ -71,7 +71,7 @@ def _near_file(path: Path) -> str:
 
 
 def _csv_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
-    with open(path, "rb") as stream:
+    with files.open_regular(path) as stream:
         names = _header(stream, label)
         check_columns(names, kinds, f"{label}:1")
         convert = _convert_options(names, kinds)
@@ -90,7 +90,7 @@ def _csv_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
                 raise DataError("\n".join(problems) or f"{label}: cannot be read as CSV: {err}") from None
             return Block(table, lambda row: f"{label}:{_line_of_row(data, line, row)}")
 
-        yield from _in_order(parsed, _text_blocks(stream))
+        yield from _in_order(parsed, _text_blocks(stream, label))
 
 
 def _header(stream: IO[bytes], label: str) -> list[str]:
@@ -140,11 +140,14 @@ def _convert_options(names: list[str], kinds: Kinds) -> pacsv.ConvertOptions:
     )
 
 
-def _text_blocks(stream: IO[bytes]) -> Iterator[tuple[bytes, int]]:
-    """Blocks of whole lines and the number of each block's first line."""
+def _text_blocks(stream: IO[bytes], label: str) -> Iterator[tuple[bytes, int]]:
+    """Blocks of whole lines and the number of each block's first line. Raises DataError for a line without end."""
     line, rest = 2, b""
     while data := stream.read(BLOCK_BYTES):
         cut = data.rfind(b"\n") + 1
+        if len(rest) + (cut or len(data)) > BLOCK_BYTES + MAX_LINE_BYTES or len(data) - cut > MAX_LINE_BYTES:
+            first = line + data.count(b"\n")
+            raise DataError(f"{label}:{first}  is longer than {MAX_LINE_BYTES >> 20} MB (is this a table of lines?)")
         if not cut:
             rest += data
             continue
@@ -243,10 +246,13 @@ def _wrong_number(cell: str) -> str:
 
 def _parquet_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
     try:
-        file = pq.ParquetFile(path)
-    except (pa.ArrowInvalid, OSError):
+        yield from _parquet_batches(path, kinds, label)
+    except (pa.ArrowException, OSError, ValueError, OverflowError):
         raise DataError(f"{label}: not a Parquet file, or a damaged one") from None
-    with file:
+
+
+def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
+    with pq.ParquetFile(path) as file:
         check_columns(file.schema_arrow.names, kinds, label)
         wanted = [n for n in kinds if kinds[n] != "ignore"]
         for name in wanted:
@@ -279,7 +285,9 @@ def _plain(column: pa.Array, kind: str) -> pa.Array:
     if pa.types.is_dictionary(column.type):
         column = column.dictionary_decode()
     if kind == "label":
-        return column.cast(pa.string()).fill_null("")
+        text = column.cast(pa.string()).fill_null("")
+        text.validate(full=True)  # a damaged page may hold bytes that are no UTF-8
+        return text
     if pa.types.is_boolean(column.type):
         column = column.cast(pa.int8())
     return column.cast(pa.float64(), safe=False)
@@ -307,27 +315,16 @@ def write_parquet(path: Path, schema: pa.Schema, parts: Iterator[pa.Table]) -> i
 
     Returns the number of rows. Equal parts give equal bytes (with one version of pyarrow).
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-    temporary, rows = Path(name), 0
+    rows = 0
     # Measured readings hardly repeat, so dictionaries of them cost three times the processor time and save 10 %.
     numbers = [f.name for f in schema if pa.types.is_floating(f.type)]
     labels = [f.name for f in schema if f.name not in numbers]
     encoding = {"use_dictionary": labels, "use_byte_stream_split": numbers}
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            with pq.ParquetWriter(stream, schema, version="2.6", compression="snappy", **encoding) as writer:
-                for part in parts:
-                    writer.write_table(part, row_group_size=max(part.num_rows, 1))
-                    rows += part.num_rows
-            stream.flush()
-            os.fsync(stream.fileno())
-        if path.is_file() and filecmp.cmp(temporary, path, shallow=False):
-            temporary.unlink()
-            return rows
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with (
+        files.whole(path) as stream,
+        pq.ParquetWriter(stream, schema, version="2.6", compression="snappy", **encoding) as writer,
+    ):
+        for part in parts:
+            writer.write_table(part, row_group_size=max(part.num_rows, 1))
+            rows += part.num_rows
     return rows

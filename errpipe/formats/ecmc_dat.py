@@ -26,6 +26,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from errpipe import files
 from errpipe.domain import components
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
@@ -33,6 +34,7 @@ from errpipe.yamlfile import Options as YamlOptions
 
 name = "ecmc_dat"
 UNITS = {"mm": 1.0, "um": 1e-3, "m": 1e3, "inch": 25.4}  # of UNIT, in mm
+MAX_BYTES = 64 << 20  # a test of 10,000 targets and 100 cycles
 DEFAULT_UNIT = "mm"  # the tool's own
 WAYS = {"REF_DATA_FWD": 1, "REF_DATA_BWD": -1}
 _ENTRY = re.compile(r"(?P<key>[A-Z_]+)(?:\[(?P<index>[\d, ]+)\])?=(?P<value>.*)")
@@ -126,7 +128,7 @@ def _parse(path: Path) -> tuple[dict[int, float], dict[tuple[int, int, int], flo
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = files.read(path, MAX_BYTES, DataError).decode()
     except UnicodeDecodeError as err:
         raise DataError(f"{path}: not UTF-8 text at byte {err.start}") from None
     stripped = ((n, raw.strip().removeprefix("TEST_DATA=")) for n, raw in enumerate(text.splitlines(), 1))

@@ -25,6 +25,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import DataError
 from errpipe.formats import _tables
+from errpipe.formats._magnitude import refuse_impossible
 
 name = "manifest"
 MANIFEST = "recording.yaml"
@@ -225,7 +226,10 @@ def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], 
         if role in ALLOWED:
             _one_of(values, ALLOWED[role], role, column_name, block)
         convert = converts[column_name]
-        out[column_name] = values if convert is None or convert.identity else convert(values)
+        values = values if convert is None or convert.identity else convert(values)
+        unit = None if convert is None else convert.unit
+        refuse_impossible(values, role, unit, column_name, block.place)
+        out[column_name] = values
     order.check(out, block)
     return out
 

@@ -19,12 +19,14 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from errpipe import files
 from errpipe.domain import components
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.yamlfile import Options as YamlOptions
 
 name = "renishaw_rtl"
+MAX_BYTES = 64 << 20  # a test of 10,000 targets and 100 runs
 _SECTION = re.compile(r"^([A-Z][A-Z _-]*)::\s*$")
 _Line = tuple[int, str]
 
@@ -86,7 +88,7 @@ def read(path: Path, options: Options | None = None) -> Recording:
 
 
 def _sections(path: Path) -> dict[str, list[_Line]]:
-    data = path.read_bytes()
+    data = files.read(path, MAX_BYTES, DataError)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

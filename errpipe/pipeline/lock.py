@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import errpipe
-from errpipe import jsonfile
+from errpipe import files, jsonfile
 from errpipe.errors import DataError, VerifyError
 from errpipe.pipeline.stage import Stage
 
 LOCK = "errpipe.lock"
 VERSION = 1
 _SCRATCH = ".errpipe"  # folder in OUT for unfinished work
+MAX_INPUT_FILES = 100_000  # below one input: a year of files every five minutes
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,10 @@ class Record:
 
 
 def read_lock(out: Path) -> dict[str, Record]:
-    """The records in OUT, {} where there are none. An unreadable lock file counts as none: all stages run."""
+    """The records in OUT, {} where there are none. An unreadable lock file counts as none: all stages run.
+
+    Raises VerifyError where it names an output that is not in OUT: what is named there may be removed.
+    """
     path = out / LOCK
     if not path.is_file():
         return {}
@@ -52,9 +56,30 @@ def read_lock(out: Path) -> dict[str, Record]:
         document = jsonfile.read(path)
         if document["errpipe_lock"] != VERSION:
             return {}
-        return {name: Record(**record) for name, record in document["stages"].items()}
+        records = {name: _record(record) for name, record in document["stages"].items()}
     except (VerifyError, KeyError, TypeError, AttributeError):
         return {}
+    for name, record in records.items():
+        for file in (name, *record.outputs):
+            refuse_outside(path, file)
+    return records
+
+
+def _record(plain: Mapping[str, Any]) -> Record:
+    """A record of the lock file. Raises TypeError where it is none."""
+    record = Record(**plain)
+    texts = [record.kind, record.code, *record.inputs.values(), *record.outputs.values()]
+    mappings = [record.parameters, record.sources, record.inputs, record.outputs, record.summary]
+    lists = all(isinstance(names, list) for names in record.sources.values())
+    if not (lists and all(isinstance(t, str) for t in texts) and all(isinstance(m, dict) for m in mappings)):
+        raise TypeError("not a record")
+    return record
+
+
+def refuse_outside(listing: Path, name: str) -> None:
+    """Raises VerifyError where a file that lists outputs names one outside its folder."""
+    if not files.stays_inside(name):
+        raise VerifyError(f"{listing}: names {name!r}, which is outside the folder; it was not written by errpipe")
 
 
 def write_lock(out: Path, records: Mapping[str, Record]) -> None:
@@ -66,22 +91,32 @@ def write_lock(out: Path, records: Mapping[str, Record]) -> None:
 def hash_file(path: Path) -> str:
     """SHA-256 of a file, as 64 hexadecimal digits. Raises DataError where it cannot be read."""
     try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        with files.open_regular(path) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
     except OSError as err:
-        raise DataError(f"{path}: cannot be read: {(err.strerror or str(err)).lower()}") from None
+        raise DataError(f"{path}: {files.why(err)}") from None
 
 
 def files_below(path: Path) -> list[Path]:
     """A file itself; of a folder all files below it, hidden ones not, sorted. Raises DataError where absent."""
     if path.is_file():
         return [path]
-    if not path.is_dir():
+    if not path.exists():
         raise DataError(f"{path}: no such file or folder")
-    found = []
-    for folder, folders, files in os.walk(path, followlinks=True):
+    if not path.is_dir():
+        return [path]  # a pipe or a device: refused where it is opened
+    found: list[Path] = []
+    seen: set[str] = set()
+    for folder, folders, names in os.walk(path, followlinks=True):
+        here = os.path.realpath(folder)
+        if here in seen:  # a link back to a folder above
+            folders.clear()
+            continue
+        seen.add(here)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        found += [Path(folder) / name for name in files if not name.startswith(".")]
+        found += [Path(folder) / name for name in names if not name.startswith(".")]
+        if len(found) > MAX_INPUT_FILES:
+            raise DataError(f"{path}: holds more than {MAX_INPUT_FILES} files (is it the right folder?)")
     return sorted(found)
 
 
@@ -166,7 +201,10 @@ def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
     import fcntl
 
     scratch(out).mkdir(parents=True, exist_ok=True)
-    with open(scratch(out) / "busy", "a") as stream:
+    if scratch(out).is_symlink():
+        raise VerifyError(f"{scratch(out)}: is a link (errpipe removes unfinished work there)")
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    with os.fdopen(os.open(scratch(out) / "busy", flags, 0o644), "rb") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

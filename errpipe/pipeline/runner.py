@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from errpipe import jsonfile
-from errpipe.errors import ConfigError, DataError, UsageError
+from errpipe.errors import ConfigError, DataError, UsageError, VerifyError
+from errpipe.files import inside
 from errpipe.pipeline.graph import ancestors, reads_of
 from errpipe.pipeline.lock import (
     Record,
@@ -27,6 +28,7 @@ from errpipe.pipeline.lock import (
     hash_file,
     label_inputs,
     read_lock,
+    refuse_outside,
     scratch,
     write_lock,
 )
@@ -201,7 +203,7 @@ class _Work:
         if self._journal(stage).is_file():
             found.append("interrupted while its outputs were put in place")
         for file, digest in sorted(old.outputs.items()):
-            path = self.out / stage.label / file
+            path = inside(self.out, f"{stage.label}/{file}", VerifyError)
             if not path.is_file():
                 found.append(f"output {file} is missing")
             elif hash_file(path) != digest:
@@ -244,7 +246,8 @@ class _Work:
         stale = set(old.outputs if old else {}) | set(_names_in(journal))
         if set(record.outputs) - stale:
             jsonfile.write(journal, sorted(stale | set(record.outputs)))
-        written = [name for name in sorted(record.outputs) if _publish(folder / name, own / name)]
+        places = {name: inside(self.out, f"{stage.label}/{name}", VerifyError) for name in stale | set(record.outputs)}
+        written = [name for name in sorted(record.outputs) if _publish(folder / name, places[name])]
         for name in sorted(stale - set(record.outputs)):
             _remove(own, name)
         self.records[stage.label] = record
@@ -270,7 +273,7 @@ class _Work:
         names = {stage.label for stage in self.pipeline.stages}
         for name in [name for name in self.records if name not in names]:
             for file, digest in self.records.pop(name).outputs.items():
-                path = self.out / name / file
+                path = inside(self.out, f"{name}/{file}", VerifyError)
                 if path.is_file() and hash_file(path) == digest:
                     _remove(self.out / name, file)
 
@@ -293,7 +296,12 @@ def _publish(source: Path, target: Path) -> bool:
 
 def _names_in(journal: Path) -> list[str]:
     """Files that an interrupted run may have moved to their place without recording them."""
-    return list(map(str, jsonfile.read(journal))) if journal.is_file() else []
+    names = jsonfile.read(journal) if journal.is_file() else []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise VerifyError(f"{journal}: is not a list of names; it was not written by errpipe")
+    for name in names:
+        refuse_outside(journal, name)
+    return names
 
 
 def _remove(folder: Path, name: str) -> None:

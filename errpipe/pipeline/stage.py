@@ -39,7 +39,8 @@ from typing import Annotated, Any, ClassVar
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from errpipe import jsonfile
-from errpipe.errors import UsageError
+from errpipe.errors import DataError
+from errpipe.files import inside
 from errpipe.yamlfile import Options
 
 
@@ -112,10 +113,7 @@ class Context:
         return self.folder / name
 
     def _place(self, name: str) -> Path:
-        path = Path(name)
-        if path.is_absolute() or ".." in path.parts:
-            raise UsageError(f"a stage writes inside its own folder only, not {name!r}")
-        return self.folder / path
+        return inside(self.folder, name, DataError)
 
 
 class Stage(Options):

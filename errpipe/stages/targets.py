@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import GateError, UsageError, did_you_mean
+from errpipe.files import inside
 from errpipe.stages import _artefacts, _plausible
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
         files = target.write_beside(table, others)
         lost = losses(table, target, files)
         for name, text in files.items():
-            jsonfile.write_text(folder / target.name / name, text)
+            jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
         steps = checklist(target, target.read_back(files), lost) + _companions(table, target, others)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import VerifyError
+from errpipe.files import inside
 from errpipe.stages import _artefacts
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
         (target,) = chosen([name])
         files = {}
         for row in rows:
-            path = folder / row["file"]
+            path = inside(folder, row["file"], VerifyError)
             _unchanged(path, document.get("sha256", {}).get(row["file"]))
             files[path.name] = path.read_text(encoding="utf-8")
         lost = losses(table, target, files)
@@ -142,7 +143,7 @@ def _unchanged(path: Path, expected: str | None) -> None:
 def _checksums(folder: Path, document: dict[str, Any]) -> str:
     known = document.get("sha256", {})
     for name, expected in known.items():
-        _unchanged(folder / name, expected)
+        _unchanged(inside(folder, name, VerifyError), expected)
     if not known:
         return "no checksums of single files: exported by an errpipe that did not keep them; export again"
     return f"SHA-256 of {len(known)} files, as exported"

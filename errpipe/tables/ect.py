@@ -17,11 +17,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from errpipe import jsonfile
+from errpipe import files, jsonfile
 from errpipe.domain import table as t
 from errpipe.errors import VerifyError, did_you_mean
 from errpipe.tables import layout as lay
 from errpipe.tables.arithmetic import exp
+
+MAX_FILE_BYTES = 64 << 20  # the largest table allowed (4 million profile values of 4 bytes) has about 20 MB
 
 
 def write(table: t.CompensationTable, path: Path) -> bool:
@@ -31,10 +33,7 @@ def write(table: t.CompensationTable, path: Path) -> bool:
 
 def read(path: Path) -> t.CompensationTable:
     """Read a binary file. Raises VerifyError saying what is wrong with it."""
-    try:
-        data = Path(path).read_bytes()
-    except OSError as err:
-        raise VerifyError(f"{path}: cannot be read: {err.strerror}") from None
+    data = files.read(Path(path), MAX_FILE_BYTES, VerifyError)
     try:
         return loads(data)
     except VerifyError as err:
@@ -58,10 +57,12 @@ def read_json(path: Path) -> t.CompensationTable:
 def read_any(path: Path) -> t.CompensationTable:
     """Read either twin, told apart by content. Raises VerifyError."""
     try:
-        with Path(path).open("rb") as stream:
+        with files.open_regular(Path(path)) as stream:
             start = stream.read(1)
+    except FileNotFoundError:
+        raise VerifyError(f"{path}: there is no such file") from None
     except OSError as err:
-        raise VerifyError(f"{path}: cannot be read: {err.strerror}") from None
+        raise VerifyError(f"{path}: {files.why(err)}") from None
     return read_json(path) if start == b"{" else read(path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from errpipe import files
 from errpipe.errors import ConfigError, Problem, UsageError
 from errpipe.yamlfile.events import Builder
 from errpipe.yamlfile.explain import explain
@@ -105,13 +107,13 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
     if path.is_dir():
         raise ConfigError([Problem(name, 0, 0, "", "is a folder (a YAML file is needed)")])
     try:
-        size = path.stat().st_size
-        data = path.read_bytes() if size <= MAX_BYTES else b""
+        with files.open_regular(path) as stream:
+            data, size = stream.read(MAX_BYTES + 1), os.fstat(stream.fileno()).st_size
     except FileNotFoundError:
         raise ConfigError([Problem(name, 0, 0, "", "no such file")]) from None
     except OSError as err:
-        raise ConfigError([Problem(name, 0, 0, "", f"cannot be read: {(err.strerror or str(err)).lower()}")]) from None
-    if size > MAX_BYTES:
+        raise ConfigError([Problem(name, 0, 0, "", files.why(err))]) from None
+    if len(data) > MAX_BYTES:
         raise ConfigError([Problem(name, 0, 0, "", f"has {size} bytes (at most {MAX_BYTES} are read)")])
     try:
         text = data.decode("utf-8-sig")

@@ -25,6 +25,7 @@ _INT = re.compile(r"[-+]?[0-9]{1,18}\Z|0o[0-7]{1,20}\Z|0x[0-9a-fA-F]{1,15}\Z")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 _SPECIAL = re.compile(r"(?:([-+]?)\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z")
 _VARIABLE = re.compile(r"\$\$\{|\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^{}]*))?\}|\$\{")
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f]")  # all but tab and line feed; "\\0" in quotes would bring them in
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
@@ -168,6 +169,10 @@ class Builder:
             self._stop(event, place, f"a text of {len(text)} characters (at most {MAX_TEXT} are read)")
         if _SURROGATE.search(text):
             self._note(event.start_mark, place, "half of a surrogate pair is not a character")
+            return ""
+        control = _CONTROL.search(text)
+        if control:
+            self._note(event.start_mark, place, f"holds the control character U+{ord(control[0]):04X}")
             return ""
         value = text if event.style else plain(text)
         if isinstance(value, str) and self.environment is not None and "$" in value:

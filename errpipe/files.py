@@ -1,0 +1,103 @@
+"""The door for files that others wrote: regular files only, of a bounded size, under names that stay in their folder.
+
+A named pipe or `/dev/zero` in a folder of recordings would be read for ever; a name such as `../../x` in a lock file
+would be deleted. Every reader and every writer of errpipe passes here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import filecmp
+import os
+import re
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import IO
+
+from errpipe.errors import ErrpipeError
+
+MAX_JSON_BYTES = 256 << 20  # the twin of the largest table allowed (4 million values) has about 50 MB
+_KINDS = {
+    stat.S_IFDIR: "is a folder",
+    stat.S_IFIFO: "is a named pipe",
+    stat.S_IFCHR: "is a device",
+    stat.S_IFBLK: "is a device",
+    stat.S_IFSOCK: "is a socket",
+}
+
+
+def open_regular(path: Path) -> IO[bytes]:
+    """A regular file, opened for reading. Raises OSError with a plain text for anything else; never waits."""
+    # without O_NONBLOCK the opening of a named pipe waits for somebody to write
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
+    mode = os.fstat(handle).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    raise OSError(0, f"{_KINDS.get(stat.S_IFMT(mode), 'is no file')} (a regular file is needed)", str(path))
+
+
+def read(path: Path, most: int, error: type[ErrpipeError]) -> bytes:
+    """All bytes of a regular file of at most `most` bytes. Raises `error`, naming the file, where it is not one."""
+    try:
+        with open_regular(path) as stream:
+            data = stream.read(most + 1)
+            if len(data) > most:
+                raise error(f"{path}: has {os.fstat(stream.fileno()).st_size} bytes (at most {most} are read)")
+            return data
+    except FileNotFoundError:
+        raise error(f"{path}: there is no such file") from None
+    except OSError as err:
+        raise error(f"{path}: {why(err)}") from None
+
+
+def why(err: OSError) -> str:
+    """An operating system's refusal in the words of a message."""
+    text = (err.strerror or str(err)).lower()
+    return text if text.startswith("is ") else f"cannot be read: {text}"
+
+
+def stays_inside(name: str) -> bool:
+    """Whether a name, put behind a folder's, names something below that folder (links apart)."""
+    if not name or not name.strip() or any(ord(c) < 32 or ord(c) == 127 for c in name) or "\\" in name or "//" in name:
+        return False
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts and bool(path.parts) and not re.match("[A-Za-z]:", name)
+
+
+def inside(folder: Path, name: str, error: type[ErrpipeError]) -> Path:
+    """`folder/name`. Raises `error` where that leads out of the folder, by its name or through a link."""
+    if not stays_inside(name):
+        raise error(f"{name!r} is not the name of a file in {folder.name or folder} (it leads out of the folder)")
+    path = folder / name
+    if not path.parent.resolve().is_relative_to(folder.resolve()):
+        raise error(f"{name!r} leads out of {folder.name or folder} through a link")
+    return path
+
+
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[IO[bytes]]:
+    """A stream whose bytes become the file `path`, at once and on disk, when the block ends without an error.
+
+    A file that holds these bytes already is not touched. Raises OSError with the file's name, also where the disk
+    is full; what was there before then stays.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        if path.is_file() and filecmp.cmp(temporary, path, shallow=False):
+            os.unlink(temporary)
+            return
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException as err:
+        Path(temporary).unlink(missing_ok=True)
+        if isinstance(err, OSError) and err.filename is None and err.errno:
+            raise OSError(err.errno, err.strerror, str(path)) from None
+        raise

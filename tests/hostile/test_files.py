@@ -1,0 +1,180 @@
+"""Pipes, devices, links, names that lead out of their folder, full disks: refused with a message, nothing harmed."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from errpipe import files, jsonfile
+from errpipe.errors import VerifyError
+from tests.hostile.doors import PIPELINE, command, process, recording_folder
+
+LEAVING = ["../x", "..", "/etc/x", "a/../../x", "a\\..\\x", "C:x", "", " ", "a\0b", "a\nb", "/", "a//etc/x"]
+
+
+@pytest.mark.parametrize("name", LEAVING)
+def test_a_name_that_leaves_its_folder_is_refused(name: str, tmp_path: Path) -> None:
+    assert not files.stays_inside(name)
+    with pytest.raises(VerifyError):
+        files.inside(tmp_path, name, VerifyError)
+
+
+def test_a_link_that_leaves_its_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "away").symlink_to(tmp_path)
+    with pytest.raises(VerifyError, match="link"):
+        files.inside(tmp_path / "out", "away/x", VerifyError)
+    assert files.inside(tmp_path / "out", "here/x..y/.z", VerifyError)
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    recording_folder(tmp_path / "rec")
+    (tmp_path / "p.yaml").write_text(PIPELINE)
+    (tmp_path / "precious.txt").write_text("precious")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["../../precious.txt", "../precious.txt", "/precious.txt"])
+def test_a_lock_file_that_lists_a_foreign_file_deletes_nothing(project: Path, name: str, capsys: Any) -> None:
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+    lock = json.loads((project / "out/errpipe.lock").read_text())
+    digest = jsonfile.fingerprint_bytes(b"precious")
+    name = name.replace("/precious", f"{project}/precious") if name.startswith("/") else name
+    for stage in (lock["stages"]["clean"], lock["stages"].setdefault("gone", lock["stages"]["clean"])):
+        stage["outputs"][name] = digest
+    (project / "out/errpipe.lock").write_text(json.dumps(lock))
+    code, text = command("run", "p.yaml", "--out", "out", capsys=capsys)
+    assert code == 6 and "outside the folder" in text
+    assert (project / "precious.txt").read_text() == "precious"
+
+
+def test_a_stage_of_the_lock_that_is_a_foreign_folder_deletes_nothing(project: Path, capsys: Any) -> None:
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+    lock = json.loads((project / "out/errpipe.lock").read_text())
+    lock["stages"][".."] = {
+        **lock["stages"]["clean"],
+        "outputs": {"precious.txt": jsonfile.fingerprint_bytes(b"precious")},
+    }
+    (project / "out/errpipe.lock").write_text(json.dumps(lock))
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 6
+    assert (project / "precious.txt").exists()
+
+
+def test_a_journal_that_lists_a_foreign_file_deletes_nothing(project: Path, capsys: Any) -> None:
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+    (project / "out/.errpipe/clean.json").write_text(json.dumps(["../../precious.txt"]))
+    code, text = command("run", "p.yaml", "--out", "out", capsys=capsys)
+    assert code == 6 and "outside the folder" in text
+    assert (project / "precious.txt").exists()
+
+
+def test_a_stage_folder_that_is_a_link_elsewhere_is_not_written(project: Path, capsys: Any) -> None:
+    (project / "elsewhere").mkdir()
+    (project / "out").mkdir()
+    (project / "out/clean").symlink_to(project / "elsewhere")
+    code, text = command("run", "p.yaml", "--out", "out", capsys=capsys)
+    assert code == 6 and "link" in text
+    assert list((project / "elsewhere").iterdir()) == []
+
+
+def test_scratch_that_is_a_link_elsewhere_is_not_emptied(project: Path, capsys: Any) -> None:
+    (project / "elsewhere/work").mkdir(parents=True)
+    (project / "elsewhere/work/precious.txt").write_text("precious")
+    (project / "out").mkdir()
+    (project / "out/.errpipe").symlink_to(project / "elsewhere")
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 6
+    assert (project / "elsewhere/work/precious.txt").exists()
+
+
+@pytest.mark.parametrize(
+    "lock", ["[]", "{", '{"errpipe_lock": 1, "stages": {"clean": {"kind": 3}}}', "[" * 100_000, "\xff"]
+)
+def test_a_lock_file_that_is_none_counts_as_none(project: Path, lock: str, capsys: Any) -> None:
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+    (project / "out/errpipe.lock").write_text(lock, encoding="latin-1")
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+
+
+# ---------------------------------------------------------------- what would be read for ever
+
+
+def special(where: Path, what: str) -> Path:
+    """A named pipe, or a link to a device that never ends."""
+    path = where / "special"
+    os.mkfifo(path) if what == "pipe" else path.symlink_to("/dev/zero")
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["pipe", "device"])
+@pytest.mark.parametrize(
+    "words", [("check",), ("whatis",), ("verify",), ("plan",), ("run",), ("diagnose",), ("eval",), ("export",)]
+)
+def test_no_verb_waits_for_a_pipe_or_a_device(what: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    path = special(tmp_path, what)
+    more = {"eval": ["--at", "x=1"], "export": ["--to", "iec_st", "--out", tmp_path / "o"]}.get(words[0], [])
+    done = process([*words, path, *more], limits={resource.RLIMIT_AS: 3 << 30}, timeout=30)
+    assert done.returncode in (2, 3, 6), done.stderr
+    assert "internal error" not in done.stderr
+
+
+@pytest.mark.parametrize("what", ["pipe", "device"])
+def test_a_pipe_or_a_device_in_a_recording_folder_is_refused(project: Path, what: str, capsys: Any) -> None:
+    special(project / "rec", what)
+    code, text = command("run", "p.yaml", "--out", "out", capsys=capsys)
+    assert code == 3 and "special: is a" in text
+
+
+def test_a_folder_that_links_to_itself_ends(project: Path, capsys: Any) -> None:
+    (project / "rec/again").symlink_to(project / "rec")
+    (project / "rec/up").symlink_to(project)
+    assert command("run", "p.yaml", "--out", project.parent / f"{project.name}-out", capsys=capsys)[0] == 0
+
+
+# ---------------------------------------------------------------- disks that are full
+
+
+def test_a_full_disk_is_a_message_and_keeps_what_was_there(project: Path, capsys: Any) -> None:
+    assert command("run", "p.yaml", "--out", "out", "--to", "ingest", capsys=capsys)[0] == 0
+    before = {p: p.read_bytes() for p in (project / "out").rglob("*") if p.is_file()}
+    recording_folder(project / "rec", rows=4000)
+    done = process(["run", "p.yaml", "--out", "out"], limits={resource.RLIMIT_FSIZE: 4096})
+    assert done.returncode == 2 and "file too large" in done.stderr, done.stderr
+    assert {p: p.read_bytes() for p in before} == before
+    assert not list((project / "out").rglob("*.tmp"))
+    assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+
+
+def test_standard_output_that_is_full_is_a_message(project: Path) -> None:
+    with open("/dev/full", "wb") as full:
+        done = process(["check", "p.yaml"], stdout=full)
+    assert done.returncode == 2 and "no space left" in done.stderr and "internal" not in done.stderr
+
+
+# ---------------------------------------------------------------- JSON
+
+
+@pytest.mark.parametrize(
+    "text, word",
+    [("[" * 100_000, "nested"), ("1" * 5000, "exceeds the limit"), ("{", "not JSON"), ("\xff", "UTF-8")],
+    ids=["deep", "digits", "cut", "bytes"],
+)
+def test_hostile_json_is_a_message(tmp_path: Path, text: str, word: str) -> None:
+    (tmp_path / "x.json").write_text(text, encoding="latin-1")
+    with pytest.raises(VerifyError, match=word):
+        jsonfile.read(tmp_path / "x.json")
+
+
+def test_a_table_or_model_of_any_size_is_bounded(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "t.ect"
+    with open(path, "wb") as stream:
+        stream.truncate(1 << 40)  # a hole of a terabyte
+    code, text = command("eval", path, "--at", "x=1", capsys=capsys)
+    assert code == 6 and "at most" in text
