@@ -85,12 +85,12 @@ def test_a_stage_folder_that_is_a_link_elsewhere_is_not_written(project: Path, c
 
 
 def test_scratch_that_is_a_link_elsewhere_is_not_emptied(project: Path, capsys: Any) -> None:
-    (project / "elsewhere/work").mkdir(parents=True)
-    (project / "elsewhere/work/precious.txt").write_text("precious")
+    (project / "elsewhere" / "work").mkdir(parents=True)
+    (project / "elsewhere" / "work" / "precious.txt").write_text("precious")
     (project / "out").mkdir()
     (project / "out/.errpipe").symlink_to(project / "elsewhere")
     assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 6
-    assert (project / "elsewhere/work/precious.txt").exists()
+    assert (project / "elsewhere" / "work" / "precious.txt").exists()
 
 
 @pytest.mark.parametrize(
