@@ -2,20 +2,23 @@
 
 Whole runs, days or seasons are left out, never single rows: neighbouring rows share their noise and
 their thermal state, so a random split flatters every model. Blocks of one long run keep a `gap`
-around the judged block out of the fit.
+around the judged block out of the fit. Days, months and years need no column of their own: they are read off the
+recording's dates.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from pydantic import Field
 
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import Column, Frozen, Recording
 from errpipe.errors import DataError, did_you_mean
 
+CALENDAR = {"day": 10, "month": 7, "year": 4}  # characters of an ISO 8601 date that name it
 MOST_RUNS = 30  # more fits than that tell no more about the error, and take their time
 
 
@@ -52,11 +55,10 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     Runs that only log temperatures judge nothing, so no fold leaves them out.
 
     scheme: a `HoldOut`, or its short form: "leave-one-run-out", "leave-one-group-out:season", "blocks:6",
-    "forward:day". Raises DataError where the recording has no such group or too few of them.
+    "forward:month". Raises DataError where the recording has no such group, no date, or too few groups.
     """
-    chosen = parse(scheme) if isinstance(scheme, str) else scheme
-    if chosen.scheme == "auto":
-        chosen = _automatic(recording, chosen)
+    chosen = resolved(recording, scheme)
+    recording = with_calendar(recording, chosen.of)
     seen = measured(recording)
     folds = [fold for fold in _folds(recording, chosen) if seen[fold.test].any() and seen[fold.train].any()]
     if not folds:
@@ -120,6 +122,29 @@ def labels(recording: Recording, of: str | None) -> np.ndarray:
             return recording.frame[column].astype(str).to_numpy(dtype=object)
     known = [recording.manifest.columns[c].of or c for c in recording.names("group")]
     raise DataError(f"hold-out: no group {of!r} (present: {', '.join(known) or 'none'}).{did_you_mean(of, known)}")
+
+
+def with_calendar(recording: Recording, of: str | None) -> Recording:
+    """The recording with a group column for a day, month or year that it lacks; else itself."""
+    if of not in CALENDAR or any(of in (n, recording.manifest.columns[n].of) for n in recording.names("group")):
+        return recording
+    return recording.with_columns({of: calendar(recording, of)}, {of: Column(role="group", of=of)})
+
+
+def calendar(recording: Recording, of: str) -> np.ndarray:
+    """Day, month or year of each row as text, shape (rows,): from the column of days, else from the time's epoch."""
+    length = CALENDAR[of]
+    for name in recording.names("group"):
+        if recording.manifest.columns[name].of == "day":
+            return np.array([str(v)[:length] for v in recording.frame[name]], dtype=object)
+    time = recording.name("time")
+    epoch = recording.manifest.columns[time].epoch if time else None
+    if epoch is None:
+        raise DataError(f"hold-out by {of}: the recording has neither a column of days nor an epoch of its time")
+    start = datetime.fromisoformat(epoch).astimezone(UTC)
+    days = np.floor(recording.time() / 60.0)
+    known = {m: (start + timedelta(minutes=float(m))).isoformat()[:length] for m in np.unique(days)}
+    return np.array([known[m] for m in days], dtype=object)
 
 
 def block_numbers(recording: Recording, count: int) -> np.ndarray:

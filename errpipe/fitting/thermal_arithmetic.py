@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from errpipe.domain.recording import Recording
+from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
 
 # A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
@@ -23,6 +25,11 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
         finite = mine[np.isfinite(values[mine])][:rows]
         zero[mine] = values[finite].mean() if finite.size else np.nan
     return values - zero, zero
+
+
+def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
+    """Deviation of a component since the start of each run (mean of its first `rows` rows), um, shape (rows,)."""
+    return since_start(recording.array(response_name(recording, component)), recording.run_codes(), rows)[0]
 
 
 def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None) -> float:

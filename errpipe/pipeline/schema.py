@@ -20,8 +20,9 @@ _NUMBERS = ("number", "integer")
 def json_schema(model: type[BaseModel], title: str, *, written: bool) -> dict[str, Any]:
     """The draft-07 schema of a model, by the names used in files. written: by people, in YAML, where `20 um` counts."""
     full = TypeAdapter(model).json_schema(by_alias=True, ref_template="#/definitions/{model}")
-    definitions = {name: _draft7(part) for name, part in sorted(full.pop("$defs", {}).items())}
-    schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_draft7(full), "title": title}
+    defaults = getattr(model, "default_variants", {})
+    definitions = {name: _draft7(part, defaults) for name, part in sorted(full.pop("$defs", {}).items())}
+    schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_draft7(full, defaults), "title": title}
     if definitions:
         schema["definitions"] = definitions
     if written:
@@ -51,25 +52,25 @@ def undescribed(schema: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _draft7(node: Any) -> Any:
+def _draft7(node: Any, defaults: Mapping[str, str]) -> Any:
     """One schema node, translated."""
     if isinstance(node, list):
-        return [_draft7(part) for part in node]
+        return [_draft7(part, defaults) for part in node]
     if not isinstance(node, dict):
         return node
     node = {key: value for key, value in node.items() if key != "title" or not isinstance(value, str)}
     if "discriminator" in node:
-        return _choice(node)
+        return _choice(node, defaults)
     new: dict[str, Any] = {}
     for key, value in node.items():
         if key in ("properties", "definitions", "patternProperties"):
-            new[key] = {name: _draft7(part) for name, part in value.items()}
+            new[key] = {name: _draft7(part, defaults) for name, part in value.items()}
         elif key == "prefixItems":
-            new["items"], new["additionalItems"] = _draft7(value), False
+            new["items"], new["additionalItems"] = _draft7(value, defaults), False
         elif key in ("default", "const", "enum", "examples"):
             new[key] = value
         else:
-            new[key] = _draft7(value)
+            new[key] = _draft7(value, defaults)
     if "const" in new:
         new.setdefault("description", f"Always {new['const']}.")
     if "$ref" in new and len(new) > 1:
@@ -77,19 +78,24 @@ def _draft7(node: Any) -> Any:
     return new
 
 
-def _choice(node: Mapping[str, Any]) -> dict[str, Any]:
-    """A discriminated union as if/then."""
+def _choice(node: Mapping[str, Any], defaults: Mapping[str, str]) -> dict[str, Any]:
+    """A discriminated union as if/then. defaults: key -> its value where it is not written."""
     key, mapping = node["discriminator"]["propertyName"], node["discriminator"]["mapping"]
-    rest = {name: _draft7(value) for name, value in node.items() if name not in ("discriminator", "oneOf")}
-    return rest | {
-        "type": "object",
-        "required": [key],
-        "properties": {key: {"enum": sorted(mapping)}},
-        "allOf": [
-            {"if": {"properties": {key: {"const": tag}}, "required": [key]}, "then": {"$ref": mapping[tag]}}
-            for tag in sorted(mapping)
-        ],
-    }
+    rest = {name: _draft7(value, defaults) for name, value in node.items() if name not in ("discriminator", "oneOf")}
+    branches = []
+    for tag in sorted(mapping):
+        written = {} if defaults.get(key) == tag else {"required": [key]}
+        condition = {"properties": {key: {"const": tag}}, **written}
+        branches.append({"if": condition, "then": _branch(mapping[tag], defaults)})
+    needed = {} if key in defaults else {"required": [key]}
+    return rest | {"type": "object", **needed, "properties": {key: {"enum": sorted(mapping)}}, "allOf": branches}
+
+
+def _branch(choice: Any, defaults: Mapping[str, str]) -> dict[str, Any]:
+    """One branch of a union: a model, or a union inside that is told apart by a second key."""
+    if isinstance(choice, str):
+        return {"$ref": choice}
+    return _draft7(dict(choice), defaults)
 
 
 def _has_number(prop: Mapping[str, Any]) -> bool:

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, ClassVar, Literal, Union
 
 from pydantic import Field, create_model
 
@@ -52,6 +52,7 @@ class Pipeline:
 
 
 class _Header(Options):
+    default_variants: ClassVar[Mapping[str, str]] = {}
     pipeline: Literal[1] = Field(description="Version of the pipeline format.")
     title: str = Field("", description="One line for people; the report shows it.")
     root: Path = Field(
@@ -62,13 +63,44 @@ class _Header(Options):
 @lru_cache
 def pipeline_model(stages: tuple[type[Stage], ...]) -> type[Options]:
     """The model of a whole pipeline file for these kinds of stages: a union told apart by `kind`."""
-    union: Any = Annotated[Union[stages], Field(discriminator="kind")] if len(stages) > 1 else stages[0]  # noqa: UP007
-    return create_model(
+    groups: dict[str, list[type[Stage]]] = {}
+    for stage in stages:
+        groups.setdefault(_kind(stage), []).append(stage)
+    kinds: Any = tuple(_told_apart(group, group[0].variant_key) for group in groups.values())
+    union = _told_apart(kinds, "kind")
+    model = create_model(
         "Pipeline",
         __base__=_Header,
         __doc__="A pipeline: stages in the order in which they stand; each reads what earlier ones wrote.",
         stages=(tuple[union, ...], Field(min_length=1, description="The stages, in order.")),
     )
+    model.default_variants = {s.variant_key: s.default_variant for s in stages if s.variant_key}
+    return model
+
+
+def _told_apart(choices: Sequence[Any], key: str) -> Any:
+    """A union told apart by a key, or its only member."""
+    return Annotated[Union[tuple(choices)], Field(discriminator=key)] if len(choices) > 1 else choices[0]  # noqa: UP007
+
+
+def _kind(stage: type[Stage]) -> str:
+    return str(stage.model_fields["kind"].annotation.__args__[0])  # type: ignore[union-attr]
+
+
+def _complete_variants(document: Document, stages: Sequence[type[Stage]]) -> None:
+    """Name the variant of every stage that leaves it out, and refuse kinds that are written differently now."""
+    keys = {_kind(stage): (stage.variant_key, stage.default_variant) for stage in stages if stage.variant_key}
+    former = {old: new for stage in stages for old, new in stage.former_kinds.items()}
+    entries = document.value.get("stages") if isinstance(document.value, dict) else None
+    for number, entry in enumerate(entries if isinstance(entries, list) else ()):
+        kind = entry.get("kind") if isinstance(entry, dict) else None
+        if not isinstance(kind, str):
+            continue
+        if kind in former:
+            place = ("stages", number, "kind")
+            document.problems.append(document.problem(place, f"found {kind!r}: write {{{former[kind]}, ...}} instead"))
+        if kind in keys:
+            entry.setdefault(*keys[kind])
 
 
 def load_pipeline(
@@ -87,6 +119,7 @@ def load_pipeline(
     document = yamlfile.read(path, environment=os.environ if environment is None else environment)
     for text in sets:
         assign(document, text)
+    _complete_variants(document, stages)
     root = _root(path, document)
     found: Any = document.check(pipeline_model(tuple(stages)), {"root": root})
     if found is None:

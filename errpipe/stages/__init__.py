@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from errpipe.stages import fit
 from errpipe.stages.clean import Clean
 from errpipe.stages.diagnosis import Diagnose
 from errpipe.stages.export import Export
 from errpipe.stages.export_volumetric import ExportVolumetric
-from errpipe.stages.fit import Fit
-from errpipe.stages.fit_plate import FitPlate
-from errpipe.stages.fit_season import FitSeason
 from errpipe.stages.identify import Identify
 from errpipe.stages.identify_direct import IdentifyDirect
 from errpipe.stages.ingest import Ingest
@@ -23,9 +21,7 @@ STAGES = (
     Diagnose,
     Export,
     ExportVolumetric,
-    Fit,
-    FitPlate,
-    FitSeason,
+    *fit.STAGES,
     Identify,
     IdentifyDirect,
     Ingest,

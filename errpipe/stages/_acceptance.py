@@ -237,6 +237,7 @@ def fit_accepted(
     """
     from errpipe.errors import NotIdentifiable
     from errpipe.fitting import model
+    from errpipe.models.terms import mismatch
 
     while True:
         spec = ask(decisions, diagnosis, existing)
@@ -262,16 +263,3 @@ def _without_one(decisions: list[Decision], why: Exception) -> list[Decision]:
     if any(d.beside for d in decisions):
         return [replace(d, beside=False) for d in decisions]
     raise why
-
-
-def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
-    """The recording with recorded less simulated as its responses. Raises DataError where a twin is missing."""
-    from errpipe.errors import DataError
-
-    left = {}
-    for component in (c.component for c in spec.components):
-        error, twin = (recording.name(role, component=component) for role in ("error", "simulated"))
-        if error is None or twin is None:
-            raise DataError(f"{component}: recorded and simulated values are needed, and one of them is missing")
-        left[error] = recording.array(error) - recording.array(twin)
-    return recording.with_columns(left, {})

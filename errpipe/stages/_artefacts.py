@@ -12,8 +12,11 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
+    from errpipe.models import Family
+    from errpipe.pipeline.stage import Context
 
 MODEL = "error_model.json"
+PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the fit without a held-out group
 TABLE = "table.ect"
 TWIN = "table.json"
 
@@ -42,6 +45,29 @@ def read_model(path: Path) -> ErrorModel:
 def model_json(model: ErrorModel) -> dict[str, Any]:
     """The canonical JSON value of an error model, without what is at its default."""
     return model.model_dump(mode="json", exclude_defaults=True) | {"error_model": 1}
+
+
+def write_model(context: Context, recording: Recording, model: ErrorModel, family: Family) -> ErrorModel:
+    """Write an error model and the procedure behind it into a stage's folder; the model as it was written."""
+    from errpipe.models import procedure
+
+    inputs = {"recording": context.fingerprint}
+    model = model.model_copy(update={"title": context.title or recording.manifest.title, "inputs": inputs})
+    context.write_json(MODEL, model_json(model))
+    context.write_json(PROCEDURE, procedure(family))
+    return model
+
+
+def family_in(folder: Path) -> Family:
+    """The model family behind an error model in a stage's folder."""
+    from errpipe.models import family_of
+
+    return family_of(jsonfile.read(folder / PROCEDURE))
+
+
+def documents_in(folder: Path, family: Family) -> dict[str, Any]:
+    """The further documents of a fit, as far as they are there."""
+    return {name: jsonfile.read(folder / name) for name in family.documents if (folder / name).is_file()}
 
 
 def read_table(path: Path) -> CompensationTable:

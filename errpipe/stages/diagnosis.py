@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.models.terms import Terms
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages._acceptance import Accept
-
-if TYPE_CHECKING:
-    from errpipe.fitting.spec import ModelSpec
 
 OTHER_FAMILY = "the model fitted before is a {} model, which takes no further terms"
 
@@ -31,7 +28,7 @@ class Diagnose(Stage):
     gives: ClassVar[tuple[str, ...]] = ("error_model", "diagnosis")
 
     def outputs(self) -> tuple[str, ...]:
-        return ("diagnosis.json", "report.html", _artefacts.MODEL, "fit.json", "acceptance.json")
+        return ("diagnosis.json", "report.html", _artefacts.MODEL, _artefacts.PROCEDURE, "acceptance.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import jsonfile
@@ -44,24 +41,23 @@ class Diagnose(Stage):
         found = Diagnosis.model_validate(jsonfile.read(context.folder / "diagnosis.json"))
         recording = _artefacts.recording_in(folder)
         context.progress(0.9, "fitting what was accepted")
-        family, existing = _before(context.maybe("error_model"))
+        before = context.maybe("error_model")
+        family = _artefacts.family_in(before) if before is not None else None
+        existing = family if isinstance(family, Terms) else None
         decisions = _acceptance.decide(found, recording, self.accept, whole=existing is not None)
-        if family in ("terms", ""):
+        if family is None or existing is not None:
             model, spec, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
-            fit = {"fit": 1, "family": "terms" if existing is not None else "mismatch"}
-            update = {"title": context.title or recording.manifest.title, "inputs": {"recording": context.fingerprint}}
             notes = [
                 f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"
                 for d in decisions
                 if not d.accepted
             ]
-            model = model.model_copy(update={**update, "notes": (*model.notes, *notes)})
-            context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
-            context.write_json("fit.json", {**fit, "spec": spec.model_dump(mode="json")})
+            model = model.model_copy(update={"notes": (*model.notes, *notes)})
+            _artefacts.write_model(context, recording, model, Terms.of(spec, less_simulated=existing is None))
         else:
-            decisions = [d.refused(OTHER_FAMILY.format(family)) for d in decisions]
-            for name in (_artefacts.MODEL, "fit.json"):
-                shutil.copyfile(context.needed("error_model") / name, context.folder / name)
+            decisions = [d.refused(OTHER_FAMILY.format(family.family_name())) for d in decisions]
+            for name in (_artefacts.MODEL, _artefacts.PROCEDURE, *_artefacts.documents_in(before, family)):
+                shutil.copyfile(before / name, context.folder / name)
         document = {
             "acceptance": 1,
             "accepted": [d.plain() for d in decisions if d.accepted],
@@ -69,18 +65,6 @@ class Diagnose(Stage):
         }
         context.write_json("acceptance.json", {**document, "inputs": context.fingerprint})
         return _summary(found, document)
-
-
-def _before(folder: Path | None) -> tuple[str, ModelSpec | None]:
-    """Family and specification of the fit before, if there is one."""
-    from errpipe import jsonfile
-    from errpipe.fitting.spec import ModelSpec
-
-    if folder is None:
-        return "", None
-    document = jsonfile.read(folder / "fit.json")
-    spec = ModelSpec.model_validate(document["spec"]) if document["family"] == "terms" else None
-    return document["family"], spec
 
 
 def _summary(found: Any, document: Mapping[str, Any]) -> dict[str, Any]:

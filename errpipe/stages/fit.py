@@ -1,40 +1,53 @@
-"""Terms fitted to a recording: parameters with intervals, covariance, validity box."""
+"""A model family fitted to a recording: an error model, and the procedure that validation repeats."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from errpipe.fitting.spec import ModelSpec
+from pydantic import create_model
+
+from errpipe.models import DEFAULT, FAMILIES, Family
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 
 
-class Fit(ModelSpec, Stage):
-    """Fit the terms of every component on all rows of the recording; refuse what the rows cannot tell apart."""
+class Fit(Stage):
+    """Fit a model family on all rows of the recording."""
 
     kind: Literal["fit"]
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
     gives: ClassVar[tuple[str, ...]] = ("error_model",)
+    variant_key: ClassVar[str] = "family"
+    default_variant: ClassVar[str] = DEFAULT.family_name()
+    of: ClassVar[type[Family]]
 
     def outputs(self) -> tuple[str, ...]:
-        return (_artefacts.MODEL, "fit.json")
+        return (_artefacts.MODEL, _artefacts.PROCEDURE, *self.of.documents)
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe.fitting import model
-
         recording = _artefacts.recording_in(context.needed("recording"))
         context.progress(0.1, "fitting")
-        fitted = model.fit(recording, self.spec()).model_copy(
-            update={"title": context.title or recording.manifest.title, "inputs": {"recording": context.fingerprint}}
-        )
-        context.write_json(_artefacts.MODEL, _artefacts.model_json(fitted))
-        context.write_json("fit.json", {"fit": 1, "family": "terms", "spec": self.spec().model_dump(mode="json")})
-        return {
-            c.component: f"{c.rms_before:.3g} -> {c.rms_after:.3g} {c.unit} on the rows that fitted"
-            for c in fitted.components
-        }
+        family = self.family_options()
+        fitted = family.fit(recording, context.progress)
+        _artefacts.write_model(context, recording, fitted.model, family)
+        for name, document in fitted.documents.items():
+            context.write_json(name, document)
+        return dict(fitted.summary)
 
-    def spec(self) -> ModelSpec:
+    def family_options(self) -> Family:
         """What to fit, without what only the stage needs."""
-        return ModelSpec.model_validate({name: getattr(self, name) for name in ModelSpec.model_fields})
+        return self.of(**{name: getattr(self, name) for name in self.of.model_fields})
+
+
+def _stage_of(family: type[Family]) -> type[Fit]:
+    """The stage of one family: its options beside those of every stage."""
+    stage = create_model(f"Fit{family.__name__}", __base__=(family, Fit), __module__=__name__, __doc__=family.__doc__)
+    stage.of = family
+    stage.former_kinds = (
+        {family.former_kind: f"kind: fit, family: {family.family_name()}"} if family.former_kind else {}
+    )
+    return stage
+
+
+STAGES: tuple[type[Fit], ...] = tuple(_stage_of(family) for family in FAMILIES if family.in_fit)

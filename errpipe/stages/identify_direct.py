@@ -25,13 +25,14 @@ class IdentifyDirect(Identify):
     gives: ClassVar[tuple[str, ...]] = ("identified_machine", "error_model")
 
     def outputs(self) -> tuple[str, ...]:
-        return (*super().outputs(), _artefacts.MODEL, "fit.json")
+        return (*super().outputs(), _artefacts.MODEL, _artefacts.PROCEDURE)
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
         from errpipe.errors import DataError
         from errpipe.kinematics import direct, direct_model, records
+        from errpipe.models.direct import Direct
 
         tests = recordings(context)
         for name, recording in tests.items():
@@ -42,17 +43,11 @@ class IdentifyDirect(Identify):
         motions = [c for c in last.components() if direct.is_motion(c)]
         found = jsonfile.read(context.folder / IDENTIFICATION)
         model = direct_model.error_model(last, found, found["noise_of"])
-        model = model.model_copy(
-            update={"title": context.title or last.manifest.title, "inputs": {"recording": context.fingerprint}}
+        family = Direct(
+            machine=yamlfile.load(self.machine, Machine),
+            modes=self.modes,
+            components=tuple(motions),
+            lasers={n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},
         )
-        context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
-        document = {
-            "fit": 1,
-            "family": "direct",
-            "machine": yamlfile.load(self.machine, Machine).model_dump(mode="json"),
-            "modes": self.modes,
-            "components": motions,
-            "lasers": {n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},
-        }
-        context.write_json("fit.json", document)
+        _artefacts.write_model(context, last, model, family)
         return out

@@ -58,11 +58,7 @@ class Report(Stage):
             validity=_validity(model),
             exported=_exported(exported),
             iso230=_iso230(validation),
-            tables=[
-                *_causes(context.needed("error_model") / "season.json"),
-                *_plate(context.needed("error_model") / "plate.json", validation),
-                *_seasons(validation),
-            ],
+            tables=[*_family_tables(context.needed("error_model"), validation), *_seasons(validation)],
             notes=_left_out(exported),
             next_step=_next_step(exported),
         )
@@ -218,57 +214,12 @@ def _iso230(validation: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [row for row in rows if row["value"] is not None]
 
 
-def _causes(path: Path) -> list[Any]:
-    """Causes of a thermal model for all seasons, largest gain first."""
-    from errpipe import jsonfile
+def _family_tables(folder: Path, validation: Mapping[str, Any]) -> list[Any]:
+    """What the model family adds to the report."""
     from errpipe.reporting.run_report import Table
 
-    if not path.is_file():
-        return []
-    rows = [[c["cause"], c["gain"]] for c in jsonfile.read(path)["causes"] if c["gain"]]
-    rows.sort(key=lambda row: -abs(row[1]))
-    caption = "Gain of each cause, um per K (per hour of running for a state); signs are held to what physics allows."
-    return [Table("Causes", ["cause", "gain"], rows, caption)]
-
-
-def _plate(path: Path, validation: Mapping[str, Any]) -> list[Any]:
-    """Scale and squareness of a planar map with intervals; its residual beside a plate measured twice."""
-    from errpipe import jsonfile
-    from errpipe.reporting.run_report import Table
-
-    if not path.is_file():
-        return []
-    document = jsonfile.read(path)
-    rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in document["figures"].items()]
-    caption = "The straight line through the whole map; intervals are 95 %."
-    tables = [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
-    rows = [[f"{p['component']}: {p['part']}", p["range_um"]] for p in document["parts"]]
-    tables.append(Table("What the map is made of", ["part", "range, um"], rows, "Largest less smallest, over the map."))
-    twice = document.get("measured_twice")
-    return [*tables, _floor(twice, validation)] if twice else tables
-
-
-def _floor(twice: Mapping[str, Any], validation: Mapping[str, Any]) -> Any:
-    """The metrology floor of a plate measured twice, beside what the map leaves on held-out holes."""
-    from errpipe.reporting.run_report import Table
-
-    def rms(key: str) -> float:
-        values = [c[key] for c in validation["components"]]
-        return float((sum(v * v for v in values) / len(values)) ** 0.5)
-
-    first, second = twice["runs"]
-    rows = [
-        ["shift and rotation alone, held-out holes", rms("rms_before")],
-        ["the map, held-out holes", rms("rms_after")],
-        [f"{second} less {first}, hole by hole", twice["difference"]],
-        ["one measurement's share of that", twice["floor"]],
-        ["the same, a smooth drift between the two taken out", twice["smooth"]],
-    ]
-    caption = (
-        f"um rms of one coordinate. One plate, measured as {first} and as {second}: {twice['holes']} holes in common, "
-        "each less its own shift and rotation. No map of that plate can be judged finer than one measurement's share."
-    )
-    return Table("Residual and metrology floor", ["", "um rms"], rows, caption)
+    family = _artefacts.family_in(folder)
+    return [Table(*told) for told in family.tables(_artefacts.documents_in(folder, family), validation)]
 
 
 def _seasons(validation: Mapping[str, Any]) -> list[Any]:

@@ -28,8 +28,11 @@ class Validate(Stage):
         return ("validation.json", HELD_OUT)
 
     def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe.validation import held_out
+
         recording = _artefacts.recording_in(context.needed("recording"))
-        document, rows = judged(recording, context.needed("error_model"), self.holdout, context.progress)
+        family = _artefacts.family_in(context.needed("error_model"))
+        document, rows = held_out.judged(recording, family, self.holdout, progress=context.progress)
         if self.iso230_2:
             from errpipe.validation import iso230_2
 
@@ -46,38 +49,6 @@ def headline(component: Mapping[str, Any]) -> str:
         f"{component['rms_before']:.3g} -> {component['rms_after']:.3g} {component['unit']} on held-out rows, "
         f"noise floor {'unknown' if floor is None else f'{floor:.3g}'}"
     )
-
-
-def judged(recording, fit_folder: Path, scheme: HoldOut | None, progress=lambda share, text: None):
-    """The document of `validation.json`, and per component the rows that sat out with what was left on them."""
-    from errpipe.stages._families import family_of
-    from errpipe.validation import held_out
-
-    family = family_of(fit_folder)
-    name, folds = family.folds(recording, scheme)
-    found: dict[str, list] = {name: [] for name in family.components}
-    for number, fold in enumerate(folds):
-        progress(number / len(folds), f"without {fold.label}")
-        for component, left in family.judge(recording, fold).items():
-            found[component].append(left)
-    document = {
-        "validation": held_out.VERSION,
-        "scheme": name,
-        "method": family.method,
-        "components": [held_out.component_figures(recording, c, left) for c, left in found.items()],
-    }
-    further = family.further(recording, progress)
-    if "seasons" in further:
-        _cover(document, further["seasons"])
-    return {**document, **further}, found
-
-
-def _cover(document: dict[str, Any], seasons: Mapping[str, Any]) -> None:
-    """The coverage of the model's own intervals, instead of one width taken from the other groups."""
-    told = {row["left_out"]: row["coverage"] for row in seasons["groups"]}
-    for component in document["components"]:
-        for group in component["groups"]:
-            group["coverage90"] = told.get(group["label"], group["coverage90"])
 
 
 def _write_rows(path: Path, found: Mapping[str, list]) -> None:

@@ -18,8 +18,8 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_causes, thermal_season
-from errpipe.fitting.design import response_name
 from errpipe.fitting.holdout import Fold
+from errpipe.fitting.thermal_arithmetic import since_start_of
 
 TIE = 0.01
 LAGS = (900.0, 3600.0, 14400.0)  # s, of the lagged rises that the learners are given
@@ -138,8 +138,7 @@ def candidates(options: thermal_season.SeasonOptions | None = None) -> tuple[Can
 
 def target(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
     """Deviation since the start of each run (mean of its first `rows` rows), um, shape (rows,)."""
-    values = recording.array(response_name(recording, component))
-    return thermal_season.since_start(values, recording.run_codes(), rows)[0]
+    return since_start_of(recording, component, rows)
 
 
 def compare(

@@ -6,7 +6,7 @@ wins. The 90 % interval that covers a group comes from the other groups alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,10 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
-from errpipe.fitting.judging import HeldOut, half_width90, judge, widening90
+from errpipe.fitting.judging import HeldOut, half_width90, widening90
 from errpipe.fitting.noise_floor import noise_floor
-from errpipe.fitting.spec import ModelSpec
+from errpipe.models import Family
+from errpipe.validation import seasons
 
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)
 TIE = 0.01
@@ -24,29 +25,58 @@ VERSION = 1
 
 
 def held_out(
-    recording: Recording, spec: ModelSpec, scheme: holdout.HoldOut | str | None = None, *, folds: Sequence | None = None
+    recording: Recording,
+    family: Family,
+    scheme: holdout.HoldOut | str | None = None,
+    *,
+    folds: Sequence | None = None,
+    progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> dict[str, Any]:
-    """Refit without each group and judge on it: the document of `validation.json` for one scheme.
+    """Refit a family without each group and judge on it: the document of `validation.json` for one scheme.
 
     folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
     where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can sit out.
     """
-    chosen = spec.holdout if scheme is None else scheme
+    return judged(recording, family, scheme, folds=folds, progress=progress)[0]
+
+
+def judged(
+    recording: Recording,
+    family: Family,
+    scheme: holdout.HoldOut | str | None = None,
+    *,
+    folds: Sequence | None = None,
+    progress: Callable[[float, str], None] = lambda share, text: None,
+) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
+    """`held_out`, and per component the rows that sat out with what was left on them."""
     if folds is None:
-        folds = holdout.groups(recording, chosen)
-        label = holdout.name(holdout.resolved(recording, chosen))
+        label, folds = family.folds(recording, scheme)
     else:
         folds, label = [holdout.Fold(*fold) for fold in folds], "given"
-    judged: dict[str, list[HeldOut]] = {c.component: [] for c in spec.components}
-    for fold in folds:
-        for component, found in judge(recording, spec, fold).items():
-            judged[component].append(found)
-    return {
+    found: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
+    for number, fold in enumerate(folds):
+        progress(number / len(folds), f"without {fold.label}")
+        for component, left in family.judge(recording, fold).items():
+            found[component].append(left)
+    document = {
         "validation": VERSION,
         "scheme": label,
-        "method": spec.method,
-        "components": [component_figures(recording, name, found) for name, found in judged.items()],
+        "method": family.method_name,
+        "components": [component_figures(recording, name, left) for name, left in found.items()],
     }
+    if family.seasonal:
+        tables = seasons.documents(recording, family, progress)
+        _cover(document, tables["seasons"])
+        document |= tables
+    return document, found
+
+
+def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
+    """The coverage of the model's own intervals, instead of one width taken from the other groups."""
+    known = {row["left_out"]: row["coverage"] for row in table["groups"]}
+    for component in document["components"]:
+        for group in component["groups"]:
+            group["coverage90"] = known.get(group["label"], group["coverage90"])
 
 
 def component_figures(recording: Recording, component: str, folds: Sequence[HeldOut]) -> dict[str, Any]:

@@ -13,9 +13,8 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout as plain_holdout
+from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
-from errpipe.validation import holdout
 from errpipe.validation.champion import Fitter, rms, target
 
 
@@ -23,7 +22,7 @@ def curve(
     recording: Recording,
     component: str,
     fit: Fitter,
-    scheme: plain_holdout.HoldOut | str = "leave-one-group-out:season",
+    scheme: holdout.HoldOut | str = "leave-one-group-out:season",
     *,
     sizes: Sequence[int] = (1, 2, 3, 5, 8, 12, 16),
     orders: int = 0,
@@ -37,11 +36,11 @@ def curve(
         raise DataError("learning curve: sizes are numbers of runs, at least 1")
     y = target(recording, component)
     out = []
-    for fold in holdout.folds(recording, scheme):
+    for fold in holdout.groups(recording, scheme):
         for number, order in enumerate(_orders(recording, fold, orders, seed)):
             for size in sorted({s for s in sizes if s <= len(order)} | {len(order)}):
                 rows = np.isin(recording.run_codes(), order[:size])
-                part = holdout.subset(fold, rows)
+                part = Fold(fold.label, fold.train & rows, fold.test)
                 value = fit(recording, component, part.train).values(recording)
                 judged = fold.test & np.isfinite(y)
                 out.append(

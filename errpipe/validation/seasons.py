@@ -15,20 +15,16 @@ The optimism gap is out_of_season less the rms that a random choice of rows woul
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout as plain_holdout
-from errpipe.fitting import thermal_season
+from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
-from errpipe.fitting.judging import HeldOut
-from errpipe.fitting.season_options import SeasonOptions
-from errpipe.fitting.validity import distance
-from errpipe.validation import holdout
+from errpipe.models import Family
 from errpipe.validation.champion import Fitter, rms, target
 
 VERSION = 1
@@ -40,7 +36,7 @@ def table(
     recording: Recording,
     component: str,
     fit: Fitter,
-    scheme: plain_holdout.HoldOut | str = "leave-one-group-out:season",
+    scheme: holdout.HoldOut | str = "leave-one-group-out:season",
     *,
     in_season: bool = True,
 ) -> dict[str, Any]:
@@ -49,19 +45,19 @@ def table(
     fit: rows of a mask -> something with `values`, and `predict` where it knows its interval.
     in_season: also refit without each run, for the ratio (costs a fit per run).
     """
-    folds = holdout.folds(recording, scheme)
+    folds = holdout.groups(recording, scheme)
     y = target(recording, component)
-    runs = holdout.folds(recording, "leave-one-run-out") if in_season else []
+    runs = holdout.groups(recording, "leave-one-run-out") if in_season else []
     own = _left_out(recording, component, fit, runs, y)[0] if runs else None
     residual, covered, half = _left_out(recording, component, fit, folds, y)
     rows = [_row(f, y, residual, covered, half, own) for f in folds]
     gap = optimism(recording, component, fit, y, residual) if in_season else None
-    chosen = plain_holdout.parse(scheme) if isinstance(scheme, str) else scheme
+    chosen = holdout.parse(scheme) if isinstance(scheme, str) else scheme
     return {
         "seasons": VERSION,
         "component": component,
         "unit": "um",
-        "scheme": plain_holdout.name(chosen),
+        "scheme": holdout.name(chosen),
         "groups": rows,
         "never_worse": all(r["out_of_season"] <= r["uncompensated"] for r in rows),
         **({"months": months} if (months := by_month(rows)) else {}),
@@ -98,7 +94,7 @@ def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: 
     """Residual of each judged row, whether its interval covered it, its half width (NaN where the model has none)."""
     residual, covered, half = (np.full(y.size, np.nan) for _ in range(3))
     for fold in folds:
-        plain_holdout.check(fold)
+        holdout.check(fold)
         model = fit(recording, component, fold.train)
         if hasattr(model, "predict"):
             told = model.predict(recording)
@@ -169,14 +165,19 @@ def _cell(value: Any) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def judge(recording: Recording, component: str, options: SeasonOptions, fold: Fold) -> HeldOut:
-    """A season model fitted on one side of a fold and judged on the other, as every other model is judged."""
-    plain_holdout.check(fold)
-    model = thermal_season.fit(recording, component, options, fold.train)
-    y = target(recording, component, options.datum_rows)
-    value = model.values(recording)
-    rows = np.flatnonzero(fold.test & np.isfinite(y) & np.isfinite(value))
-    if rows.size == 0:
-        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
-    away = distance(model.validity, recording)[rows]
-    return HeldOut(fold.label, rows, y[rows], (y - value)[rows], away, 0.0)
+def documents(
+    recording: Recording, family: Family, progress: Callable[[float, str], None] = lambda share, text: None
+) -> dict[str, Any]:
+    """Tables of a seasonal family by their key in `validation.json`: seasons left out, and trained on the past."""
+    (component,) = family.responses
+    progress(0.3, "seasons left out, beside runs left out")
+
+    def train(recording: Recording, component: str, rows: np.ndarray) -> Any:
+        return family.train(recording, rows)
+
+    out = {"seasons": table(recording, component, train, family.scheme)}
+    if any(recording.manifest.columns[n].of == "day" for n in recording.names("group")):
+        progress(0.7, "trained on the past alone")
+        out["forward"] = table(recording, component, train, "forward:month", in_season=False)
+        out["forward_daily"] = table(recording, component, train, "forward:day", in_season=False)
+    return out

@@ -49,15 +49,24 @@ def entry_of(inside: Sequence[Any], number: int) -> Any:
     return Any
 
 
+def _matches(model: type[BaseModel], data: Mapping[str, Any]) -> int:
+    """How many of the written keys with a choice of words hold a word of this model."""
+    literal = {info.alias or name: info for name, info in model.model_fields.items()}
+    return sum(
+        get_origin(info.annotation) is Literal and data.get(key) in get_args(info.annotation)
+        for key, info in literal.items()
+        if key in data and isinstance(data[key], str | int)
+    )
+
+
 def model_for(inside: Sequence[Any], data: Mapping[str, Any]) -> type[BaseModel] | None:
-    """The model meant by a mapping: the only one, the one whose Literal field holds what is written, else the only
-    one that has no such field."""
+    """The model meant by a mapping: the only one, the one most of whose Literal fields hold what is written, else the
+    only one that has no such field."""
     models = [member for member in inside if is_model(member)]
     if len(models) < 2:
         return models[0] if models else None
-    for model in models:
-        for name, info in model.model_fields.items():
-            if get_origin(info.annotation) is Literal and data.get(info.alias or name) in get_args(info.annotation):
-                return model
+    counts = [_matches(model, data) for model in models]
+    if max(counts) > 0:
+        return models[counts.index(max(counts))]
     untold = [model for model in models if not tags_of(model)]
     return untold[0] if len(untold) == 1 else None

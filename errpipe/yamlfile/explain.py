@@ -187,7 +187,7 @@ class _Trail:
         for step in location:
             if len(self.members) > 1:
                 # inside a union the next step is a tag: the discriminator's value or the name of a type
-                self.members = [m for m in self.members if is_tagged(m, step)][:1] or [Any]
+                self.members = [m for m in self.members if is_tagged(m, step)] or [Any]
                 continue
             inner = self._inside(step)
             if inner is None and not (isinstance(data, dict) and step in data):

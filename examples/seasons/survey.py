@@ -17,10 +17,10 @@ import numpy as np
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
-from errpipe.fitting import recalibration, sensor_choice, thermal_causes, thermal_season
+from errpipe.fitting import holdout, recalibration, sensor_choice, thermal_causes, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.reporting import svg
-from errpipe.validation import champion, holdout, learning_curve, seasons
+from errpipe.validation import champion, learning_curve, seasons
 
 SEASON = "leave-one-group-out:season"
 
@@ -112,7 +112,7 @@ def hotter(recording: Recording, component: str) -> tuple[Any, str]:
 
 def champions(recording: Recording, component: str) -> tuple[Any, str]:
     """Who holds on seasons left out: doing nothing, physics, least squares, learners."""
-    told = champion.compare(recording, component, holdout.folds(recording, SEASON), champion.candidates())
+    told = champion.compare(recording, component, holdout.groups(recording, SEASON), champion.candidates())
     for name, figures in told["rms"].items():
         print(f"{name:32s}", {g: round(v, 2) for g, v in figures.items()}, told["verdict"][name])
     print("champion:", told["champion"])
@@ -126,7 +126,7 @@ def left_out_values(recording: Recording, component: str) -> tuple[np.ndarray, n
     """Deviation, prediction by a model that never saw the row's season, and the season, per row."""
     y = champion.target(recording, component)
     value, label = np.zeros(y.size), np.full(y.size, "", dtype=object)
-    for fold in holdout.folds(recording, SEASON):
+    for fold in holdout.groups(recording, SEASON):
         value[fold.test] = thermal_season.fit(recording, component, rows=fold.train).values(recording)[fold.test]
         label[fold.test] = fold.label
     return y, value, label
@@ -151,7 +151,7 @@ def readings(recording: Recording, component: str) -> tuple[Any, str]:
 
 def sensors(recording: Recording, component: str) -> tuple[Any, str]:
     """Residual against number of sensors: best subset of each size, and the subset that a nested choice takes."""
-    folds = holdout.folds(recording, SEASON)
+    folds = holdout.groups(recording, SEASON)
     pareto = sensor_choice.pareto(recording, component, folds)
     nested = {k: sensor_choice.nested(recording, component, folds, k) for k in range(2, len(pareto))}
     told = {
@@ -191,7 +191,7 @@ def failures(recording: Recording, component: str) -> tuple[Any, str]:
     told = []
     y = champion.target(recording, component)
     run, t = recording.run_codes(), recording.time()
-    for fold in holdout.folds(recording, SEASON):
+    for fold in holdout.groups(recording, SEASON):
         model = thermal_season.fit(recording, component, rows=fold.train)
         healthy = champion.rms((y - model.values(recording))[fold.test])
         for name in recording.names("temperature"):

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting import thermal_season
+from errpipe.fitting import holdout, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.guard import learn, trials, watch
-from errpipe.validation import champion, holdout
+from errpipe.validation import champion
 
 SCHEMES = ("season", "run")
 
@@ -29,7 +29,7 @@ SCHEMES = ("season", "run")
 def folds(recording: Recording, scheme: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Rows to learn from and rows to judge on, (rows,) each."""
     if scheme == "season":
-        yield from ((fold.train, fold.test) for fold in holdout.folds(recording, "leave-one-group-out:season"))
+        yield from ((fold.train, fold.test) for fold in holdout.groups(recording, "leave-one-group-out:season"))
         return
     run = recording.run_codes()
     yield from ((run != code, run == code) for code in np.unique(run))

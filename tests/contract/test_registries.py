@@ -16,7 +16,14 @@ from errpipe.cli import app
 TOP = Path(errpipe.__file__).parent
 
 # package -> its registry tuple. Files whose name starts with `_` are shared by plug-ins, not plug-ins.
-REGISTRIES = {"terms": "TERMS", "formats": "FORMATS", "targets": "TARGETS", "cleaning": "RULES", "stages": "STAGES"}
+REGISTRIES = {
+    "terms": "TERMS",
+    "formats": "FORMATS",
+    "targets": "TARGETS",
+    "cleaning": "RULES",
+    "models": "FAMILIES",
+    "stages": "STAGES",
+}
 
 
 def home(entry: Any) -> str:
@@ -64,7 +71,9 @@ def test_every_stage_has_its_own_kind_and_takes_what_some_stage_gives() -> None:
     from errpipe.stages import STAGES
 
     kinds = [stage.model_fields["kind"].annotation.__args__[0] for stage in STAGES]
-    assert len(set(kinds)) == len(kinds)
+    names = [(kind, getattr(stage, "of", stage).__name__) for kind, stage in zip(kinds, STAGES, strict=True)]
+    assert len(set(names)) == len(names)
+    assert all(stage.variant_key for kind, stage in zip(kinds, STAGES, strict=True) if kinds.count(kind) > 1)
     given = {artefact for stage in STAGES for artefact in stage.gives}
     for stage in STAGES:
         assert stage.gives, f"{stage.__name__} does not say what it gives"

@@ -13,7 +13,7 @@ from errpipe import jsonfile, yamlfile
 from errpipe.cli.schema import MODELS, schema_of
 from errpipe.domain.machine import Machine
 from errpipe.pipeline.schema import undescribed
-from errpipe.pipeline.spec import pipeline_model
+from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES
 
 ROOT = Path(__file__).parents[2]
@@ -118,8 +118,7 @@ def test_numbers_with_their_unit_are_accepted_by_schema_and_code(name: str, text
     path = tmp_path / "file.yaml"
     path.write_text(text)
     assert accepts(schema_of(name), path) == []
-    model = pipeline_model(tuple(STAGES)) if name == "pipeline" else Machine
-    read = yamlfile.load(path, model)
+    read = load_pipeline(path, STAGES) if name == "pipeline" else yamlfile.load(path, Machine)
     if name == "pipeline":
         assert read.stages[1].components[0].terms[0].driver[0].tau == (60.0, 3000.0)
     else:

@@ -160,7 +160,7 @@ def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was
 
     folder.write(tmp_path / "in", axis())
     (tmp_path / "season").mkdir()
-    (tmp_path / "season/fit.json").write_text('{"family": "season"}')
+    (tmp_path / "season/fit.json").write_text('{"family": "season", "component": "EXX"}')
     (tmp_path / "season/error_model.json").write_text("{}")
     (tmp_path / "out").mkdir()
     folders = {"recording": {"in": tmp_path / "in"}, "error_model": {"season": tmp_path / "season"}}

@@ -230,7 +230,7 @@ class TestReal:
         both = [figures(document, c) for c in ("E_X", "E_Y")]
         assert np.sqrt(np.mean([c["rms_after"] ** 2 for c in both])) < 5.0
         assert np.sqrt(np.mean([c["rms_before"] ** 2 for c in both])) > 6.0
-        plate = json.loads((tmp_path / "out" / "fit_plate" / "plate.json").read_text())
+        plate = json.loads((tmp_path / "out" / "fit" / "plate.json").read_text())
         assert {"C0Y", "scale_difference"} <= set(plate["figures"])
         floor = plate["measured_twice"]
         assert floor["holes"] > 600 and 1.0 < floor["smooth"] < floor["floor"] < 3.0

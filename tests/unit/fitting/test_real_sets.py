@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from errpipe.fitting.model import ModelSpec, fit
+from errpipe.fitting.model import fit
+from errpipe.models.terms import Terms
 from errpipe.validation.held_out import held_out
 
 DATA = Path(os.environ.get("ERRPIPE_REAL_DATA", "../shared/real-data"))
@@ -22,7 +23,7 @@ def read(name):
 
 
 def spec(component, *terms, **more):
-    return ModelSpec.model_validate({"components": [{"component": component, "terms": list(terms)}], **more})
+    return Terms.model_validate({"components": [{"component": component, "terms": list(terms)}], **more})
 
 
 def drift(sensor):
@@ -75,7 +76,7 @@ def plates(recording):
         ],
         "nuisance": [{"term": "run_pose"}],
     }
-    model = fit(recording, ModelSpec.model_validate(machine), calibrate=False)
+    model = fit(recording, Terms.model_validate(machine), calibrate=False)
     return [p.value for c in model.components for f in c.terms for p in f.parameters], model
 
 

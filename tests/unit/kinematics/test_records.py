@@ -11,9 +11,10 @@ from numpy.testing import assert_allclose
 from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.kinematics import direct, held_out, identify, observability, protocols, records, synthesis
+from errpipe.kinematics import direct, identify, observability, protocols, records, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import compile_chain
+from errpipe.models import direct as direct_family
 from errpipe.simulation import direct_records as played
 from errpipe.simulation import measuring_runs, metrology
 
@@ -192,12 +193,12 @@ def test_guideway_reference_reads_its_own_straightness():
 
 def test_readings_that_sat_out_are_left_with_the_noise():
     chain, _, recording = played_x(ABBE, noise=0.3, angle_noise=0.5)
-    name, folds = held_out.folds(recording)
+    name, folds = direct_family.direct_folds(recording)
     assert name == "leave-one-run-out" and len(folds) == 3
     left = [
         x
         for _, train, test in folds
-        for x in held_out.judge(chain, recording, train, test, lasers={"EXX": direct.Laser(**ABBE)})
+        for x in direct_family.judge(chain, recording, train, test, lasers={"EXX": direct.Laser(**ABBE)})
     ]
     exx = np.concatenate([x.after for x in left if x.component == "EXX"])
     before = np.concatenate([x.before for x in left if x.component == "EXX"])
@@ -206,12 +207,12 @@ def test_readings_that_sat_out_are_left_with_the_noise():
 
 def test_a_record_made_once_is_judged_on_every_fifth_target():
     chain, _, recording = played_x({}, cycles=1, noise=0.3)
-    name, folds = held_out.folds(recording)
+    name, folds = direct_family.direct_folds(recording)
     assert name == "every 5th target" and len(folds) == 5
     x = recording.array("x")
     for _, train, test in folds:
         assert not set(x[train]) & set(x[test])
-    left = held_out.judge(chain, recording, *folds[1][1:])
+    left = direct_family.judge(chain, recording, *folds[1][1:])
     assert {r.component for r in left} == set(chain.of_axis("X"))
 
 

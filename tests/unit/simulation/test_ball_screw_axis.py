@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from errpipe.fitting.model import ModelSpec, fit
+from errpipe.fitting.model import fit
+from errpipe.models.terms import Terms
 from errpipe.simulation import ball_screw_axis, folder, heat
 from errpipe.validation.held_out import held_out
 
@@ -83,7 +84,7 @@ def test_the_folder_is_a_recording_that_can_be_read(tmp_path, simulated):
     assert back.manifest.axis("X").screw_lead == 10.0
 
 
-DEMO = ModelSpec.model_validate(
+DEMO = Terms.model_validate(
     {
         "components": [
             {
@@ -140,7 +141,7 @@ def known_axis(**more):
             "driver": [{"input": "T_air", "reference": 20.0}],
         },
     ]
-    return ModelSpec.model_validate({"components": [{"component": "EXX", "terms": terms}], **more})
+    return Terms.model_validate({"components": [{"component": "EXX", "terms": terms}], **more})
 
 
 def hits(recording, spec, seeds, memory, outliers=0.0):

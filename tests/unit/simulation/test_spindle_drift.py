@@ -1,6 +1,6 @@
 import numpy as np
 
-from errpipe.fitting.model import ModelSpec
+from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
 from errpipe.validation.held_out import held_out
 
@@ -26,7 +26,7 @@ def test_a_season_left_out_is_predicted():
         {"term": "thermal_drift", "sensor": "T_rear"},
         {"term": "thermal_lag", "sensor": "T_room"},
     ]
-    spec = ModelSpec.model_validate({"components": [{"component": "E_Z", "terms": terms}]})
+    spec = Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]})
     figures = held_out(recording, spec, "leave-one-group-out:season")["components"][0]
     assert figures["rms_before"] > 10 and figures["rms_after"] < 1.0
 

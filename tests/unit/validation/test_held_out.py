@@ -3,7 +3,7 @@ import pytest
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting.model import ModelSpec
+from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
 from errpipe.validation.held_out import held_out, refuse_overlap
 
@@ -14,7 +14,7 @@ def drift():
 
 
 def spec(*terms, **more):
-    return ModelSpec.model_validate({"components": [{"component": "E_Z", "terms": list(terms)}], **more})
+    return Terms.model_validate({"components": [{"component": "E_Z", "terms": list(terms)}], **more})
 
 
 GOOD = ({"term": "offset"}, {"term": "thermal_drift", "sensor": "T_front"}, {"term": "thermal_lag", "sensor": "T_room"})

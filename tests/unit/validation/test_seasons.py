@@ -9,8 +9,10 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
+from errpipe.fitting import holdout
 from errpipe.fitting.thermal_season import SeasonOptions
-from errpipe.validation import champion, conformal, holdout, learning_curve, seasons
+from errpipe.models.season import Season
+from errpipe.validation import champion, conformal, learning_curve, seasons
 
 COLUMNS = {
     "run": Column(role="run"),
@@ -66,25 +68,25 @@ def on_b(recording, component, rows):
 
 
 def test_months_come_from_days_or_from_the_epoch(recording):
-    folds = holdout.folds(recording, "forward:month")
+    folds = holdout.groups(recording, "forward:month")
     assert [f.label for f in folds] == ["2017-02"]
     assert recording.frame["date"][folds[0].train].max() == "2017-01-31"
     undated = Recording(
         recording.manifest.model_copy(update={"columns": {k: v for k, v in COLUMNS.items() if k != "date"}}),
         recording.frame.drop(columns="date"),
     )
-    assert [f.label for f in holdout.folds(undated, "leave-one-group-out:month")] == ["2017-01", "2017-02"]
-    days = [f.label for f in holdout.folds(undated, "forward:day")]
+    assert [f.label for f in holdout.groups(undated, "leave-one-group-out:month")] == ["2017-01", "2017-02"]
+    days = [f.label for f in holdout.groups(undated, "forward:day")]
     assert days == ["2017-01-31", "2017-02-01", "2017-02-02", "2017-02-03"]
     timeless = {**undated.manifest.columns, "t": Column(role="time", unit="s")}
     dateless = Recording(undated.manifest.model_copy(update={"columns": timeless}), undated.frame)
     with pytest.raises(DataError, match="neither a column of days nor an epoch"):
-        holdout.folds(dateless, "forward:month")
+        holdout.groups(dateless, "forward:month")
 
 
 def test_no_row_both_fits_and_judges(recording):
     for scheme in ("leave-one-group-out:season", "leave-one-group-out:day", "forward:day", "blocks:4"):
-        for fold in holdout.folds(recording, scheme):
+        for fold in holdout.groups(recording, scheme):
             assert not (fold.train & fold.test).any()
 
 
@@ -112,8 +114,8 @@ def test_days_are_pooled_by_months(recording):
 
 
 def test_a_season_model_is_judged_like_every_other_model(recording):
-    fold = holdout.folds(recording, "leave-one-group-out:season")[1]
-    told = seasons.judge(recording, "E_D", SeasonOptions(correction=False), fold)
+    fold = holdout.groups(recording, "leave-one-group-out:season")[1]
+    told = Season(component="E_D", options=SeasonOptions(correction=False)).judge(recording, fold)["E_D"]
     assert told.label == "spring" and (np.sort(told.rows) == np.flatnonzero(fold.test)).all()
     assert_allclose(told.before, champion.target(recording, "E_D")[told.rows])
     assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
@@ -137,7 +139,7 @@ def test_nothing_wins_ties_and_a_model_that_hurts_one_season_never_wins():
 
 
 def test_compare_runs_everyone_on_left_out_groups(recording):
-    folds = holdout.folds(recording, "leave-one-group-out:season")
+    folds = holdout.groups(recording, "leave-one-group-out:season")
     told = champion.compare(
         recording,
         "E_D",
@@ -155,7 +157,7 @@ def test_compare_runs_everyone_on_left_out_groups(recording):
 
 @pytest.mark.slow
 def test_the_learners_take_part(recording):
-    folds = holdout.folds(recording, "leave-one-group-out:season")
+    folds = holdout.groups(recording, "leave-one-group-out:season")
     told = champion.compare(recording, "E_D", folds, champion.candidates())
     assert set(told["rms"]) == {c.name for c in champion.candidates()}
     assert told["champion"] in {c.name for c in champion.candidates() if c.compiled} - {"do nothing"}

@@ -1,15 +1,73 @@
-"""Direct records judged: fitted on some readings, what is left on others, component by component."""
+"""Components read one by one by laser and level; zero, straightedge and beam are set-up, not machine."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
-from errpipe.domain.recording import Recording
-from errpipe.kinematics import direct, identify, records
-from errpipe.kinematics.chain import Chain
+from errpipe.domain.machine import Machine
+from errpipe.models._base import Family
+
+if TYPE_CHECKING:
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.judging import HeldOut
+    from errpipe.kinematics.chain import Chain
+    from errpipe.kinematics.direct import Laser
+
+MOST_FOLDS = 5  # parts of the targets that sit out in turn where runs cannot
+
+
+class Direct(Family):
+    """Components of a machine from direct records; fitted by the stage that identifies the machine."""
+
+    family: Literal["direct"] = Field("direct", description="Model family.")
+    machine: Machine = Field(description="Machine whose components are read.")
+    modes: int = Field(20, ge=2, description="Waves per error motion.")
+    components: tuple[str, ...] = Field(description="Components in the recording.")
+    lasers: dict[str, dict[str, Any]] = Field({}, description="Laser set-up of each component.")
+    in_fit: ClassVar[bool] = False
+
+    @property
+    def responses(self) -> tuple[str, ...]:
+        """Components that it models."""
+        return self.components
+
+    @property
+    def scheme(self) -> HoldOut:
+        """A whole run sits out."""
+        from errpipe.fitting.holdout import HoldOut
+
+        return HoldOut(scheme="leave-one-run-out")
+
+    @property
+    def method_name(self) -> str:
+        """How it is solved."""
+        return "direct records"
+
+    def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
+        """Without a scheme: whole runs where each way was run twice, else every fifth target."""
+        from errpipe.fitting.holdout import Fold
+
+        if scheme is not None:
+            return super().folds(recording, scheme)
+        name, found = direct_folds(recording)
+        return name, [Fold(*fold) for fold in found]
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+        """Fit on one side of a fold, judge on the other."""
+        from errpipe.fitting.judging import HeldOut
+        from errpipe.kinematics.chain import compile_chain
+        from errpipe.kinematics.direct import Laser
+
+        lasers = {n: Laser(**beam) for n, beam in self.lasers.items()}
+        chain = compile_chain(self.machine)
+        left = judge(chain, recording, fold.train, fold.test, modes=self.modes, lasers=lasers)
+        return {x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in left}
 
 
 @dataclass(frozen=True)
@@ -29,12 +87,14 @@ def judge(
     test: np.ndarray,
     *,
     modes: int = 12,
-    lasers: Mapping[str, direct.Laser] | None = None,
+    lasers: Mapping[str, Laser] | None = None,
 ) -> list[Left]:
     """Every component with readings on both sides. Zero, straightedge and beam are set-up: out of before and after.
 
     train, test: masks of rows. The zero and lay of a set-up come from the rows that fit.
     """
+    from errpipe.kinematics import direct, identify, records
+
     lasers = dict(lasers or {})
     judged = _components(recording, train) & _components(recording, test)
     if not judged:
@@ -70,6 +130,8 @@ def judge(
 
 
 def _components(recording: Recording, rows: np.ndarray) -> set[str]:
+    from errpipe.kinematics import direct
+
     found = set()
     for c in recording.components():
         name = recording.name("error", component=c)
@@ -80,6 +142,8 @@ def _components(recording: Recording, rows: np.ndarray) -> set[str]:
 
 def _of(recording: Recording, rows: np.ndarray, axes: set[str]) -> np.ndarray:
     """Those rows at which one of some axes stands at a target."""
+    from errpipe.kinematics import direct
+
     here = np.zeros(len(recording), dtype=bool)
     for component in recording.components():
         if direct.is_motion(component) and direct.axis_of(component) in axes:
@@ -87,11 +151,13 @@ def _of(recording: Recording, rows: np.ndarray, axes: set[str]) -> np.ndarray:
     return rows & here
 
 
-def folds(recording: Recording, most: int = 5) -> tuple[str, list[tuple[str, np.ndarray, np.ndarray]]]:
+def direct_folds(recording: Recording, most: int = MOST_FOLDS) -> tuple[str, list[tuple[str, np.ndarray, np.ndarray]]]:
     """How direct records sit out: whole runs where every component has several, else every so many targets.
 
     Returns the scheme in words and (label, train, test) masks.
     """
+    from errpipe.kinematics import direct
+
     codes, labels = recording.run_codes(), recording.run_labels()
     several = True
     for c in sorted(_components(recording, np.ones(len(recording), dtype=bool))):
@@ -114,5 +180,7 @@ def folds(recording: Recording, most: int = 5) -> tuple[str, list[tuple[str, np.
 
 
 def _sides(recording: Recording, component: str, rows: np.ndarray) -> set[float]:
+    from errpipe.kinematics import direct
+
     position = recording.array(direct.position_of(recording, component))
     return set(direct.side_of(recording, direct.axis_of(component), position, rows & np.isfinite(position)).tolist())

@@ -7,20 +7,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.pipeline.stage import Context, Need, Stage
-from errpipe.stages import _artefacts
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
+    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.judging import HeldOut
 
 POINTS = 65  # of a curve over one axis
+FIGURES = "plate.json"
+DIRECTIONS = ("E_X", "E_Y")
 
 
-class FitPlate(Stage):
+class Plate(Family):
     """Fit E_X and E_Y over X and Y; the shift and rotation of each plate are set-up and are never compensated."""
 
-    kind: Literal["fit_plate"]
+    family: Literal["plate"] = Field("plate", description="Model family.")
     modes: int = Field(8, ge=1, le=24, description="Waves per axis that the smooth map may hold; it is penalised.")
     plate: str = Field(
         "last", description="Plate that speaks for the machine: the last one, all of them, or the label of a run."
@@ -29,39 +32,99 @@ class FitPlate(Stage):
     measured_twice: tuple[str, str] | None = Field(
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
     )
-    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
-    gives: ClassVar[tuple[str, ...]] = ("error_model",)
-    code_version: ClassVar[int] = 2
+    documents: ClassVar[tuple[str, ...]] = (FIGURES,)
+    former_kind: ClassVar[str] = "fit_plate"
 
-    def outputs(self) -> tuple[str, ...]:
-        return (_artefacts.MODEL, "fit.json", "plate.json")
+    @property
+    def responses(self) -> tuple[str, ...]:
+        """Both directions of the plane."""
+        return DIRECTIONS
 
-    def run(self, context: Context) -> Mapping[str, Any]:
+    @property
+    def scheme(self) -> HoldOut:
+        """A whole plate sits out."""
+        from errpipe.fitting.holdout import HoldOut
+
+        return HoldOut(scheme="leave-one-run-out")
+
+    @property
+    def method_name(self) -> str:
+        """How it is solved."""
+        return "planar map"
+
+    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+        """Fit the chosen plates. Raises DataError for a label that is not in the recording."""
         from errpipe.kinematics import planar
 
-        recording = _artefacts.recording_in(context.needed("recording"))
-        context.progress(0.1, "fitting")
         twice = planar.repeated(recording, *self.measured_twice) if self.measured_twice else None
-        recording = plates(recording, self.plate)
+        recording = chosen_plates(recording, self.plate)
         found = planar.fit_plate(recording, modes=self.modes)
-        model = error_model(found, recording).model_copy(
-            update={"title": context.title or recording.manifest.title, "inputs": {"recording": context.fingerprint}}
-        )
         figures = {
             name: {"value": f["value"], "ci95": list(f["ci95"]), "unit": f["unit"]}
             for name, f in found.figures().items()
         }
-        context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
-        context.write_json("fit.json", {"fit": 1, "family": "plate", "modes": self.modes, "every": self.every})
         document = {"plate": 1, "figures": figures, "noise_um": found.noise, "setup": found.setup}
-        document["parts"] = parts(found)
+        document["parts"] = _parts(found)
         if twice is not None:
             document["measured_twice"] = {"runs": list(self.measured_twice or ()), **twice}
-        context.write_json("plate.json", document)
-        return {name: f"{f['value']:.3g} {f['unit']}" for name, f in figures.items()}
+        summary = {name: f"{f['value']:.3g} {f['unit']}" for name, f in figures.items()}
+        return Fitted(_error_model(found, recording), {FIGURES: document}, summary)
+
+    def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
+        """Without a scheme: every so many holes of each plate sit out while its other holes are fitted."""
+        import numpy as np
+
+        from errpipe.fitting.holdout import Fold
+
+        if scheme is not None:
+            return super().folds(recording, scheme)
+        run, out = recording.run_codes(), []
+        for code, label in enumerate(recording.run_labels()):
+            own = np.flatnonzero(run == code)
+            test = np.zeros(run.size, dtype=bool)
+            test[own[:: self.every]] = True
+            out.append(Fold(label, (run == code) & ~test, test))
+        return f"each plate by itself, every {self.every}th hole", out
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+        """A plate's shift and rotation come from its fitted holes, else (a plate never seen) from the judged ones."""
+        import numpy as np
+
+        from errpipe.fitting.design import response_name
+        from errpipe.kinematics import planar
+
+        model = planar.fit_plate(recording, rows=fold.train, modes=self.modes)
+        x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
+        deviation = np.column_stack([recording.array(response_name(recording, c)) for c in DIRECTIONS])
+        left = deviation - model.predict(x, y)
+        before, after, taken = np.full_like(deviation, np.nan), np.full_like(deviation, np.nan), 0.0
+        run, known = recording.run_codes(), np.isfinite(deviation).all(axis=1)
+        for code in np.unique(run[fold.test]):
+            rows, fitted = fold.test & known & (run == code), fold.train & known & (run == code)
+            decide = fitted if fitted.any() else rows
+            taken += 0.0 if fitted.any() else 1.5  # of three degrees of freedom a plate, half for each direction
+            both = rows | decide
+            for source, target in ((deviation, before), (left, after)):
+                target[both] = planar.without_setup(x[both], y[both], source[both], decide[both])
+        box = model.functions.box
+        outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
+        return {c: held_out(fold, before[:, k], after[:, k], outside, used=taken) for k, c in enumerate(DIRECTIONS)}
+
+    def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
+        """Scale and squareness with intervals; the residual beside what measuring a plate twice leaves."""
+        document = documents[FIGURES]
+        rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in document["figures"].items()]
+        caption = "The straight line through the whole map; intervals are 95 %."
+        out = [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
+        rows = [[f"{p['component']}: {p['part']}", p["range_um"]] for p in document["parts"]]
+        out.append(
+            Table("What the map is made of", ["part", "range, um"], rows, "Largest less smallest, over the map.")
+        )
+        twice = document.get("measured_twice")
+        return [*out, _floor(twice, validation)] if twice else out
 
 
-def plates(recording: Recording, chosen: str) -> Recording:
+def chosen_plates(recording: Recording, chosen: str) -> Recording:
     """The holes of the chosen plate: machines move and settle, so an old plate speaks for an old machine.
 
     Raises DataError for a label that is not in the recording.
@@ -73,11 +136,11 @@ def plates(recording: Recording, chosen: str) -> Recording:
         return recording
     label = labels[-1] if chosen == "last" else chosen
     if label not in labels:
-        raise DataError(f"fit_plate: no plate {label!r} (plates: {', '.join(labels)}).{did_you_mean(label, labels)}")
+        raise DataError(f"plate: no plate {label!r} (plates: {', '.join(labels)}).{did_you_mean(label, labels)}")
     return recording.take(recording.run_codes() == labels.index(label))
 
 
-def parts(found: Any) -> list[dict[str, Any]]:
+def _parts(found: Any) -> list[dict[str, Any]]:
     """What the map is made of, in words, with the range of each part over the pattern, um; largest first."""
     import numpy as np
 
@@ -96,7 +159,7 @@ def parts(found: Any) -> list[dict[str, Any]]:
     return sorted(out, key=lambda part: (part["component"], -part["range_um"]))
 
 
-def error_model(found: Any, recording: Recording) -> ErrorModel:
+def _error_model(found: Any, recording: Recording) -> ErrorModel:
     """The map as curves over X, curves over Y and their products, one component per direction."""
     from errpipe import __version__
     from errpipe.domain import driver as d
@@ -165,3 +228,25 @@ def _rms_without_setup(recording: Recording) -> dict[str, float]:
         left[rows] = planar.without_setup(x[rows], y[rows], deviation[rows])
     rms = np.sqrt(np.nanmean(left**2, axis=0))
     return {"E_X": float(rms[0]), "E_Y": float(rms[1])}
+
+
+def _floor(twice: Mapping[str, Any], validation: Mapping[str, Any]) -> Table:
+    """The metrology floor of a plate measured twice, beside what the map leaves on held-out holes."""
+
+    def rms(key: str) -> float:
+        values = [c[key] for c in validation["components"]]
+        return float((sum(v * v for v in values) / len(values)) ** 0.5)
+
+    first, second = twice["runs"]
+    rows = [
+        ["shift and rotation alone, held-out holes", rms("rms_before")],
+        ["the map, held-out holes", rms("rms_after")],
+        [f"{second} less {first}, hole by hole", twice["difference"]],
+        ["one measurement's share of that", twice["floor"]],
+        ["the same, a smooth drift between the two taken out", twice["smooth"]],
+    ]
+    caption = (
+        f"um rms of one coordinate. One plate, measured as {first} and as {second}: {twice['holes']} holes in common, "
+        "each less its own shift and rotation. No map of that plate can be judged finer than one measurement's share."
+    )
+    return Table("Residual and metrology floor", ["", "um rms"], rows, caption)

@@ -1,0 +1,121 @@
+"""What a model family is: options, a fit, its refit on the rows of a fold, and what a report says of it.
+
+A family is a pydantic model of its options. The stage `fit` reads them from the pipeline file (`family: NAME` says
+which), writes them beside the error model, and validation reads them back to repeat the fit without a held-out group.
+Every family gives an error model, so one compiler lowers all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from errpipe.domain.recording import Frozen
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.judging import HeldOut
+
+Progress = Callable[[float, str], None]
+
+
+def silent(share: float, text: str) -> None:
+    """Progress that nobody watches."""
+
+
+class Table(NamedTuple):
+    """A table for the report: heading, names of the columns, rows, and a sentence below it."""
+
+    heading: str
+    columns: list[str]
+    rows: list[list[Any]]
+    caption: str
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """model: what was fitted; documents: further JSON files by name; summary: a few words per component."""
+
+    model: ErrorModel
+    documents: Mapping[str, Any] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Family(Frozen):
+    """Base of every model family; the fields of a subclass are its options, `family` is its name.
+
+    documents: names of the JSON files that its fit adds. in_fit: whether the stage `fit` fits it (a family may be
+    fitted by a stage of its own). takes_terms: whether further terms may be added to a fitted model.
+    seasonal: whether `train` gives a predictor of the deviation since the start of each run.
+    """
+
+    documents: ClassVar[tuple[str, ...]] = ()
+    in_fit: ClassVar[bool] = True
+    takes_terms: ClassVar[bool] = False
+    seasonal: ClassVar[bool] = False
+    former_kind: ClassVar[str] = ""  # kind of the stage that fitted it in pipelines of before
+
+    @classmethod
+    def family_name(cls) -> str:
+        """The family's name in pipeline files."""
+        return str(cls.model_fields["family"].default)
+
+    @property
+    def responses(self) -> tuple[str, ...]:
+        """Components that it models."""
+        raise NotImplementedError
+
+    @property
+    def scheme(self) -> HoldOut:
+        """Who sits out where nothing else is asked for."""
+        raise NotImplementedError
+
+    @property
+    def method_name(self) -> str:
+        """How it is solved, for `validation.json`."""
+        return self.family_name().replace("_", " ")
+
+    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+        """Fit on every row of the recording. Raises DataError, NotIdentifiable."""
+        raise NotImplementedError
+
+    def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
+        """The scheme's name and its folds; without a scheme, the family's own."""
+        from errpipe.fitting import holdout
+
+        chosen = holdout.resolved(recording, self.scheme if scheme is None else scheme)
+        return holdout.name(chosen), holdout.groups(recording, chosen)
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+        """Fit on one side of a fold, judge on the other; component -> what was left."""
+        raise NotImplementedError
+
+    def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
+        """What the report adds, from the documents of the fit and `validation.json`."""
+        return []
+
+
+def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndarray, used: float = 0.0) -> HeldOut:
+    """The judged rows of a fold that have a value before and after, um; arrays over all rows, (rows,)."""
+    import numpy as np
+
+    from errpipe.errors import DataError
+    from errpipe.fitting.judging import HeldOut
+
+    rows = np.flatnonzero(fold.test & np.isfinite(before) & np.isfinite(after))
+    if rows.size == 0:
+        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
+    return HeldOut(fold.label, rows, before[rows], after[rows], outside[rows], used)
+
+
+def fit_summary(model: ErrorModel) -> dict[str, str]:
+    """Component -> rms before and after on the rows that fitted."""
+    return {
+        c.component: f"{c.rms_before:.3g} -> {c.rms_after:.3g} {c.unit} on the rows that fitted"
+        for c in model.components
+    }

@@ -1,0 +1,88 @@
+"""A thermal model that is meant to hold in a season it has not seen: causes of known sign and a gated correction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from errpipe.fitting.season_options import SeasonOptions
+from errpipe.models._base import Family, Fitted, Progress, Table, fit_summary, held_out, silent
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.judging import HeldOut
+    from errpipe.fitting.thermal_season import SeasonModel
+
+CAUSES = "season.json"
+
+
+class Season(Family):
+    """Causes of known sign, shrunk towards nothing, with a correction that fades where it was not learnt."""
+
+    family: Literal["season"] = Field("season", description="Model family.")
+    component: str = Field(description="Response of the recording, such as E_D or E_Z.")
+    options: SeasonOptions = Field(SeasonOptions(), description="How it is fitted; the defaults are the tested ones.")
+    documents: ClassVar[tuple[str, ...]] = (CAUSES,)
+    seasonal: ClassVar[bool] = True
+    former_kind: ClassVar[str] = "fit_season"
+
+    @property
+    def responses(self) -> tuple[str, ...]:
+        """The one component that it models."""
+        return (self.component,)
+
+    @property
+    def scheme(self) -> HoldOut:
+        """A whole environment (season) sits out."""
+        from errpipe.fitting.holdout import HoldOut
+
+        return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
+
+    def train(self, recording: Recording, rows: np.ndarray | None = None) -> SeasonModel:
+        """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
+        from errpipe.fitting import thermal_season
+
+        return thermal_season.fit(recording, self.component, self.options, rows)
+
+    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+        """Fit on every row. Raises DataError where no sensor sits on the machine."""
+        found = self.train(recording)
+        model = found.error_model(recording)
+        causes = [{"cause": name, "gain": gain} for name, gain, _ in found.parts]
+        document = {"season": 1, "causes": causes, "report": _plain(found.report)}
+        return Fitted(model, {CAUSES: document}, fit_summary(model))
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+        """Fit on one side of a fold, judge on the other; deviations count from the start of each run."""
+        from errpipe.fitting import holdout
+        from errpipe.fitting.thermal_arithmetic import since_start_of
+        from errpipe.fitting.validity import distance
+
+        holdout.check(fold)
+        model = self.train(recording, fold.train)
+        since = since_start_of(recording, self.component, self.options.datum_rows)
+        left = since - model.values(recording)
+        return {self.component: held_out(fold, since, left, distance(model.validity, recording))}
+
+    def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
+        """Causes with their gains, the largest first."""
+        rows = [[c["cause"], c["gain"]] for c in documents[CAUSES]["causes"] if c["gain"]]
+        rows.sort(key=lambda row: -abs(row[1]))
+        caption = (
+            "Gain of each cause, um per K (per hour of running for a state); signs are held to what physics allows."
+        )
+        return [Table("Causes", ["cause", "gain"], rows, caption)]
+
+
+def _plain(value: Any) -> Any:
+    """Report values as JSON: arrays and tuples as lists, numbers as numbers."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value.tolist() if hasattr(value, "tolist") else value
