@@ -125,7 +125,9 @@ def _target(target: Any) -> Iterator[str]:
 
 
 def _stage(stage: Any) -> Iterator[str]:
-    yield f"## `{stage.model_fields['kind'].annotation.__args__[0]}`"
+    key = stage.variant_key
+    variant = f", `{key}: {stage.model_fields[key].default}`" if key else ""
+    yield f"## `{stage.model_fields['kind'].annotation.__args__[0]}`{variant}"
     yield ""
     yield inspect.cleandoc(stage.__doc__)
     yield ""
