@@ -125,10 +125,11 @@ def _target(target: Any) -> Iterator[str]:
 
 
 def _stage(stage: Any) -> Iterator[str]:
-    key = stage.variant_key
-    variant = f", `{key}: {stage.model_fields[key].default}`" if key else ""
-    yield f"## `{stage.model_fields['kind'].annotation.__args__[0]}`{variant}"
+    yield f"## `{stage.model_fields['kind'].annotation.__args__[0]}`"
     yield ""
+    if stage.variant_key:
+        yield f"With `{stage.variant_key}: {stage.model_fields[stage.variant_key].default}`:"
+        yield ""
     yield inspect.cleandoc(stage.__doc__)
     yield ""
     takes = [
