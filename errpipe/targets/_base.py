@@ -24,6 +24,10 @@ Holds = Literal["screw", "both directions", "cross", "bed", "reversal", "tempera
 CAUTION = "experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use"
 
 
+class NothingToAddError(GateError):
+    """A format has nothing to say beside the others that were asked for."""
+
+
 @dataclass(frozen=True)
 class Curve:
     """Correction added to `axis` over the position of `over`, mm (deg): up and down are the directions of travel.

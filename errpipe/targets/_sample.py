@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from decimal import Decimal
 
 import numpy as np
 
@@ -107,6 +108,31 @@ def curve(table: CompensationTable, axis: str, over: str, points: np.ndarray, *,
     return Curve(axis, over, points, up, down)
 
 
+def at_nodes(table: CompensationTable, axis: str, over: str, x: np.ndarray, *, relative: bool = False) -> Curve:
+    """`curve` on a grid that may reach beyond the range of an axis.
+
+    The first node beyond an end lies on the line that is right at the end itself; nodes further out hold its value.
+    """
+    low, high = span(table, over)
+    found = curve(table, axis, over, np.clip(x, low, high), relative=relative)
+    sides = [_beyond(_beyond(v, x, high), -x, -low, backwards=True) for v in (found.up, found.down)]
+    return Curve(axis, over, x, sides[0], sides[1])
+
+
+def _beyond(values: np.ndarray, x: np.ndarray, end: float, *, backwards: bool = False) -> np.ndarray:
+    """Values of nodes beyond `end` in the direction of rising x, which hold the value at the end as they come in."""
+    if backwards:
+        return _beyond(values[::-1], x[::-1], end)[::-1]
+    (outside,) = np.nonzero(x > end + 1e-9)
+    if outside.size == 0 or outside[0] == 0 or end - x[outside[0] - 1] < 1e-6 * (x[outside[0]] - x[outside[0] - 1]):
+        return values
+    first = outside[0]
+    rise = (values[first] - values[first - 1]) * (x[first] - x[first - 1]) / (end - x[first - 1])
+    out = values.copy()
+    out[first:] = values[first - 1] + rise
+    return out
+
+
 def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um: float) -> tuple[Points, float]:
     """The coarsest uniform grid of at most `most` points within `error_um`, and its largest error in um.
 
@@ -125,6 +151,23 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
         if left * 1e3 <= error_um or count >= most:
             return points, left * 1e3
         count = min(most, max(count + 1, int(count * 1.25)))
+
+
+def exact(points: Points) -> Points:
+    """The grid on binary fractions, a little coarser and begun a little earlier: (end - start) / step is whole.
+
+    To the bit: a controller that divides finds the number of intervals, not one fewer.
+    """
+    unit = 2.0 ** (math.floor(math.log2(points.step)) - 10)  # at most a thousandth coarser
+    start = math.floor(points.start / unit + 1e-6) * unit
+    end = points.start + points.step * (points.count - 1)
+    step = math.ceil((end - start) / (points.count - 1) / unit - 1e-6) * unit
+    return Points(start, step, points.count)
+
+
+def decimal(value: float) -> str:
+    """All decimal digits of a binary fraction."""
+    return f"{Decimal(value + 0.0).normalize():f}"
 
 
 def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
@@ -158,14 +201,20 @@ def line(table: CompensationTable, axis: str, sensor: str) -> Line:
     return Line(axis, sensor, base, float(level), float(slope), zero)
 
 
-def plane(table: CompensationTable, axis: str, over: tuple[str, str], counts: tuple[int, int]) -> Plane:
+def even(table: CompensationTable, axis: str, count: int) -> Points:
+    """So many points over the range of an axis."""
+    low, high = span(table, axis)
+    return Points(low, (high - low) / (count - 1), count)
+
+
+def plane(table: CompensationTable, axis: str, over: tuple[str, str], points: tuple[Points, Points]) -> Plane:
     """Correction of `axis` on a grid over two axes, mean of both directions of approach."""
     names = positions_of(table)
-    grids = [np.linspace(*span(table, letter), n) for letter, n in zip(over, counts, strict=True)]
+    grids = [p.positions() for p in points]
     a, b = (g.ravel() for g in np.meshgrid(*grids, indexing="ij"))
     states = {names[over[0]]: a, names[over[1]]: b}
     mean = (corrections(table, axis, states, np.ones(a.size)) + corrections(table, axis, states, -np.ones(a.size))) / 2
-    return Plane(axis, over, grids[0], grids[1], mean.reshape(counts))
+    return Plane(axis, over, grids[0], grids[1], mean.reshape(points[0].count, points[1].count))
 
 
 def loss(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss]:

@@ -37,7 +37,7 @@ class ScrewMap(Target):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         files: dict[str, str] = {}
         for number, axis in cls.own_axes(table):
-            name, text = cls.file_of(number, _sample.curve(table, axis, axis, cls.grid(table, axis)))
+            name, text = cls.file_of(number, _sample.at_nodes(table, axis, axis, cls.grid(table, axis)))
             files[name] = files.get(name, "") + text
         return files
 

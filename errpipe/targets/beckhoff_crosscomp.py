@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, NothingToAddError, ReadBack, Target, expect
 
 MOST = 1001
 ERROR_UM = 0.1
@@ -52,6 +52,8 @@ class BeckhoffCrosscomp(Target):
                 curve = _sample.curve(table, axis, over, points.positions(), relative=rest)
                 rest = True
                 files[f"cross_{axis}_over_{over}.lis"] = _text(axes, axis, over, curve)
+        if not files and others:
+            raise NothingToAddError(f"beckhoff_crosscomp: {' and '.join(others)} say all that it could")
         if not files:
             raise GateError("beckhoff_crosscomp: no axis of the table is corrected over another one")
         return files

@@ -2,24 +2,31 @@
 
 Value     pulses of one detection unit (1 um), INCREMENTAL: the running sum from the reference point is the correction
           added to the command. The sign is from experience: prove it on the machine before cutting.
+Points    parameter 3620 is the number of the point at the reference position (machine coordinate 0 here). The value of
+          a point belongs to the interval that ends there, so the lowest number is 3620 - (travel below 0) / interval
+          + 1 and the highest 3620 + (travel above 0) / interval (B-63980EN p. 99: -400 to +400 mm in steps of 50 mm
+          around point 40 begin at point 33).
 Rounding  the running sum is rounded, not each step, so errors do not add up.
 Limits    -7..+7 per point (16i, 0i), 1024 points in all; direction needs parameter 3605#0 and a second set.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
+from errpipe.errors import VerifyError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, Points, ReadBack, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
 LARGEST, MOST = 7, 1024
+SPARE = 3  # points that a grid laid around the reference may need more than one laid from the end of travel
 FILE = "PITCH.TXT"
 
 
@@ -35,7 +42,10 @@ class FanucPitch(ScrewMap):
     rounding_um = 1.0
     source = "B-63980EN, B-63950EN, A-77810E (parameters 3620 to 3627); pitch block from experience"
     activation = (
+        "the reference position must lie at machine coordinate 0 (parameter 1240 = 0), where point 3620 is; where it "
+        "lies elsewhere, this file would act shifted",
         "parameters 3620 to 3624, 3626, 3627; 3605#0 = 1 for two directions; power off and on; reference again",
+        "3627 holds for an axis that is referenced in plus (1006#5 ZMI = 0); referenced in minus, its sign changes",
         "read the pitch screen back; compare the machine position at three points from both sides",
     )
 
@@ -45,10 +55,10 @@ class FanucPitch(ScrewMap):
         most = MOST // (2 * len(axes))
         lines, first = ["%", f"({CAUTION.upper()})"], 0
         for number, axis in enumerate(axes, 1):
-            points, left = _sample.uniform(table, axis, axis, most, 0.5)
+            points, left = _sample.uniform(table, axis, axis, most - SPARE, 0.5)
             curve = _whole_steps(table, axis, points, most, left)
             lines += _block(number, axis, first, curve)
-            first += 2 * curve.positions.size
+            first += 2 * (curve.positions.size - 1)
         return {FILE: "\n".join([*lines, "%", ""])}
 
     @classmethod
@@ -56,66 +66,75 @@ class FanucPitch(ScrewMap):
         text = files[FILE]
         expect(text.startswith("%") and text.rstrip().endswith("%"), FILE, "is not framed by %")
         data = {int(n) - 10000: int(v) for n, v in re.findall(r"N(1\d{4})Q0P(-?\d+)", text)}
-        facts: dict[tuple[int, int], float] = {
-            (int(k), int(a)): float(v) for k, a, v in re.findall(r"N0(36\d\d)Q1A(\d+)P(-?[\d.]+)", text)
+        facts: dict[tuple[int, int], int] = {
+            (int(k), int(a)): int(v) for k, a, v in re.findall(r"N0(36\d\d)Q1A(\d+)P(-?\d+)", text)
         }
-        curves = []
-        for number, axis, start in re.findall(r"\(A(\d+) (\w) FROM (-?[\d.]+)\)", text):
-            curves.append(_read(int(number), axis, float(start), facts, data))
-        return ReadBack(curves=tuple(curves))
+        axes = re.findall(r"\(A(\d+) (\w+)\)", text)
+        return ReadBack(curves=tuple(_read(int(number), axis, facts, data) for number, axis in axes))
 
 
 def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int, left: float) -> Curve:
-    """A grid so fine that no step between points exceeds the format's largest."""
+    """A grid so fine that no step between points exceeds the format's largest; a point of it is the reference, 0."""
     low, high = _sample.span(table, axis)
     count = points.count
     while True:
         step = np.ceil((high - low) / (count - 1) * 1e3) / 1e3  # the interval is a whole number of micrometres
-        curve = _sample.curve(table, axis, axis, low + step * np.arange(count))
-        if max(np.abs(np.diff(_pulses(v))).max() for v in (curve.up, curve.down)) <= LARGEST:
+        # A reference outside the travel is reached by points that change nothing; one point lies below it in any case.
+        below, above = min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9))
+        x = step * np.arange(below, above + 1)
+        curve = _sample.at_nodes(table, axis, axis, x)
+        if max(np.abs(np.diff(_pulses(v, -below))).max() for v in (curve.up, curve.down)) <= LARGEST and x.size <= most:
             return curve
-        if count >= most:
-            raise too_many("fanuc_pitch", count + 1, most, left)
-        count = min(most, count + max(1, count // 4))
+        if count >= most - SPARE or x.size > most:
+            raise too_many("fanuc_pitch", max(count + 1, x.size), most, left)
+        count = min(most - SPARE, count + max(1, count // 4))
 
 
-def _pulses(correction: np.ndarray) -> np.ndarray:
-    """Running sums: the correction relative to the first point, in whole pulses."""
-    return np.round((correction - correction[0]) / UNIT).astype(int)
+def _pulses(correction: np.ndarray, reference: int) -> np.ndarray:
+    """Running sums: the correction relative to the point at the reference position, in whole pulses."""
+    return np.round((correction - correction[reference]) / UNIT).astype(int)
 
 
 def _block(number: int, axis: str, first: int, curve: Curve) -> list[str]:
-    """Point numbers run from `first`; the negative-travel set follows; 3627 carries the offset between the sets."""
-    n = curve.positions.size
+    """Point numbers run from `first`; the negative-travel set follows; 3627 carries the offset between the sets.
+
+    Every number belongs to an interval, so there is one fewer than there are positions.
+    """
+    n = curve.positions.size - 1
     interval = round(float(curve.positions[1] - curve.positions[0]) * 1e3)
-    at_start = {side: round(float(v[0]) / UNIT) for side, v in (("up", curve.up), ("down", curve.down))}
+    reference = round(-float(curve.positions[0]) * 1e3 / interval)
     parameters = {
-        3620: first,
+        3620: first + reference - 1,
         3621: first,
         3622: first + n - 1,
         3623: 1,
         3624: interval,
         3626: first + n,
-        3627: at_start["down"] - at_start["up"],
+        3627: round(float(curve.down[reference] - curve.up[reference]) / UNIT),
     }
-    lines = [f"(A{number} {axis} FROM {curve.positions[0]:.6f})", f"(A{number} OFFSET {at_start['up']})"]
+    lines = [f"(A{number} {axis})"]
     lines += [f"N0{key}Q1A{number}P{value};" for key, value in parameters.items()]
     for offset, values in ((0, curve.up), (n, curve.down)):
-        sums = _pulses(values)
-        steps = np.diff(sums, prepend=0)
+        steps = np.diff(_pulses(values, reference))
         lines += [f"N{10000 + first + offset + k}Q0P{step};" for k, step in enumerate(steps.tolist())]
     return lines
 
 
-def _read(number: int, axis: str, start: float, facts: dict, data: dict[int, int]) -> Curve:
-    lowest, highest, interval = (facts[key, number] for key in (3621, 3622, 3624))
-    n = int(highest - lowest) + 1
+def _read(number: int, axis: str, facts: Mapping[tuple[int, int], int], data: Mapping[int, int]) -> Curve:
+    needed = [facts.get((key, number)) for key in (3620, 3621, 3622, 3624, 3626, 3627)]
+    if None in needed:
+        raise VerifyError(f"{FILE}: A{number}: a parameter is missing")
+    reference, lowest, highest, interval, negative, offset = (int(v) for v in needed if v is not None)
+    n = highest - lowest + 1
+    at_reference = reference - lowest + 1  # as a position: the lowest point's interval begins one below it
+    expect(0 <= at_reference <= n and interval > 0, FILE, f"A{number}: 3620 is not among 3621 to 3622")
     sides = []
-    for first in (int(lowest), int(facts[3626, number])):
+    for first in (lowest, negative):
         steps = [data.get(first + k) for k in range(n)]
         sound = all(s is not None and abs(s) <= LARGEST for s in steps)
         expect(sound, FILE, f"A{number}: a point is missing or too large")
-        sides.append(np.cumsum(np.array(steps, dtype=float)) * UNIT)
-    # The table starts at the reference point with nothing; what the machine has there belongs to its datum.
-    down = sides[1] + facts[3627, number] * UNIT
-    return Curve(axis, axis, start + interval * 1e-3 * np.arange(n), sides[0], down)
+        sums = np.concatenate(([0.0], np.cumsum(np.array(steps, dtype=float))))
+        sides.append((sums - sums[at_reference]) * UNIT)
+    # The correction at the reference position is nothing; what the machine has there belongs to its datum.
+    x = interval * 1e-3 * (np.arange(n + 1) - at_reference)
+    return Curve(axis, axis, x, sides[0], sides[1] + offset * UNIT)

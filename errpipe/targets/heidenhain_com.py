@@ -4,11 +4,14 @@ Value     the ERROR in mm along each compensated axis (MP720: positive when the 
           .COM columns and the text frame are from experience: prove both on the control before use.
 Columns   AXISPOS, BACKLASH (value measured in negative traverse), then one column per compensated axis.
 Mark      the first line of each file says that it is experimental: it is to be taken out once the sense is proved.
-Limits    256 rows (TNC 407, iTNC; newer controls take free spacing); one line of config.CMA is ACTIVE.
+Spacing   a power of two times 0.1 um, as TNC 407 to iTNC 530 ask for (TNC 407 technical manual p. 153: 7 mm wanted,
+          2^16 x 0.1 um = 6.5536 mm taken); newer controls take any.
+Limits    256 rows (TNC 407, iTNC); one line of config.CMA is ACTIVE.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,11 +19,12 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, Points, ReadBack, Target, expect
 
 MOST = 256
 MARK = f"; {CAUTION}; then take this line out\n"
 ERROR_UM = 0.1
+TENTH_UM = 1e-4  # mm (deg): unit of the spacing
 
 
 class HeidenhainCom(Target):
@@ -30,7 +34,9 @@ class HeidenhainCom(Target):
     controller = "Heidenhain MANUALplus 620, iTNC 530, TNC 640"
     confidence = "experimental"
     sign = "a positive value means the travel is too long; the axis is moved in minus (prove it on the control)"
-    limits = "256 rows; sums of curves over one axis each; one reversal value per position; no temperature"
+    limits = (
+        "256 rows, spacing 2^n x 0.1 um; sums of curves over one axis each; one reversal per position; no temperature"
+    )
     holds = ("screw", "both directions", "cross")
     source = "MANUALplus 620 technical manual p. 716, 718; TNC 407 technical manual p. 153 to 156"
     activation = (
@@ -68,15 +74,24 @@ class HeidenhainCom(Target):
 
 
 def _com(table: CompensationTable, over: str, own: list[str], whole: Mapping[str, str]) -> str:
-    count = max(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0].count for axis in own)
-    x = np.linspace(*_sample.span(table, over), count)
-    curves = {axis: _sample.curve(table, axis, over, x, relative=whole[axis] != over) for axis in own}
+    x = _power_of_two(min((_sample.uniform(table, a, over, MOST, ERROR_UM)[0] for a in own), key=lambda p: p.step))
+    count = x.size
+    curves = {axis: _sample.at_nodes(table, axis, over, x, relative=whole[axis] != over) for axis in own}
     reversal = curves[over].up - curves[over].down if over in curves else np.zeros(count)
     lines = [f"BEGIN {over}.COM MM", " ".join(["NR", "AXISPOS", "BACKLASH", *own])]
     for n in range(count):
         errors = [-(c.up[n] if axis == over else (c.up[n] + c.down[n]) / 2) + 0.0 for axis, c in curves.items()]
         lines.append(" ".join([str(n), f"{x[n]:+.6f}", f"{reversal[n] + 0.0:+.6f}", *(f"{e:+.6f}" for e in errors)]))
     return "\n".join([*lines, "[END]", ""])
+
+
+def _power_of_two(points: Points) -> np.ndarray:
+    """Positions from the first on in steps of 2^n x 0.1 um: the largest that is as fine, or fits the rows."""
+    length = points.step * (points.count - 1)
+    step = TENTH_UM * 2.0 ** math.floor(math.log2(points.step / TENTH_UM) + 1e-9)
+    while math.ceil(length / step - 1e-9) + 1 > MOST:
+        step *= 2
+    return points.start + step * np.arange(math.ceil(length / step - 1e-9) + 1)
 
 
 def _cma(axes: list[str], files: Mapping[str, str]) -> str:
@@ -90,6 +105,9 @@ def _read(over: str, text: str) -> list[Curve]:
     names = lines[1].split()[3:]
     rows = np.array([line.split() for line in lines[2:-1]], dtype=float)
     expect(2 <= len(rows) <= MOST, f"{over}.COM", f"{len(rows)} rows (2 to {MOST} are taken)")
+    steps = np.diff(rows[:, 1]) / TENTH_UM
+    whole = np.abs(steps - 2.0 ** np.round(np.log2(steps))).max() < 0.1
+    expect(bool(whole), f"{over}.COM", "its spacing is not a power of two times 0.1 um")
     curves = []
     for column, axis in enumerate(names, 3):
         up = -rows[:, column]

@@ -20,7 +20,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Curve, Line, Plane, ReadBack, Target, expect
 
 FILE = "errpipe.cfg"
-MESH = (21, 21)
+MESH = 21  # points along each axis
 LEAST_UM = 0.05
 SKEWS = {"xy_skew": ("X", "Y"), "xz_skew": ("X", "Z"), "yz_skew": ("Y", "Z")}
 
@@ -48,7 +48,8 @@ class KlipperSections(Target):
         corrected = _sample.outputs_by_axis(table)
         text = ""
         if "Z" in corrected and {"X", "Y"} <= set(axes):
-            text += _mesh(_sample.plane(table, "Z", ("X", "Y"), MESH))
+            grids = _sample.even(table, "X", MESH), _sample.even(table, "Y", MESH)
+            text += _mesh(_sample.plane(table, "Z", ("X", "Y"), grids))
         text += _skew(table, axes, corrected)
         if "Z" in corrected:
             text += _thermal(table)
@@ -61,8 +62,10 @@ class KlipperSections(Target):
         text = files[FILE]
         planes = (_read_mesh(text),) if "[bed_mesh errpipe]" in text else ()
         skews = {k: float(v) for k, v in re.findall(r"(x[yz]_skew|yz_skew) = (\S+)", text)}
+        travel = {a: np.array([float(lo), float(hi)]) for a, lo, hi in re.findall(r"# travel (\w+) (\S+) (\S+)", text)}
+        expect(all(over in travel for key, (_, over) in SKEWS.items() if skews.get(key)), FILE, "a travel is missing")
         curves = tuple(
-            Curve(axis, over, np.array([-1e4, 1e4]), *(-skews[key] * np.array([-1e4, 1e4]),) * 2)
+            Curve(axis, over, travel[over], *(-skews[key] * travel[over],) * 2)
             for key, (axis, over) in SKEWS.items()
             if skews.get(key)
         )
@@ -115,7 +118,10 @@ def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping)
             found[key] = -float(np.polyfit(x, (curve.up + curve.down) / 2, 1)[0])
     if not found:
         return ""
-    lines = ["[skew_correction errpipe]", *(f"{k} = {found.get(k, 0.0) + 0.0:.12f}" for k in SKEWS)]
+    # Klipper itself knows no end of a skew; the travel is where the table vouches for it, and where it is checked.
+    ends = {over: _sample.span(table, over) for key, (_, over) in SKEWS.items() if key in found}
+    lines = [f"# travel {over} {low:.6f} {high:.6f}" for over, (low, high) in ends.items()]
+    lines += ["[skew_correction errpipe]", *(f"{k} = {found.get(k, 0.0) + 0.0:.12f}" for k in SKEWS)]
     return "\n".join(lines) + "\n\n"
 
 

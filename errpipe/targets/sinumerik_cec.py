@@ -15,6 +15,7 @@ Limits    828D: 8 tables of 200 points, four for each product; held outside MIN.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, Points, Product, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, NothingToAddError, Points, Product, ReadBack, Target, expect
 
 MOST, TABLES = 200, 8
 ERROR_UM = 0.1
@@ -74,16 +75,22 @@ class SinumerikCec(Target):
             # Whether another curve holds what stands still: only one of an axis' curves may.
             rest = screws and axis in _sample.positions_of(table)
             for over in _sample.own_first(table, axis):
-                if (screws and over == axis) or not _sample.moves_with(table, axis, over):
+                if not _sample.moves_with(table, axis, over):
                     continue
-                points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
-                curve = _sample.curve(table, axis, over, points.positions(), relative=rest)
+                points = _sample.exact(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0])
+                curve = _sample.at_nodes(table, axis, over, points.positions(), relative=rest)
+                if screws and over == axis:
+                    curve = _beside_its_mean(curve)  # what one curve for both directions cannot say
+                    if float(np.abs(curve.up).max()) * 1e3 < SAME_UM:
+                        continue
                 rest = True
                 same = float(np.abs(curve.up - curve.down).max()) * 1e3 < SAME_UM
                 sides = {0: curve.up} if same else {1: curve.up, -1: curve.down}
                 for side, value in sides.items():
                     ends = (f"AX{axes.index(over) + 1}", f"AX{axes.index(axis) + 1}")
                     blocks.append(_block(len(blocks), *ends, side, points, -value))
+        if not blocks and others:
+            raise NothingToAddError(f"sinumerik_cec: {' and '.join(others)} say all that it could")
         if not blocks:
             raise GateError("sinumerik_cec: no axis of the table is corrected over a position")
         if len(blocks) > TABLES:
@@ -127,6 +134,12 @@ class _Factors:
     rms: float
 
 
+def _beside_its_mean(curve: Curve) -> Curve:
+    """What each direction adds to the mean of both."""
+    half = (curve.up - curve.down) / 2
+    return Curve(curve.axis, curve.over, curve.positions, half, -half)
+
+
 def _products(table: CompensationTable) -> list[_Factors]:
     """What no sum of curves over one axis each can say, as products; the largest first."""
     found = []
@@ -139,7 +152,8 @@ def _products(table: CompensationTable) -> list[_Factors]:
 def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> list[_Factors]:
     """The interaction of two axes, others in the middle, as the first products of its singular value decomposition."""
     n = PRODUCT_POINTS  # odd: its middle is where the curves over single axes are taken
-    plane = _sample.plane(table, axis, over, (n, n))
+    grids = _sample.exact(_sample.even(table, over[0], n)), _sample.exact(_sample.even(table, over[1], n))
+    plane = _sample.plane(table, axis, over, grids)
     rest = plane.values - plane.values[n // 2] - plane.values[:, n // 2][:, None] + plane.values[n // 2, n // 2]
     left, sizes, right = np.linalg.svd(rest)
     out = []
@@ -151,8 +165,7 @@ def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> li
         a, b = sign * left[:, k] * sizes[k], sign * right[k]
         # Both factors as small as can be: what a single table would do by itself is then small too.
         even = np.sqrt(np.abs(a).max() / np.abs(b).max())
-        grids = [Points(float(g[0]), float(g[-1] - g[0]) / (n - 1), n) for g in (plane.first, plane.second)]
-        out.append(_Factors(axis, over, (grids[0], grids[1]), (a / even, b * even), rms))
+        out.append(_Factors(axis, over, grids, (a / even, b * even), rms))
     return out
 
 
@@ -193,7 +206,7 @@ def _block(number: int, over: str, axis: str, side: int, points: Points, error: 
     end = points.start + points.step * (points.count - 1)
     lines += [f"$AN_CEC_INPUT_AXIS[{number}]=({over})", f"$AN_CEC_OUTPUT_AXIS[{number}]=({axis})"]
     facts = {"STEP": points.step, "MIN": points.start, "MAX": end}
-    lines += [f"$AN_CEC_{key}[{number}]={value + 0.0:.9f}" for key, value in facts.items()]
+    lines += [f"$AN_CEC_{key}[{number}]={_sample.decimal(value)}" for key, value in facts.items()]
     modes = {"DIRECTION": side, "MULT_BY_TABLE": multiply, "IS_MODULO": 0}
     lines += [f"$AN_CEC_{key}[{number}]={value}" for key, value in modes.items()]
     return "\n".join(lines) + "\n"
@@ -205,7 +218,7 @@ def _read(text: str, number: int, letters: dict[str, str]) -> Curve:
     facts = {k: float(v) for k, v in re.findall(rf"\$AN_CEC_(STEP|MIN|MAX|DIRECTION)\[{number}\]=(\S+)", text)}
     ends = dict(re.findall(rf"\$AN_CEC_(INPUT|OUTPUT)_AXIS\[{number}\]=\((\w+)\)", text))
     expect(len(facts) == 4 and len(ends) == 2, FILE, f"table {number} lacks STEP, MIN, MAX, DIRECTION or its axes")
-    count = round((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
+    count = math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
     expect(sorted(found) == list(range(count)), FILE, f"table {number} has {len(found)} points, not {count}")
     value = np.array([found[n] for n in range(count)])
     nothing = np.zeros(count)

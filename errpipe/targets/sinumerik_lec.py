@@ -1,16 +1,20 @@
 """SINUMERIK 840D sl / 828D / 808D leadscrew error compensation ($AA_ENC_COMP), one direction.
 
 Value     the ERROR in mm: a positive value moves the axis in NEGATIVE direction (808D manual), so the deviation.
-Order     equidistant from MIN to MAX in STEP; straight between points; held outside (experience).
+Order     equidistant from MIN to MAX in STEP, which are binary fractions, so that (MAX - MIN) / STEP is whole; straight
+          between points; held outside (experience).
 Limits    one curve for both directions; the reversal error belongs to MD32450 BACKLASH or to two CEC tables.
 """
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
 
+from errpipe.domain.table import CompensationTable
+from errpipe.targets import _sample
 from errpipe.targets._base import Curve, expect
 from errpipe.targets._screw_map import ScrewMap
 
@@ -36,6 +40,10 @@ class SinumerikLec(ScrewMap):
     most, error_um = 200, 0.1  # 808D fixed; 840D sl by MD38000
 
     @classmethod
+    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
+        return _sample.exact(_sample.uniform(table, axis, axis, cls.most, cls.error_um)[0]).positions()
+
+    @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         values = -(curve.up + curve.down) / 2
         return f"AX{number}_{curve.axis}_EEC.INI", _text(f"AX{number}", curve.positions, values)
@@ -48,9 +56,9 @@ class SinumerikLec(ScrewMap):
 def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray) -> str:
     lines = [f"%_N_{machine_axis}_EEC_INI", "CHANDATA(1)"]
     lines += [f"$AA_ENC_COMP[0,{n},{machine_axis}]={v + 0.0:.6f}" for n, v in enumerate(values)]
-    step = (positions[-1] - positions[0]) / (positions.size - 1)
-    facts = {"STEP": step, "MIN": positions[0], "MAX": positions[-1]}
-    lines += [f"$AA_ENC_COMP_{key}[0,{machine_axis}]={value + 0.0:.9f}" for key, value in facts.items()]
+    step = float(positions[1] - positions[0])
+    facts = {"STEP": step, "MIN": float(positions[0]), "MAX": float(positions[-1])}
+    lines += [f"$AA_ENC_COMP_{key}[0,{machine_axis}]={_sample.decimal(value)}" for key, value in facts.items()]
     return "\n".join([*lines, f"$AA_ENC_COMP_IS_MODULO[0,{machine_axis}]=0", "M17", ""])
 
 
@@ -58,7 +66,7 @@ def _read(name: str, text: str) -> Curve:
     found = {int(n): float(v) for n, v in re.findall(r"\$AA_ENC_COMP\[0,(\d+),\w+\]=(\S+)", text)}
     facts = {k: float(v) for k, v in re.findall(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,\w+\]=(\S+)", text)}
     expect(len(facts) == 3 and facts["STEP"] > 0, name, "STEP, MIN or MAX is missing")
-    count = round((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
+    count = math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1  # not rounded: a control may not do so either
     expect(sorted(found) == list(range(count)), name, f"{len(found)} points where MIN, MAX and STEP say {count}")
     expect(text.rstrip().endswith("M17"), name, "does not end with M17")
     value = -np.array([found[n] for n in range(count)])

@@ -29,8 +29,11 @@ class SmoothiePitch(ScrewMap):
     sign = "a multiplier above 1 moves the axis further per commanded travel"
     limits = "multipliers 0.5 to 1.5; both directions alike; zero at position 0; no temperature"
     holds = ("screw",)
-    source = "the firmware's own reader of pitch_compensation.dat"
-    activation = ("copy the file to the SD card; reset; compare three points with a gauge",)
+    source = "the firmware's own reader of pitch_compensation.dat, module key pitch_compensation.enable"
+    activation = (
+        "copy the file to the SD card; in config: pitch_compensation.enable true; reset",
+        "home, then compare three points with a gauge: without that line the file is not read, and nothing says so",
+    )
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
