@@ -125,7 +125,7 @@ def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[st
     """SHA-256 of every exported file by its path in the folder, with the checklists of the targets."""
     names = {row["file"] for row in files} | set(others)
     names |= {f"{name.split('/')[0]}/{CHECKLIST}" for name in names if "/" in name}
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in sorted(names)}
+    return {name: hashlib.sha256(inside(folder, name, GateError).read_bytes()).hexdigest() for name in sorted(names)}
 
 
 def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) -> list[dict[str, Any]]:
@@ -133,14 +133,14 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
     from errpipe import jsonfile
 
     out = []
-    targets = chosen(names)
+    targets = with_something_to_add(table, chosen(dict.fromkeys(names)))
     for target in targets:
         others = _beside(target, targets)
         files = target.write_beside(table, others)
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
-        steps = checklist(target, target.read_back(files), lost) + _companions(table, target, others)
+        steps = checklist(target, target.read_back(files), lost, table) + _companions(table, target, others)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
             {
@@ -153,6 +153,19 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
             for name in files
         ]
     return out
+
+
+def with_something_to_add(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:
+    """The targets without those whose companions say already all that they could."""
+    from errpipe.targets._base import NothingToAddError
+
+    left = list(targets)
+    for target in targets:
+        try:
+            target.write_beside(table, _beside(target, left))
+        except NothingToAddError:
+            left.remove(target)
+    return left
 
 
 def _companions(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
@@ -183,6 +196,7 @@ def chosen(names: Sequence[str]) -> list[Any]:
 
 
 def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
+    """Losses per axis on random states inside validity, many of them at its ends: no bound, and not called one."""
     from errpipe.targets import _sample
 
     return [
@@ -191,6 +205,7 @@ def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
             "largest_um": round(x.largest, DIGITS),
             "rms_um": round(x.rms, DIGITS),
             "table_rms_um": round(x.table_rms, DIGITS),
+            "states": _sample.STATES,
         }
         for x in _sample.loss(table, read)
     ]
@@ -203,25 +218,65 @@ def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list
 
 def told(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
-    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} at most" for x in lost) + " um"
+    seen = f" um on {lost[0]['states']} states" if lost else " nothing: no axis is moved"
+    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} largest seen" for x in lost) + seen
 
 
-def checklist(target: Any, read: Any, lost: list[dict[str, Any]]) -> str:
-    """What a person at the machine does: sign, activation, a move list with expected values, what is lost."""
+def checklist(target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable) -> str:
+    """What a person at the machine does: sign, activation, moves with expected values, what is lost."""
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
+    read = _within_travel(read, table)
     lines += [f"- {says}." for says in _plausible.of_files(read)] + ["", "## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
-    lines += ["", "## Three-point check", "", "Go there from below, then from above, other axes at mid travel;"]
-    lines += ["expect this correction:", ""]
-    lines += ["| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
-    lines += _moves(read)
+    lines += ["", "## Three-point check", ""]
+    if moves := _moves(read):
+        lines += [
+            "Go there from below, then from above, other axes at mid travel; expect this correction.",
+            _state(table),
+        ]
+        lines += ["", "| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
+        lines += moves
+    else:
+        lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
     lines += ["", "## What this format leaves behind", ""]
     lines += [
-        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, {x['largest_um']:.3g} um at most"
+        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, largest seen {x['largest_um']:.3g} um"
         for x in lost
     ]
+    if lost:
+        seen = lost[0]["states"]
+        lines += ["", f"Seen on {seen} random settled states inside validity and at its ends; not a bound."]
     return "\n".join([*lines, ""])
+
+
+def _within_travel(read: Any, table: CompensationTable) -> Any:
+    """What was read back, its curves cut at the ends of travel: a file's grid may reach further than the axis."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from errpipe.targets import _sample
+
+    curves = []
+    for c in read.curves:
+        low, high = _sample.reach(table, c.over)
+        inside = c.positions[(c.positions > low) & (c.positions < high)]
+        x = np.concatenate(([low], inside, [high])) if high > low else c.positions
+        up, down = (np.interp(x, c.positions, v) for v in (c.up, c.down))
+        curves.append(replace(c, positions=x, up=up, down=down))
+    return replace(read, curves=tuple(curves))
+
+
+def _state(table: CompensationTable) -> str:
+    """The readings at which the expected corrections hold."""
+    from errpipe.targets import _sample
+
+    start, moving = _sample.middle(table), set(_sample.positions_of(table).values())
+    still = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
+    if not still:
+        return "Nothing else matters to it: no temperature, no speed."
+    return f"It holds at {', '.join(still)}, all of them steady; at other readings expect other values."
 
 
 def _moves(read: Any) -> list[str]:
@@ -255,5 +310,5 @@ def _moves(read: Any) -> list[str]:
 def _line(row: dict[str, Any]) -> str:
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
-    told = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, {row['largest_um']:.3g} at most"
+    told = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, {row['largest_um']:.3g} largest seen"
     return f"{row['target']:<22} {row['axis']}  {told}"

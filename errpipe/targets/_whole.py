@@ -11,12 +11,27 @@ from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
 from errpipe.targets._base import ReadBack
 
+LEAST_UM = 0.01  # per kelvin; less is not worth a line of a checklist
+
 
 @dataclass(frozen=True, kw_only=True)
 class WholeTable(ReadBack):
     """Nothing is lost: corrections come from the table that was read back."""
 
     table: CompensationTable
+
+    @classmethod
+    def of(cls, table: CompensationTable) -> WholeTable:
+        """With the curves and lines of which a checklist is made; what moves an axis is the table alone."""
+        axes, known = _sample.outputs_by_axis(table), _sample.positions_of(table)
+        pairs = [(axis, over) for axis in axes for over in known if _sample.moves_with(table, axis, over)]
+        ends = {over: np.linspace(*_sample.span(table, over), 3) for over in known}
+        lines = [_sample.line(table, axis, sensor) for axis in axes for sensor in _sample.sensors_of(table)]
+        return cls(
+            curves=tuple(_sample.curve(table, axis, over, ends[over]) for axis, over in pairs),
+            lines=tuple(line for line in lines if abs(line.level) * 1e3 >= LEAST_UM),
+            table=table,
+        )
 
     def axes(self) -> tuple[str, ...]:
         return tuple(_sample.outputs_by_axis(self.table))

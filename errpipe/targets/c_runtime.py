@@ -54,7 +54,7 @@ class CRuntime(Target):
         table = ect.loads(data)
         for name, text in cls.write(table).items():
             expect(files.get(name) == text, name, "is missing or was changed")
-        return WholeTable(table=table)
+        return WholeTable.of(table)
 
 
 def _macro(kind: str, name: str) -> str:

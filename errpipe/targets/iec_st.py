@@ -89,7 +89,7 @@ class IecSt(Target):
         table = ect.loads(found[0])
         for name, text in cls.write(table).items():
             expect(files.get(name) == text, name, "is missing or was changed")
-        return WholeTable(table=table)
+        return WholeTable.of(table)
 
 
 def room_for(table: CompensationTable) -> dict[str, int]:

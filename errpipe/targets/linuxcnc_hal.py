@@ -18,7 +18,6 @@ from importlib import resources
 from typing import Any
 
 import jinja2
-import numpy as np
 
 from errpipe.domain import table as t
 from errpipe.errors import GateError
@@ -86,12 +85,7 @@ class LinuxcncHal(Target):
         data = bytes(int(v, 16) for v in re.findall(r"0x([0-9a-f]{2})", found[2]))
         expect(len(data) == int(found[1]), COMPONENT, f"{len(data)} bytes of table where {found[1]} are announced")
         table = ect.loads(data)
-        curves = tuple(
-            _sample.curve(table, axis, axis, np.linspace(*_sample.span(table, axis), 3))
-            for axis in _sample.outputs_by_axis(table)
-            if axis in _sample.positions_of(table)
-        )
-        return WholeTable(curves=curves, table=table)
+        return WholeTable.of(table)
 
 
 def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:

@@ -57,6 +57,13 @@ def too_long_from_above():
     )
 
 
+def sample(target):
+    """A table of which a format can say something."""
+    if {"screw", "cross", "bed"} & set(target.holds):
+        return bent()
+    return warm() if "temperature" in target.holds else too_long_from_above()
+
+
 def bent():
     """Y over X (straightness), X over Y (squareness) and Z over X and Y (a bed)."""
     # A positive C0Y leans Y towards minus X: the tool is pushed by -C0Y * y.

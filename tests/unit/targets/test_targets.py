@@ -17,11 +17,6 @@ def holding(*what, but=()):
     return pytest.mark.parametrize("target", chosen, ids=lambda t: t.name)
 
 
-def sample(target):
-    """A table of which the format can say something."""
-    return machines.warm() if set(target.holds) <= {"temperature"} else machines.bent()
-
-
 def read(target, table):
     return target.read_back(target.write(table))
 
@@ -111,13 +106,13 @@ def test_a_target_says_all_that_a_person_needs(target):
 
 @pytest.mark.parametrize("target", [t for t in TARGETS if t.confidence == "experimental"], ids=lambda t: t.name)
 def test_what_rests_on_experience_says_so_in_the_file(target):
-    table = sample(target)
+    table = machines.sample(target)
     assert all("experimental" in text.lower() for text in target.write(table).values())
 
 
 @every
 def test_equal_tables_give_equal_bytes(target):
-    table = sample(target)
+    table = machines.sample(target)
     assert target.write(table) == target.write(table)
 
 

@@ -1,0 +1,115 @@
+"""Where a format's grid begins, ends and divides: references, travels below zero, odd lengths, companions, names."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.domain.table import TableInput
+from errpipe.errors import VerifyError
+from errpipe.stages import targets as stage
+from errpipe.targets import TARGETS, _sample
+from errpipe.terms._base import Lowered
+from tests.unit.targets import machines
+
+BY_NAME = {t.name: t for t in TARGETS}
+
+
+def over(low, high, um=10.0, lost=0.0):
+    """Z over a travel, `um` too long at the upper end, nothing at the lower one, with lost motion."""
+    pairs = [Lowered(d.ONE, "Z", lambda z: um * (z - low) / (high - low))]
+    if lost:
+        pairs.append(Lowered(d.Direction(axis="Z"), None, lambda z: np.full(np.shape(z), -lost / 2)))
+    place = TableInput(name="z", kind="position", axis="Z", low=low - 50, high=high + 50, default=low)
+    return tables.compile_table(
+        [tables.ComponentSource("EZZ", "um", tuple(pairs))], inputs=[place], travel={"Z": (low, high)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-300.0, 0.0), (0.0, 500.0), (-400.0, 800.0), (120.0, 420.0), (-700.0, -9.5)]
+)
+def test_fanuc_counts_from_the_reference_position(low, high):
+    """Parameter 3620 is the point at machine coordinate 0, whichever part of the travel lies on which side of it."""
+    text = BY_NAME["fanuc_pitch"].write(over(low, high, lost=4.0))["PITCH.TXT"]
+    facts = {int(k): int(v) for k, v in re.findall(r"N0(36\d\d)Q1A1P(-?\d+)", text)}
+    steps = {int(n) - 10000: int(v) for n, v in re.findall(r"N(1\d{4})Q0P(-?\d+)", text)}
+    interval = facts[3624] / 1000
+
+    def moved(z, first):
+        """As the control does it, one pulse after the other, on the way from the reference to z."""
+        last = facts[3620] + round(z / interval)
+        up, down = range(facts[3620] + 1, last + 1), range(last + 1, facts[3620] + 1)
+        shift = first - facts[3621]
+        return sum(steps.get(n + shift, 0) for n in up) - sum(steps.get(n + shift, 0) for n in down)
+
+    assert facts[3620] >= 0 and facts[3621] >= 0 and facts[3627] == -4
+    points = interval * np.arange(math.ceil(low / interval), math.floor(high / interval) + 1)
+    assert points.size >= 2
+    want = -10.0 * (points - points[0]) / (high - low)
+    for first in (facts[3621], facts[3626]):
+        sums = np.array([moved(z, first) for z in points])
+        assert sums - sums[0] == pytest.approx(want, abs=1.0)
+    assert low > 0 or moved(0.0, facts[3621]) == 0
+    (curve,) = BY_NAME["fanuc_pitch"].read_back({"PITCH.TXT": text}).curves
+    up = 1e3 * np.interp(points, curve.positions, curve.up)
+    assert up - up[0] == pytest.approx(want, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["sinumerik_lec", "sinumerik_cec"])
+def test_sinumerik_divides_without_a_rest(name):
+    """(MAX - MIN) / STEP, cut off as a control may do it, is the number of intervals that are written."""
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        low = -round(float(rng.uniform(0, 2000)), 3)
+        (text,) = BY_NAME[name].write(over(low, low + round(float(rng.uniform(3, 3000)), 3), lost=2.0)).values()
+        counts = len(re.findall(r"\$A[AN]_\w+\[0,\d+[,\]]", text))
+        facts = {k: float(v) for k, v in re.findall(r"_(STEP|MIN|MAX)\[0[^\]]*\]=(\S+)", text)}
+        assert int((facts["MAX"] - facts["MIN"]) / facts["STEP"]) == counts - 1
+        assert facts["MIN"] + facts["STEP"] * (counts - 1) == facts["MAX"]
+
+
+def test_heidenhain_steps_are_powers_of_two():
+    text = BY_NAME["heidenhain_com"].write(over(-317.0, 12.3))["Z.COM"]
+    x = np.array([line.split()[1] for line in text.splitlines() if line[:1].isdigit()], dtype=float)
+    steps = np.diff(x) / 1e-4
+    assert np.allclose(np.log2(steps), np.round(np.log2(steps)), atol=1e-3) and x[0] == -317.0 and x[-1] >= 12.3
+
+
+@pytest.mark.parametrize("lost", [0.0, 6.0])
+def test_one_screw_in_two_files_of_one_control_acts_once(tmp_path, lost):
+    """Leadscrew and cross table asked for together: the second holds what the first cannot say, or is left out."""
+    table = over(-300.0, 0.0, lost=lost)
+    parts = [BY_NAME[n] for n in ("sinumerik_lec", "sinumerik_cec")]
+    files = stage.write_targets(table, [p.name for p in parts], tmp_path)
+    assert {f["file"].split("/")[0] for f in files} == {p.name for p in parts[: 2 if lost else 1]}
+    if lost:
+        _, read = stage.write_together(table, parts)
+        (whole,) = _sample.loss(table, read)
+        assert whole.largest < 0.1
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "/tmp/zz", "a/../../b", "a//b", "", "..", "x\ny", "a/.hidden", "~", "C:x", "a\\b"]
+)
+def test_no_name_leaves_the_folder(tmp_path, name):
+    with pytest.raises(VerifyError, match="no name of an exported file"):
+        stage.within(tmp_path, name)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+def test_a_checklist_names_the_readings_at_which_it_holds_and_stays_within_the_travel(target, tmp_path):
+    table = machines.sample(target)
+    stage.write_targets(table, [target.name], tmp_path)
+    text = (tmp_path / target.name / stage.CHECKLIST).read_text()
+    assert "| axis | over |" in text, "an empty list"
+    assert ("T = 22.5" in text or "T = 20" in text) == any(i.name == "T" for i in table.inputs)
+    for row in re.findall(r"^\| \w+ \| (.+?) \| ([-\d., ]+) \|", text, re.M):
+        if row[0] in machines.AXES:
+            low, high = _sample.span(table, row[0])
+            assert low - 1e-3 <= float(row[1]) <= high + 1e-3
