@@ -5,7 +5,7 @@
     X0X Y0X        drift of the origin of a linear axis' frame; X0S A0S: growth and tilt of the spindle
     E_X E_Y E_Z    deviation of the tool point along a direction; E_A E_B E_C its orientation
     E_R E_D        radial deviation in a circular test; deviation of a workpiece's diameter
-    F_X            drive force of an axis
+    F_X F_C        drive force of a linear axis; drive torque of a rotary axis (N m, or N at a stated radius)
 
 Location errors are also written EC0Y, E_C0Y, E_{C0Y}; error motions E_XX, E_{XX}. `parse` takes them all.
 """
@@ -27,7 +27,7 @@ _PARALLEL = {"U": "X", "V": "Y", "W": "Z", "P": "X", "Q": "Y", "R": "Z", "S": "C
 _MOTION = re.compile(rf"^E_?\{{?([XYZABC])([{_LINEAR_AXES}{_ROTARY_AXES}]\d?)\}}?$")
 _LOCATION = re.compile(rf"^(?:E_?)?\{{?([XYZABC])0([{_LINEAR_AXES}{_ROTARY_AXES}]\d?)\}}?$")
 _TOOL_POINT = re.compile(r"^E_([XYZABCUVWRD])$")
-_FORCE = re.compile(rf"^F_([{_LINEAR_AXES}]\d?)$")
+_FORCE = re.compile(rf"^F_([{_LINEAR_AXES}{_ROTARY_AXES}]\d?)$")
 
 Kind = Literal[
     "positioning",
@@ -56,7 +56,7 @@ class Component(Frozen):
     kind: Kind
     direction: str
     axis: str | None = None
-    unit: Literal["um", "urad", "N"]
+    unit: Literal["um", "urad", "N", "N m"]
 
 
 def parse(name: str) -> Component:
@@ -79,7 +79,10 @@ def parse(name: str) -> Component:
         )
         return Component(name=name, kind=kind, direction=direction, unit=_unit(direction))
     if found := _FORCE.match(name):
-        return Component(name=name, kind="force", direction=found.group(1), axis=found.group(1), unit="N")
+        axis = found.group(1)
+        return Component(
+            name=name, kind="force", direction=axis, axis=axis, unit="N" if axis[0] in _LINEAR_AXES else "N m"
+        )
     raise ValueError(
         f"{name!r} is not an ISO 230-1 component (such as EXX, EBX, C0Y, E_Z, E_R, E_D, F_X)."
         + did_you_mean(name.upper(), _COMMON)
@@ -87,8 +90,17 @@ def parse(name: str) -> Component:
 
 
 def unit(name: str) -> str:
-    """Canonical unit of a component: um, urad or N. Raises ValueError."""
+    """Canonical unit of a component: um, urad, N or N m. Raises ValueError."""
     return parse(name).unit
+
+
+def allowed_units(name: str) -> tuple[str, ...]:
+    """Canonical units in which a component may stand: its own, and of a rotary axis' torque also N. Raises ValueError.
+
+    A torque is often recorded as the force that it makes at some radius.
+    """
+    own = unit(name)
+    return (own, "N") if own == "N m" else (own,)
 
 
 def describe(name: str) -> str:
@@ -128,7 +140,7 @@ def describe(name: str) -> str:
             return "radial deviation in a circular test"
         case "diameter":
             return "deviation of the workpiece diameter"
-    return f"drive force of {c.axis}"
+    return f"drive {'force' if c.unit == 'N' else 'torque'} of {c.axis}"
 
 
 def positioning(axis: str) -> str:

@@ -66,8 +66,8 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "depth_of_cut": ("mm", "um"),
     "overhang": ("mm", "m"),
     "cut_length": ("m", "mm", "km"),
-    "error": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad"),
-    "simulated": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad"),
+    "error": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
+    "simulated": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
 }
 
 # Roles whose canonical unit is optional to state (the contract writes them without one).
@@ -102,6 +102,9 @@ _SPELLINGS = {
     "mm/s²": "mm/s2",
     "percent": "%",
     "newton": "N",
+    "n·m": "N m",
+    "n*m": "N m",
+    "newton metre": "N m",
     "degrees": "deg",
     "": "deg",
     "radians": "rad",

@@ -1,7 +1,7 @@
 """Units at the door: what each role may be written in, and how it becomes canonical.
 
 A conversion is affine, `canonical = (value - zero) * factor`, so that degF and K are as plain as inch.
-Everything behind the door is mm, deg, s, mm/s, mm/s2, mm/min, rpm, degC, hPa, N, kg; deviations um, urad.
+Everything behind the door is mm, deg, s, mm/s, mm/s2, mm/min, rpm, degC, hPa, N, kg; deviations um, urad; torques N m.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ _INTO: dict[str, dict[str, tuple[float, float]]] = {
     "hPa": {"hPa": (0, 1), "mbar": (0, 1), "Pa": (0, 1e-2), "kPa": (0, 10), "bar": (0, 1e3)},
     "%": {"%": (0, 1)},
     "N": {"N": (0, 1), "kN": (0, 1e3)},
+    "N m": {"N m": (0, 1), "kN m": (0, 1e3), "N mm": (0, 1e-3), "N cm": (0, 1e-2)},
     "kg": {"kg": (0, 1), "g": (0, 1e-3), "t": (0, 1e3)},
     "um": {"um": (0, 1), "mm": (0, 1e3), "nm": (0, 1e-3)},
     "urad": {"urad": (0, 1), "mrad": (0, 1e3), "arcsec": (0, math.pi / 648e3 * 1e6)},
@@ -50,8 +51,8 @@ _CANONICAL: dict[str, tuple[str, ...]] = {
     "depth_of_cut": ("mm",),
     "overhang": ("mm",),
     "cut_length": ("m",),
-    "error": ("um", "urad", "N"),
-    "simulated": ("um", "urad", "N"),
+    "error": ("um", "urad", "N", "N m"),
+    "simulated": ("um", "urad", "N", "N m"),
 }
 
 

@@ -60,8 +60,9 @@ class WrittenColumn(Column):
         except ValueError as err:
             raise Misplaced(("unit",), str(err)) from None
         if self.role in ("error", "simulated") and convert is not None:
-            wanted = components.unit(str(self.component))
-            if convert.unit != wanted:
+            allowed = components.allowed_units(str(self.component))
+            if convert.unit not in allowed:
+                wanted = " or ".join(allowed)
                 raise Misplaced(("unit",), f"{self.component} is measured in {wanted} (found {self.unit!r})")
         return self
 

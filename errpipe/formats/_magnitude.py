@@ -13,7 +13,7 @@ from errpipe.errors import DataError
 
 # Role -> largest absolute value in its canonical unit; a deviation of a machine tool is below 10 mm or 10 mrad.
 LARGEST: dict[str, dict[str | None, float]] = {
-    role: {"um": 1e6, "urad": 1e6, "N": 1e9} for role in ("error", "simulated")
+    role: {"um": 1e6, "urad": 1e6, "N": 1e9, "N m": 1e9} for role in ("error", "simulated")
 }
 LARGEST_OF_ANY = 1e15  # as in a compensation table: single precision controllers compute with these numbers
 

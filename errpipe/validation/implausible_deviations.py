@@ -111,7 +111,7 @@ def jump(r: Response) -> Finding | None:
 
 def mixed_units(r: Response) -> Finding | None:
     """Runs or directions that hold the same curve 25.4 or 1000 times larger than the others."""
-    if r.position is None or r.component.unit == "N":
+    if r.position is None or r.component.kind == "force":
         return None
     keys = [("run", r.run)] + ([] if r.direction is None else [("direction", r.direction)])
     for what, key in keys:

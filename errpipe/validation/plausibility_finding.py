@@ -50,7 +50,7 @@ class Response:
     def per_unit(self) -> float | None:
         """Deviation of one unit of position (1000 um per mm); None where the two are of different kinds."""
         rotary = self.component.axis is not None and self.component.axis[0] in "ABC"
-        if self.component.unit == "N" or rotary != (self.component.unit == "urad"):
+        if self.component.kind == "force" or rotary != (self.component.unit == "urad"):
             return None
         return URAD_PER_DEG if rotary else 1000.0
 

@@ -29,6 +29,7 @@ from errpipe.domain import components
         ("E_R", "circular", "um"),
         ("E_D", "diameter", "um"),
         ("F_X", "force", "N"),
+        ("F_C", "force", "N m"),
         ("EXU", "positioning", "um"),
         ("ECS", "angular positioning", "urad"),
         ("EXX1", "positioning", "um"),
@@ -90,3 +91,9 @@ def test_location_errors_are_said_as_what_they_are(name, told):
 def test_positioning_of_an_axis():
     assert [components.positioning(a) for a in ("X", "U", "X1", "C")] == ["EXX", "EXU", "EXX1", "ECC"]
     assert components.parse(components.positioning("W")).kind == "positioning"
+
+
+def test_a_torque_may_stand_in_newton_at_a_radius():
+    assert components.allowed_units("F_C") == ("N m", "N")
+    assert components.allowed_units("F_X") == ("N",)
+    assert components.describe("F_C") == "drive torque of C"

@@ -227,6 +227,7 @@ WRONG_MANIFESTS = {
     "axis": ("axis: X, unit", "axis: x, unit", "columns.x.axis: 'x' is not an ISO 841 axis"),
     "component": ("component: EXX", "component: EXZZ", "columns.EXX.component: 'EXZZ' is not an ISO 230-1 component"),
     "unit of the component": ("component: EXX", "component: EBX", "columns.EXX.unit: EBX is measured in urad"),
+    "torque of a linear axis": ("component: EXX, unit: mm", "component: F_X, unit: N m", "F_X is measured in N (found"),
     "two times": ("note: {role: ignore}", "t2: {role: time}", "columns 't' and 't2' are both role time (allowed: one"),
     "unknown key": ("location: nut", "locaton: nut", "columns.T.locaton: unknown key"),
     "epoch": ("unit: min", "unit: min, epoch: yesterday", "columns.t.epoch: 'yesterday' is not ISO 8601"),
