@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from errpipe.errors import DataError
 
-_WORD = re.compile(r"([A-Za-z])\s*([+-]?(?:\d+\.?\d*|\.\d+))")
-_COMMENT = re.compile(r"\([^()]*\)")
+MAX_LINE = 4096  # characters; LinuxCNC reads 255 of them
+_WORD = re.compile(r"([A-Za-z])[ \t]*([+-]?(?:\d+\.?\d*|\.\d+))", re.ASCII)
 _REFUSED = {"[": "an expression in brackets", "#": "a parameter", "{": "a template mark"}
 
 
@@ -45,39 +45,62 @@ class Block:
         """All codes of a letter, such as ('G1', 'G90')."""
         return tuple(w.code for w in self.words if w.letter == letter)
 
+    def has(self, letters: str) -> bool:
+        """Whether a word of any of these letters stands in the block."""
+        return any(w.letter in letters for w in self.words)
+
 
 def refuse(line: int, source: str, why: str) -> DataError:
     """The one form in which a line is refused."""
-    return DataError(f"line {line}: {why}: {source.strip()!r}. The program was left as it is.")
+    shown = source.strip()
+    shown = shown if len(shown) <= 80 else shown[:77] + "..."
+    return DataError(f"line {line}: {why}: {shown!r}. The program was left as it is.")
 
 
 def parse(line: int, source: str) -> Block:
     """Read one line. Raises DataError for expressions, parameters, O-words, ragged words and unclosed comments."""
-    text = source.strip()
+    if len(source) > MAX_LINE:
+        raise refuse(line, source, f"a line of {len(source)} characters (at most {MAX_LINE})")
+    if any((ord(c) < 32 and c != "\t") or ord(c) in (127, 0x85, 0x2028, 0x2029) for c in source):
+        raise refuse(line, source, "a control character in the line")
+    text = source.strip(" \t")
     delete = text.startswith("/")
-    if delete:
-        text = text[1:]
-    comments = _COMMENT.findall(text)
-    text = _COMMENT.sub(" ", text)
-    if ";" in text:
-        text, after = text.split(";", 1)
-        comments.append(";" + after)
-    if "(" in text or ")" in text:
-        raise refuse(line, source, "a comment that is not closed")
+    text, comments = _comments(line, source, text[1:] if delete else text)
+    if text.strip() == "%" and not comments and not delete:
+        return Block(line, source)
     for mark, what in _REFUSED.items():
         if mark in text:
             raise refuse(line, source, f"{what} is not understood")
-    words, rest = [], text
-    for match in _WORD.finditer(text):
-        words.append(Word(match.group(1).upper(), float(match.group(2)), match.group(0).strip()))
-        rest = rest.replace(match.group(0), " ", 1)
-    if rest.strip() not in ("", "%"):
-        raise refuse(line, source, f"{rest.strip()!r} is not a word")
+    words = [Word(m[1].upper(), float(m[2]), m[0].strip()) for m in _WORD.finditer(text)]
+    rest = _WORD.sub(" ", text).strip(" \t")
+    if rest:
+        raise refuse(line, source, f"{rest[:40]!r} is not a word")
     if any(w.letter == "O" for w in words):
         raise refuse(line, source, "a subroutine or loop (O word) is not understood")
     number = next((w.text for w in words if w.letter == "N"), "")
-    kept = tuple(w for w in words if w.letter != "N")
-    letters = [w.letter for w in kept if w.letter not in "GM"]
+    letters = [w.letter for w in words if w.letter not in "GM"]
     if len(set(letters)) != len(letters):
         raise refuse(line, source, "a word occurs twice")
-    return Block(line, source, kept, number, tuple(comments), delete)
+    return Block(line, source, tuple(w for w in words if w.letter != "N"), number, comments, delete)
+
+
+def _comments(line: int, source: str, text: str) -> tuple[str, tuple[str, ...]]:
+    """The text without its comments, and these. What follows a semicolon outside brackets is one comment."""
+    kept, comments, at = [], [], 0
+    while at < len(text):
+        if text[at] == ";":
+            comments.append(text[at:])
+            break
+        if text[at] == "(":
+            end = text.find(")", at)
+            if end < 0 or "(" in text[at + 1 : end]:
+                raise refuse(line, source, "a comment that is not closed")
+            comments.append(text[at : end + 1])
+            kept.append(" ")
+            at = end + 1
+        elif text[at] == ")":
+            raise refuse(line, source, "a comment that is not closed")
+        else:
+            kept.append(text[at])
+            at += 1
+    return "".join(kept), tuple(comments)

@@ -19,6 +19,21 @@ MOTIONS = ("G0", "G1", "G2", "G3")
 HARMLESS_G = {"G4", "G40", "G61", "G61.1", "G64", "G80", "G94", "G95", "G96", "G97", "G98", "G99", "G69", "G50"}
 HARMLESS_M = {f"M{n}" for n in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 30, 48, 49, 50, 51, 52, 53, 60)}
 KNOWN_LETTERS = set("GMFSTPDQHXYZABCIJKR")
+# Of each of these groups one block may hold one code (LinuxCNC's modal groups).
+GROUPS = (
+    {*MOTIONS, "G80"},
+    set(PLANES),
+    {"G20", "G21"},
+    {"G90", "G91"},
+    {"G90.1", "G91.1"},
+    set(OFFSETS),
+    {"G43", "G43.1", "G49"},
+    {"G94", "G95"},
+    {"G61", "G61.1", "G64"},
+)
+LARGEST_COORDINATE = 1e5  # mm or deg: 100 m is longer than any machine, and 277 turns of a table
+LARGEST_RADIUS = 1e7  # mm; also of a centre's distance
+MAX_TURNS = 1000  # of one arc
 
 
 @dataclass(frozen=True)
@@ -46,6 +61,7 @@ class State:
     tool_length: float = 0.0
     position: tuple[float | None, ...] = (None,) * 6
     feed_mode: str = "G94"
+    ended: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,24 +81,64 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
     for word in block.words:
         if word.letter not in KNOWN_LETTERS:
             raise refuse(block.line, block.source, f"the word {word.text} is not understood")
+        largest = LARGEST_COORDINATE if word.letter in LINEAR + ROTARY else LARGEST_RADIUS
+        if word.letter in "XYZABCIJKR" and abs(word.value) > largest:
+            raise refuse(block.line, block.source, f"{word.text[:20]} is beyond any machine (at most {largest:g})")
     for code in block.codes("M"):
         if code not in HARMLESS_M:
             raise refuse(block.line, block.source, f"{code} is not understood")
+    if state.ended and block.words:
+        raise refuse(block.line, block.source, "words after the program's end (M2 or M30)")
+    _one_of_each_group(block)
     state = _modes(block, state, setup)
-    if not any(block.value(a) is not None for a in LINEAR + ROTARY):
+    if {"M2", "M30"} & set(block.codes("M")):
+        state = replace(state, ended=True)
+    if not block.has(LINEAR + ROTARY) or "G43.1" in block.codes("G"):
+        _no_idle_words(block)
         return state, None
-    if "G4" in block.codes("G") or "G43.1" in block.codes("G"):
-        return state, None
+    if "G4" in block.codes("G"):
+        raise refuse(block.line, block.source, "axis words beside a dwell (G4) are not understood")
     if state.motion not in MOTIONS:
         raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
     if state.motion in ("G0", "G1"):
-        for letter in "IJKRP":
+        for letter in "IJKRPQ":
             if block.value(letter) is not None:
                 raise refuse(block.line, block.source, f"the word {letter} beside a straight move is not understood")
     end = _end(block, state)
     centre = _arc(block, state, end) if state.motion in ("G2", "G3") else None
-    motion = Motion(state.motion, state.position, end, state.plane, centre, int(block.value("P") or 1))
+    motion = Motion(state.motion, state.position, end, state.plane, centre, _turns(block))
     return replace(state, position=end), motion
+
+
+def _one_of_each_group(block: Block) -> None:
+    codes = block.codes("G")
+    for group in GROUPS:
+        both = [code for code in codes if code in group]
+        if len(both) > 1:
+            raise refuse(block.line, block.source, f"{' and '.join(both)} in one block contradict each other")
+
+
+def _no_idle_words(block: Block) -> None:
+    """Raises DataError for words that belong to a motion, in a block that makes none: an arc without its end, say."""
+    codes = block.codes("G")
+    if "G4" in codes and block.value("P") is None:
+        raise refuse(block.line, block.source, "a dwell (G4) without its time (P)")
+    meant = {"P": ("G4", "G64"), "Q": ("G64",), "H": ("G43",), "D": ()}
+    for word in block.words:
+        if word.letter in "IJKR":
+            raise refuse(block.line, block.source, f"{word.text} without the axis words of its end is not understood")
+        if word.letter in meant and not set(meant[word.letter]) & set(codes):
+            raise refuse(block.line, block.source, f"{word.text} belongs to nothing in the block")
+
+
+def _turns(block: Block) -> int:
+    """Turns of an arc (P). Raises DataError for what is no number of turns."""
+    given = block.value("P")
+    if given is None:
+        return 1
+    if given != int(given) or not 1 <= given <= MAX_TURNS:
+        raise refuse(block.line, block.source, f"P{given:g} is no number of turns (allowed: 1 to {MAX_TURNS})")
+    return int(given)
 
 
 def _modes(block: Block, state: State, setup: Setup) -> State:
@@ -132,12 +188,12 @@ def _change_tool(block: Block, state: State, setup: Setup, code: str) -> State:
         length = 0.0
     elif code == "G43.1":
         given = block.value("Z")
-        if given is None or block.value("X") is not None or block.value("Y") is not None:
+        if given is None or block.has("XYABC") or set(block.codes("G")) & set(MOTIONS):
             raise refuse(block.line, block.source, "G43.1 is understood with Z alone")
         length = given * (MM_PER_INCH if state.inch else 1.0)
     else:
         number = block.value("H")
-        if number is None or int(number) not in setup.tools:
+        if number is None or number != int(number) or int(number) not in setup.tools:
             which = "H" if number is None else f"H{int(number)}"
             raise refuse(block.line, block.source, f"the tool length of {which} was not given (say --tool H1=120)")
         length = setup.tools[int(number)]
@@ -171,12 +227,18 @@ def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[flo
         raise refuse(block.line, block.source, "an arc from a place that is not known")
     a0, b0, a1, b1 = (float(v) for v in ends if v is not None)
     scale = MM_PER_INCH if state.inch else 1.0
-    radius = block.value("R")
+    radius, across = block.value("R"), CENTRES[PLANES[state.plane][2]]
+    if block.value(across) is not None:
+        raise refuse(block.line, block.source, f"{across} is not a centre in the plane in force ({state.plane})")
+    if radius is not None and block.has("IJK"):
+        raise refuse(block.line, block.source, "an arc with both a radius and a centre")
     if radius is not None:
         return _centre_from_radius(block, (a0, b0), (a1, b1), radius * scale, state.motion == "G2")
     i, j = (block.value(CENTRES[letter]) for letter in (first, second))
     if i is None and j is None:
         raise refuse(block.line, block.source, "an arc without centre (I, J, K) or radius (R)")
+    if state.arc_absolute and (i is None or j is None):
+        raise refuse(block.line, block.source, "an absolute centre (G90.1) needs both its words")
     if state.arc_absolute:
         centre = ((i or 0.0) * scale, (j or 0.0) * scale)
     else:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe.errors import DataError, GateError, UsageError
+from errpipe.errors import DataError, GateError, UsageError, did_you_mean
 from errpipe.stages import _artefacts
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
-    from errpipe.ncprogram.correct import Deviation
+    from errpipe.ncprogram.correct import Summary
     from errpipe.ncprogram.modal import Setup
+    from errpipe.ncprogram.writer import Deviation
 
 MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
 MOVED = ("X", "Y", "Z")
+MAX_LINE_BYTES = 16_385  # of the program; a line of 4096 characters is refused, and a character has at most 4 bytes
+MAX_PRINTED_BYTES = 8_000_000  # of a program that goes to standard output
+MAX_LENGTH = 1e5  # mm; of an offset, a tool, a start
 
 
 def correct(
@@ -31,25 +35,29 @@ def correct(
     longest: float = 25.0,
 ) -> dict[str, Any]:
     """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
-    from errpipe import jsonfile
-    from errpipe.ncprogram.correct import correct as rewrite
+    from errpipe import files
 
-    try:
-        text = Path(program).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise DataError(f"{program}: there is no such file (an NC program is needed)") from None
-    except OSError as err:
-        raise DataError(f"{program}: cannot be read: {(err.strerror or str(err)).lower()}") from None
-    except UnicodeDecodeError as err:
-        raise DataError(f"{program}: not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
     found = _artefacts.read_table(table)
-    deviation = deviation_of(found, at)
-    try:
-        corrected, done = rewrite(
-            text, deviation, setup_of(offsets, tools, start), chord_error=chord_error, longest=longest
-        )
-    except DataError as err:
-        raise DataError(f"{program}, {err}") from None
+    readings = readings_of(found, at)
+    deviation = deviation_of(found, readings)
+    setup = setup_of(offsets, tools, start)
+
+    def rewritten(write: Callable[[str], object]) -> Summary:
+        from errpipe.ncprogram.correct import rewrite
+
+        try:
+            return rewrite(lines_of(program), write, deviation, setup, chord_error=chord_error, longest=longest)
+        except DataError as err:
+            mark = "," if str(err).startswith("line ") else ":"
+            raise DataError(f"{program}{mark} {err}") from None
+
+    parts: list[str] = []
+    if out is None:
+        _refuse_large(program)
+        done = rewritten(parts.append)
+    else:
+        with files.whole(Path(out)) as stream:
+            done = rewritten(lambda text: stream.write(text.encode()))
     result: dict[str, Any] = {
         "moves": done.moves,
         "blocks_in": done.blocks_in,
@@ -59,10 +67,73 @@ def correct(
     }
     if knows_direction(found):
         result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
+    if fading := outside_validity(found, readings):
+        result["outside_what_was_measured"] = fading
     if out is None:
+        corrected = "".join(parts)
         return {**result, "program": corrected, "says": corrected.rstrip("\n")}
-    jsonfile.write_text(Path(out), corrected)
     return {**result, "written": str(out)}
+
+
+def lines_of(program: Path) -> Iterator[str]:
+    """The program's lines without their line feeds, one at a time. Raises DataError where it is not a text file."""
+    from errpipe import files
+
+    try:
+        with files.open_regular(Path(program)) as stream:
+            while raw := stream.readline(MAX_LINE_BYTES):
+                yield raw.decode().removesuffix("\n")
+    except FileNotFoundError:
+        raise DataError("there is no such file (an NC program is needed)") from None
+    except UnicodeDecodeError as err:
+        raise DataError(f"not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
+    except OSError as err:
+        raise DataError(files.why(err)) from None
+
+
+def _refuse_large(program: Path) -> None:
+    """Raises UsageError where a program is too long to be printed."""
+    path = Path(program)
+    if path.is_file() and path.stat().st_size > MAX_PRINTED_BYTES:
+        raise UsageError(f"{program}: too long to be printed ({path.stat().st_size} bytes): name a file (--out FILE)")
+
+
+def readings_of(table: CompensationTable, at: Mapping[str, float]) -> dict[str, float]:
+    """What the table reads besides positions, all of it given. Raises UsageError for what is missing or impossible.
+
+    A temperature that is not given would silently stand at its default, and the correction with it.
+    """
+    import math
+
+    needed = [i for i in table.inputs if i.kind not in ("position", "direction", "tool") and not i.optional]
+    allowed = {i.name: i for i in table.inputs if i.kind != "position"}
+    for name, value in at.items():
+        if name not in allowed:
+            known = ", ".join(allowed) or "none"
+            raise UsageError(
+                f"--at {name}: the table has no such input (inputs: {known}).{did_you_mean(name, allowed)}"
+            )
+        channel = allowed[name]
+        if not (math.isfinite(value) and channel.low <= value <= channel.high):
+            raise UsageError(f"--at {name}={value:g}: not believable (allowed: {channel.low:g} to {channel.high:g})")
+    missing = [i for i in needed if i.name not in at]
+    if missing:
+        words = " ".join(f"--at {i.name}={i.unit or 'VALUE'}" for i in missing)
+        raise UsageError(f"correct: the table reads {', '.join(i.name for i in missing)}: say what it is ({words})")
+    return dict(at)
+
+
+def outside_validity(table: CompensationTable, at: Mapping[str, float]) -> str:
+    """Readings outside what the fit has seen, where the correction fades, in words; '' where there are none."""
+    found = []
+    for channel in table.inputs:
+        if channel.valid is not None and channel.name in at:
+            low, high = channel.valid
+            if not low <= at[channel.name] <= high:
+                found.append(
+                    f"{channel.name}={at[channel.name]:g} lies outside {low:g} to {high:g}: the correction fades"
+                )
+    return "; ".join(found)
 
 
 def knows_direction(table: CompensationTable) -> bool:
@@ -100,11 +171,16 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
     tool = next((i.name for i in table.inputs if i.kind == "tool"), None)
     outputs = [(n, o.axis, MM[o.correction_unit] * o.factor) for n, o in enumerate(table.outputs) if o.axis in MOVED]
     moving = tuple(axes)
+    columns = ["XYZ".index(axis) for axis in moving]
+    evaluators: dict[float, list[batch.Positions]] = {}  # by tool length
 
     def deviation(points: np.ndarray, length: float) -> np.ndarray:
-        readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
-        there, names = points[:, ["XYZ".index(a) for a in moving]], tuple(axes[a] for a in moving)
-        found = np.mean([batch.position(way, there, names, readings) for way in ways], axis=0)
+        if length not in evaluators:
+            readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
+            names = tuple(axes[axis] for axis in moving)
+            evaluators[length] = [batch.Positions(way, names, readings) for way in ways]
+        there = points[:, columns]
+        found = np.mean([evaluate(there) for evaluate in evaluators[length]], axis=0)
         out = np.zeros_like(points)
         for number, axis, factor in outputs:
             out[:, "XYZ".index(axis)] += found[:, number] * factor
@@ -126,7 +202,7 @@ def setup_of(offsets: Sequence[str], tools: Sequence[str], start: str | None) ->
     lengths = {}
     for word in tools:
         name, _, rest = word.partition("=")
-        if not name.startswith("H") or not name[1:].isdigit():
+        if not name.startswith("H") or not name[1:].isdecimal() or len(name) > 9:
             raise UsageError(f"--tool {word}: write H and its number, such as H1=120")
         lengths[int(name[1:])] = _number(f"--tool {word}", rest)
     return Setup(zeros, lengths, None if start is None else _three(f"--start {start}", start))
@@ -142,6 +218,9 @@ def _three(what: str, text: str) -> tuple[float, float, float]:
 
 def _number(what: str, text: str) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
         raise UsageError(f"{what}: {text!r} is not a number") from None
+    if not abs(value) <= MAX_LENGTH:
+        raise UsageError(f"{what}: {text} is not a length in mm (at most {MAX_LENGTH:g})")
+    return value

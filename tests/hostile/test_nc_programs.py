@@ -1,0 +1,223 @@
+"""NC programs that used to be corrected silently wrong, without end, or not at all."""
+
+from __future__ import annotations
+
+import re
+import resource
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from errpipe.errors import DataError
+from errpipe.ncprogram.correct import correct
+from errpipe.ncprogram.modal import Setup
+from errpipe.tables import ect
+from tests.hostile.doors import command, process
+from tests.unit.targets import machines
+
+SETUP = Setup(offsets={"G54": (100.0, 50.0, 0.0), "G55": (300.0, 50.0, 0.0)}, tools={1: 80.0}, start=(100.0, 50.0, 0.0))
+
+
+def too_long_at_plus_x(points: np.ndarray, tool_length: float) -> np.ndarray:
+    """10 um too long at X = +500."""
+    out = np.zeros_like(points)
+    out[:, 0] = 0.010 * points[:, 0] / 500.0
+    return out
+
+
+@pytest.mark.parametrize(
+    "line, why",
+    [
+        ("G2 I-400", "without the axis words of its end"),
+        ("I-400", "without the axis words of its end"),
+        ("G3 R5", "without the axis words of its end"),
+        ("G4 P1 X500", "beside a dwell"),
+        ("G4 X1", "beside a dwell"),
+        ("G4", "without its time"),
+        ("P5", "belongs to nothing"),
+        ("H1", "belongs to nothing"),
+        ("G43.1 Z5 A3", "with Z alone"),
+        ("G43.1 Z5 G1", "with Z alone"),
+        ("G0 G1 X5", "contradict"),
+        ("G90 G91 X5", "contradict"),
+        ("G20 G21", "contradict"),
+        ("G2 X10 Y0 I5 R5", "both a radius and a centre"),
+        ("G2 X10 Y0 I5 K1", "not a centre in the plane"),
+        ("G90.1 G2 X10 Y0 I5", "needs both"),
+        ("G2 X10 Y0 I5 J0 P1.5", "no number of turns"),
+        ("G2 X10 Y0 I5 J0 P99999999", "beyond any machine|no number of turns"),
+        ("G1 X9999999999", "beyond any machine"),
+        ("G0 X1e5", "is not a word|not understood"),
+        ("G1 X99999 Y99999", None),
+        ("G1 X5 A90", "where A stands is not known|None"),
+        ("G1 X50 %", "is not a word"),
+        ("G1 X١", "is not a word"),
+        ("; was\x0cG0 X5", "control character"),
+        ("(a\x85M30)", "control character"),
+        ("(a(b)", "not closed"),
+        ("G1 X5)", "not closed"),
+        ("G1 X" + "0" * 5000 + "5", "characters"),
+        ("G43 H1.5", "was not given"),
+    ],
+)
+def test_refused_at_once_with_its_line(line: str, why: str | None) -> None:
+    began = time.process_time()
+    try:
+        correct("G90 G21 G54 G0 X0 Y0 Z0\n" + line + "\n", too_long_at_plus_x, SETUP)
+        assert why is None or "None" in why
+    except DataError as err:
+        assert why is not None and re.search(why, str(err)) and "line 2" in str(err), str(err)
+    assert time.process_time() - began < 2.0
+
+
+def test_an_arc_of_too_many_segments_is_refused() -> None:
+    with pytest.raises(DataError, match=r"line 2: the path would need \d+ segments"):
+        correct("G0 X0 Y0 Z0\nG2 X90000 Y90000 R80000 P1000\n", too_long_at_plus_x, SETUP, chord_error=1e-6)
+
+
+def test_a_plain_move_that_follows_the_end_is_refused() -> None:
+    with pytest.raises(DataError, match="line 3: words after the program's end"):
+        correct("G0 X0 Y0 Z0\nM2\nG1 X5\n", too_long_at_plus_x, SETUP)
+    text, _ = correct("%\nG0 X0 Y0 Z0\nM2\n%\n\n; done\n", too_long_at_plus_x, SETUP)
+    assert text.splitlines()[-3:] == ["%", "", "; done"]
+
+
+def test_a_commented_out_command_stays_a_comment() -> None:
+    source = "G0 X0 Y0 Z0\nG1 X5 (cut) ; was (LOGOPEN,f) (MSG,x)\n"
+    text, _ = correct(source, too_long_at_plus_x, SETUP)
+    last = text.splitlines()[-1]
+    assert last.endswith(" (cut) ; was (LOGOPEN,f) (MSG,x)")
+    assert last.count("LOGOPEN") == 1
+
+
+def test_a_rotary_axis_turns_along_the_whole_line() -> None:
+    text, _ = correct("G90 G21 G54\nG0 X0 Y0 Z0 A0\nG1 X100 A40 F100\n", too_long_at_plus_x, SETUP, longest=25.0)
+    angles = [float(a) for a in re.findall(r"A([-\d.]+)", text)]
+    assert angles == [0.0, 10.0, 20.0, 30.0, 40.0]
+    text, _ = correct("G90 G21 G54\nG0 X0 Y0 Z0 A0\nG91 G1 X100 A40 F100\n", too_long_at_plus_x, SETUP, longest=25.0)
+    assert [float(a) for a in re.findall(r"A([-\d.]+)", text)] == [0.0, 10.0, 10.0, 10.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    "line", ["G91 G55 G1 X10 Y3", "G91 G43 H1 G1 Z-3", "G91 G20 G1 X1", "G55 G91\nX10", "G20 G91\nX1"]
+)
+def test_increments_start_where_the_axes_stand_after_a_change_of_coordinates(line: str) -> None:
+    """The machine is 10 um too long at X = +500 of the machine: no increment may hold the shift of an offset."""
+    text, _ = correct(f"G90 G21 G54\nG0 X40 Y0 Z0\n{line}\n", too_long_at_plus_x, SETUP, longest=30.0)
+    moved = {k: float(v) for k, v in re.findall(r"([XYZ])([-+\d.]+)", text.splitlines()[-1])}
+    asked = {k: float(v) for k, v in re.findall(r"([XYZ])([-+\d.]+)", line)}
+    for letter in moved:
+        assert moved[letter] == pytest.approx(asked.get(letter, 0.0), abs=0.002)
+
+
+def test_long_programs_stream_to_the_same_text_as_short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    from errpipe.ncprogram import writer
+
+    rng = np.random.default_rng(3)
+    moves = [
+        f"G1 X{x:.3f} Y{y:.3f}" if n % 3 else f"X{x:.3f} (c{n})"
+        for n, (x, y) in enumerate(rng.uniform(0, 300, (500, 2)))
+    ]
+    program = "G90 G21 G54\nG0 X0 Y0 Z0\nF100\n" + "\n".join(moves) + "\nG91\nX1\nM2\n"
+    whole = correct(program, too_long_at_plus_x, SETUP)
+    monkeypatch.setattr(writer, "MAX_POINTS", 7)
+    assert correct(program, too_long_at_plus_x, SETUP) == whole
+
+
+# ---------------------------------------------------------------- the command
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """A table that reads a temperature."""
+    from errpipe.domain import driver as d
+
+    warm = machines.straight("X", 1.0, driver=d.Affine(of=(d.Input(name="T"),), weights=(1.0,), offset=-20.0))
+    ect.write(machines.compile_(("EXX", [warm])), tmp_path / "t.ect")
+    (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X0 Y0 Z0\nG1 X500 F100\n")
+    return tmp_path / "t.ect"
+
+
+@pytest.mark.parametrize(
+    "at, word",
+    [
+        ([], "the table reads T"),
+        (["T=25", "Tnut=5"], "no such input"),
+        (["x=5", "T=25"], "no such input"),
+        (["T=nan"], "not believable"),
+        (["T=1e9"], "not believable"),
+    ],
+)
+def test_a_reading_that_is_not_given_or_not_known_is_refused(
+    table: Path, at: list[str], word: str, capsys: Any
+) -> None:
+    words = [part for reading in at for part in ("--at", reading)]
+    code, text = command("correct", table.parent / "p.ngc", "--table", table, "--start", "0,0,0", *words, capsys=capsys)
+    assert code == 2 and word in text
+
+
+def test_a_reading_outside_what_was_measured_is_said(table: Path, capsys: Any) -> None:
+    from errpipe.cli.app import main
+
+    out = table.parent / "o.ngc"
+    words = ["correct", table.parent / "p.ngc", "--table", table, "--start", "0,0,0", "--out", out]
+    assert main([*map(str, words), "--at", "T=33"]) == 0
+    assert "outside 15 to 30: the correction fades" in capsys.readouterr().out
+    assert main([*map(str, words), "--at", "T=25"]) == 0
+    assert "fades" not in capsys.readouterr().out
+    assert float(out.read_text().splitlines()[-1].split("X")[1].split()[0]) == pytest.approx(500 - 0.005, abs=2e-4)
+
+
+def test_what_is_refused_leaves_the_old_program(table: Path, capsys: Any) -> None:
+    out = table.parent / "o.ngc"
+    out.write_text("old")
+    (table.parent / "p.ngc").write_text("G0 X0 Y0 Z0\n" * 60_000 + "G2 I-400\n")
+    code, text = command(
+        "correct",
+        table.parent / "p.ngc",
+        "--table",
+        table,
+        "--start",
+        "0,0,0",
+        "--at",
+        "T=25",
+        "--out",
+        out,
+        capsys=capsys,
+    )
+    assert code == 3 and "line 60001" in text
+    assert out.read_text() == "old" and sorted(p.name for p in table.parent.iterdir()) == ["o.ngc", "p.ngc", "t.ect"]
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_program_and_time_in_proportion(table: Path) -> None:
+    """Twelve million bytes within 700 MB of address space; four times the program, at most six times the time."""
+    rng = np.random.default_rng(1)
+    lines = "".join(f"G1 X{x:.3f} Y{y:.3f}\n" for x, y in rng.uniform(0, 400, (15_000, 2)).cumsum(axis=0) % 1 + 100)
+    spent = []
+    for times in (9, 36):
+        (table.parent / "p.ngc").write_text("G90 G21 G54\nG0 X0 Y0 Z0\n" + lines * times)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = process(
+            [
+                "correct",
+                table.parent / "p.ngc",
+                "--table",
+                table,
+                "--start",
+                "0,0,0",
+                "--at",
+                "T=25",
+                "--out",
+                table.parent / "o",
+            ],
+            timeout=300,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        assert done.returncode == 0, done.stderr
+        spent.append(after.ru_utime - before.ru_utime)
+    assert after.ru_maxrss < 500_000  # kB, of the largest child so far
+    assert spent[1] < 6 * spent[0]
