@@ -23,6 +23,7 @@ from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 
 VERBS = (
     "check",
+    "import",
     "plan",
     "run",
     "demo",

@@ -25,6 +25,7 @@ Role = Literal[
     "group",
     "position",
     "command",
+    "actual",
     "direction",
     "velocity",
     "acceleration",
@@ -35,6 +36,8 @@ Role = Literal[
     "humidity",
     "coolant",
     "force",
+    "current",
+    "torque",
     "load",
     "depth_of_cut",
     "overhang",
@@ -54,6 +57,7 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "time": ("s", "ms", "min", "h", "d"),
     "position": ("mm", "deg", "m", "um", "inch", "rad"),
     "command": ("mm", "deg", "m", "um", "inch", "rad"),
+    "actual": ("mm", "deg", "m", "um", "inch", "rad"),
     "velocity": ("mm/s", "deg/s", "m/s", "mm/min", "m/min"),
     "acceleration": ("mm/s2", "deg/s2", "m/s2"),
     "feed": ("mm/min", "m/min", "mm/s", "deg/min"),
@@ -62,6 +66,8 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "pressure": ("hPa", "Pa", "kPa", "bar", "mbar"),
     "humidity": ("%",),
     "force": ("N", "kN"),
+    "current": ("A", "mA"),
+    "torque": ("Nm", "Ncm", "mNm"),
     "load": ("kg", "g", "t"),
     "depth_of_cut": ("mm", "um"),
     "overhang": ("mm", "m"),
@@ -117,6 +123,31 @@ class Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+class Derived(Frozen):
+    """How a column that is in no table comes about: one of a difference, a multiple of a column, a constant."""
+
+    minus: tuple[str, str] | None = Field(
+        None, description="First column less the second one; of positions in mm the result is in um, in deg in urad."
+    )
+    of: str | None = Field(None, description="Column of the table whose number, as written, is multiplied.")
+    factor: float = Field(
+        1.0,
+        description="What it is multiplied by, such as the resolution of an encoder or a torque constant.",
+        json_schema_extra={"unit": "the column's unit per unit of `of`"},
+    )
+    offset: float = Field(0.0, description="What is added then.", json_schema_extra={"unit": "of the column"})
+    constant: float | None = Field(
+        None, description="The same value in every row.", json_schema_extra={"unit": "of the column"}
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Derived:
+        ways = [n for n in ("minus", "of", "constant") if getattr(self, n) is not None]
+        if len(ways) != 1:
+            raise ValueError(f"one of minus, of and constant is needed (found: {', '.join(ways) or 'none'})")
+        return self
+
+
 class Column(Frozen):
     """What one column of the tables is."""
 
@@ -126,6 +157,7 @@ class Column(Frozen):
     component: str | None = Field(None, description="Component by ISO 230-1, such as EXX, E_Z or F_X.")
     location: str | None = Field(None, description="Where the sensor sits.")
     of: str | None = Field(None, description="What a group is of: season, day, duty_cycle, machine.")
+    derived: Derived | None = Field(None, description="How the column is computed, where no table holds it.")
     epoch: str | None = Field(None, description="When the time was 0, by ISO 8601.")
 
     @field_validator("unit")
@@ -146,7 +178,10 @@ class Column(Frozen):
     def _complete(self) -> Column:
         if self.role in ("error", "simulated") and self.component is None:
             raise ValueError(f"a column of role {self.role} needs a component, such as EXX or E_Z")
-        if self.role in ("position", "command", "direction", "velocity", "acceleration") and self.axis is None:
+        if (
+            self.role in ("position", "command", "actual", "direction", "velocity", "acceleration")
+            and self.axis is None
+        ):
             raise ValueError(f"a column of role {self.role} needs an axis, such as X")
         return self
 

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 
 from errpipe.domain import components, units
 from errpipe.domain.recording import Column, Manifest
+from errpipe.errors import did_you_mean
 from errpipe.yamlfile import Misplaced
 
 _AXIS = re.compile(r"[A-Z]\d?")
@@ -75,6 +76,8 @@ class WrittenManifest(Manifest):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> WrittenManifest:
+        for column_name, c in self.columns.items():
+            self._derived_from_what_is_there(column_name, c)
         seen: dict[tuple[str | None, ...], str] = {}
         for column_name, c in self.columns.items():
             if c.role in ("run", "time", "error", "simulated"):
@@ -90,3 +93,24 @@ class WrittenManifest(Manifest):
         if len(set(self.tables)) < len(self.tables):
             raise Misplaced(("tables",), "a table is listed twice (its rows would count twice)")
         return self
+
+    def _derived_from_what_is_there(self, column_name: str, c: Column) -> None:
+        """Derived columns name columns that exist: a difference two positions, a multiple a column of the table."""
+        if c.derived is None:
+            return
+        place = ("columns", column_name, "derived")
+        named = c.derived.minus or ((c.derived.of,) if c.derived.of is not None else ())
+        for name in named:
+            if name not in self.columns:
+                near = did_you_mean(str(name), self.columns)
+                raise Misplaced(place, f"there is no column {name!r} (columns: {', '.join(self.columns)}).{near}")
+        if c.derived.of is not None and self.columns[c.derived.of].derived is not None:
+            raise Misplaced(place, f"{c.derived.of!r} is derived itself (allowed: a column of the table)")
+        for name in c.derived.minus or ():
+            if self.columns[name].role not in ("position", "command", "actual"):
+                raise Misplaced(place, f"{name!r} is no position (role {self.columns[name].role})")
+            if self.columns[name].derived is not None and self.columns[name].derived.minus is not None:
+                raise Misplaced(place, f"{name!r} is a difference itself (allowed: a column of the table)")
+        if c.derived.minus is not None and c.unit not in ("um", "urad"):
+            where = ("columns", column_name, "unit")
+            raise Misplaced(where, f"a difference of positions is in um or urad (found {c.unit!r})")

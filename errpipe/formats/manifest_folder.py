@@ -24,7 +24,7 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import DataError
-from errpipe.formats import _tables
+from errpipe.formats import _derived, _tables
 from errpipe.formats._magnitude import refuse_impossible
 
 name = "manifest"
@@ -104,7 +104,7 @@ def canonical(manifest: Manifest) -> Manifest:
         convert = units.conversion(column.role, column.unit)
         columns[column_name] = column if convert is None else column.model_copy(update={"unit": convert.unit})
     constants = {constant_name: _constant(c) for constant_name, c in manifest.constants.items()}
-    return manifest.model_copy(update={"columns": columns, "constants": constants})
+    return _derived.stated(manifest.model_copy(update={"columns": columns, "constants": constants}))
 
 
 def _constant(c: Any) -> Any:
@@ -176,6 +176,8 @@ def _flow(entry: dict[str, Any]) -> str:
 
 
 def _scalar(value: Any) -> str:
+    if isinstance(value, dict):
+        return _flow(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(_scalar, value)) + "]"
     if isinstance(value, str):
@@ -190,7 +192,7 @@ def _scalar(value: Any) -> str:
 
 def _blocks(folder: Path, manifest: Manifest) -> Iterator[dict[str, Any]]:
     """Rows of all tables, converted and checked, a few MB at a time."""
-    kinds = {n: _kind(c.role) for n, c in manifest.columns.items()}
+    kinds = _derived.kinds(manifest, {n: _kind(c.role) for n, c in manifest.columns.items()})
     converts = {n: units.conversion(c.role, c.unit) for n, c in manifest.columns.items()}
     order = _Order(manifest)
     empty = True
@@ -216,13 +218,14 @@ def _kind(role: str) -> str:
 
 def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], order: _Order) -> dict[str, Any]:
     out: dict[str, Any] = {}
+    raw: dict[str, Any] = {}
     for column_name in block.table.column_names:
         role = manifest.columns[column_name].role
         cells = block.table[column_name]
         if role in LABELS:
             out[column_name] = cells.dictionary_encode().combine_chunks()
             continue
-        values = cells.to_numpy()  # a missing cell becomes NaN
+        raw[column_name] = values = cells.to_numpy()  # a missing cell becomes NaN
         if role in ALLOWED:
             _one_of(values, ALLOWED[role], role, column_name, block)
         convert = converts[column_name]
@@ -231,6 +234,12 @@ def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], 
         refuse_impossible(values, role, unit, column_name, block.place)
         out[column_name] = values
     order.check(out, block)
+    if any(c.derived is not None for c in manifest.columns.values()):
+        out = _derived.derive(out, raw, block.table.num_rows, manifest)
+        for column_name in (n for n in out if n not in raw and manifest.columns[n].role not in LABELS):
+            c = manifest.columns[column_name]
+            convert = converts[column_name]
+            refuse_impossible(out[column_name], c.role, convert.unit if convert else None, column_name, block.place)
     return out
 
 

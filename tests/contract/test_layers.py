@@ -21,7 +21,7 @@ LAYERS = (
     ("cli",),
     ("stages",),
     ("pipeline",),
-    ("formats", "cleaning", "validation", "diagnosis", "reporting", "targets", "simulation", "ncprogram"),
+    ("formats", "importing", "cleaning", "validation", "diagnosis", "reporting", "targets", "simulation", "ncprogram"),
     ("models",),
     ("fitting", "kinematics", "tables", "guard"),
     ("terms",),

@@ -1,0 +1,239 @@
+"""What a column probably is, from its header, unit and values: a guess with its reason, for a person to judge."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from errpipe.importing.layout import RawColumn
+
+# What headers are called -> what they hold; English and German. The first pattern that fits wins.
+WORDS: tuple[tuple[str, str], ...] = (
+    (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
+    (r"(zeit|time|datum|date|stamp|uhr)", "time"),
+    (r"^(t|ts|sec|sek)$", "time"),
+    (r"(temp|^t[_ .]|[_ ]t$|tmp|thermo|^pt100|nut_t|°c|degc)", "temperature"),
+    (r"(dir(ection)?|richtung|approach|anfahr|sense|sinn)\b", "direction"),
+    (r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass|serie|trial)\b", "run"),
+    (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc)", "counts"),
+    (r"(torque|drehmoment|moment)", "torque"),
+    (r"(current|strom|\biq\b|\bi_q\b|ampere)", "current"),
+    (r"(force|kraft)", "force"),
+    (r"(spindle ?speed|drehzahl|rpm|s_act)", "spindle_speed"),
+    (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
+    (r"(press|druck|baro)", "pressure"),
+    (r"(humid|feucht)", "humidity"),
+    (r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw)", "error"),
+    (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
+    (r"(accel|beschl)", "acceleration"),
+    (r"(target|soll|nominal|nennwert|command|\bcmd|_cmd|setpoint|demand|sollwert|ref(erence)?\b)", "command"),
+    (
+        r"(actual|\bist\b|istwert|measured|messwert|reading|anzeige|feedback|\bfb\b|_fb|\bact\b|_act\b|encoder|laser|dial|indicator|uhr)",
+        "actual",
+    ),
+    (r"(position|\bpos|^[xyzabcuvw]\d?$|^[xyz]$|weg|^[xyz] ?(axis|achse|-achse))", "position"),
+)
+KIND_OF_UNIT = {
+    "degC": "temperature",
+    "degF": "temperature",
+    "K": "temperature",
+    "counts": "counts",
+    "A": "current",
+    "mA": "current",
+    "Nm": "torque",
+    "rpm": "spindle_speed",
+    "mm/min": "feed",
+    "hPa": "pressure",
+    "%": "humidity",
+    "s": "time",
+    "ms": "time",
+    "um": "error",
+    "urad": "error",
+    "arcsec": "error",
+}
+_AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE)
+_AXIS_ABOVE = re.compile(
+    r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
+)
+UP = (
+    "+",
+    "+1",
+    "1",
+    "up",
+    "auf",
+    "forward",
+    "fwd",
+    "vor",
+    "vorwärts",
+    "pos",
+    "positive",
+    "positiv",
+    "↑",
+    "hin",
+    "u",
+    "→",
+)
+DOWN = (
+    "-",
+    "-1",
+    "down",
+    "ab",
+    "backward",
+    "back",
+    "bwd",
+    "rück",
+    "rückwärts",
+    "neg",
+    "negative",
+    "negativ",
+    "↓",
+    "zurück",
+    "d",
+    "←",
+)
+DATES = (
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%d.%m.%Y %H:%M:%S",
+    "%d.%m.%Y %H:%M",
+    "%d.%m.%y %H:%M:%S",
+    "%d.%m.%y %H:%M",
+    "%m/%d/%Y %H:%M:%S",
+    "%m/%d/%Y %I:%M:%S %p",
+    "%H:%M:%S.%f",
+    "%H:%M:%S",
+)
+
+
+@dataclass(frozen=True)
+class ColumnGuess:
+    """kind: a role, `actual` or `counts`; axis: letter or None; why: the reason, in words."""
+
+    kind: str
+    axis: str | None
+    why: str
+
+
+def guess(column: RawColumn) -> ColumnGuess:
+    """What a column probably is. A column that fits nothing is `ignore`."""
+    text = column.header.lower()
+    axis = axis_in(column.header)
+    for pattern, kind in WORDS:
+        if re.search(pattern, text):
+            kind, why = _settled(kind, column)
+            return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
+    if column.unit in KIND_OF_UNIT:
+        return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
+    if _side(column) is not None and column.values.size > 3:
+        return ColumnGuess("direction", axis, "its values (two signs)")
+    if seconds(column) is not None and not column.numeric:
+        return ColumnGuess("time", axis, "its values (dates)")
+    return ColumnGuess("ignore", axis, "nothing in its name, unit or values says what it is")
+
+
+def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
+    """A kind that the column's unit and values contradict gives way to what they say."""
+    unit = column.unit
+    if kind == "position" and unit in ("um", "urad", "arcsec", "nm"):
+        return "error", f"its unit ({unit}: too small for a position)"
+    if kind == "command" and unit in ("um", "nm"):
+        return "error", f"its unit ({unit}: too small for a position)"
+    if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
+        return KIND_OF_UNIT[unit], f"its unit ({unit})"
+    if kind == "direction" and _side(column) is None:
+        return "ignore", "called a direction, but its values are no two signs"
+    if kind not in ("time", "run", "direction") and not column.numeric:
+        return "ignore", "its values are no numbers"
+    if kind in ("position", "command", "actual") and unit == "counts":
+        return "counts", "its unit (counts)"
+    if kind in ("velocity", "feed") and unit in ("rpm",):
+        return "spindle_speed", f"its unit ({unit})"
+    return kind, ""
+
+
+def axis_in(text: str) -> str | None:
+    """The axis letter that a text names, or None."""
+    found = _AXIS.search(text)
+    return found.group(1).upper() if found else None
+
+
+def axis_above(lines: list[str]) -> str | None:
+    """The axis that the lines above the table name."""
+    for line in lines:
+        found = _AXIS_ABOVE.search(line)
+        if found:
+            return (found.group(1) or found.group(2)).upper()
+    return None
+
+
+def side(text: object) -> float | None:
+    """+1 or -1 of a word for a direction, or None."""
+    word = str(text).strip().lower().removesuffix(".0").rstrip(".")
+    return 1.0 if word in UP else -1.0 if word in DOWN else None
+
+
+def _side(column: RawColumn) -> np.ndarray | None:
+    """The column as +1 and -1, where every filled cell is a direction and both occur."""
+    filled = [c for c in column.cells if c not in (None, "")]
+    signs = [side(c) for c in filled]
+    return np.array(signs, dtype=float) if filled and None not in signs and len(set(signs)) == 2 else None
+
+
+def sides(column: RawColumn) -> np.ndarray:
+    """The column as +1 and -1; empty cells are NaN."""
+    found = [side(c) if c not in (None, "") else None for c in column.cells]
+    return np.array([np.nan if s is None else s for s in found])
+
+
+def seconds(column: RawColumn) -> tuple[np.ndarray, str | None] | None:
+    """A column of dates or clock times as s since its first, and that date by ISO 8601; None where it is none."""
+    texts = [str(c).strip() for c in column.cells if c not in (None, "")]
+    if not texts:
+        return None
+    parse = _parser(texts[0])
+    if parse is None:
+        return None
+    out = np.full(len(column.cells), np.nan)
+    first: datetime | None = None
+    for i, cell in enumerate(column.cells):
+        if cell in (None, ""):
+            continue
+        try:
+            when = parse(str(cell).strip())
+        except ValueError:
+            return None
+        first = first or when
+        try:
+            out[i] = (when - first).total_seconds()
+        except TypeError:  # some stamps with a time zone, some without
+            return None
+    steps = np.flatnonzero(np.diff(out[np.isfinite(out)]) < -43200)  # s: a clock without a date passed midnight
+    dated = first is not None and first.year > 1901
+    if not dated and steps.size:
+        rows = np.flatnonzero(np.isfinite(out))
+        for step in steps:
+            out[rows[step + 1 :]] += 86400.0
+    return out, first.isoformat() if dated and first is not None else None
+
+
+def _parser(text: str):
+    """The function that reads stamps like this one, or None."""
+
+    def iso(t: str) -> datetime:
+        return datetime.fromisoformat(t.replace(",", ".").replace("Z", "+00:00"))
+
+    try:
+        if re.match(r"\d{4}-\d\d", text):
+            iso(text)
+            return iso
+    except ValueError:
+        return None
+    for form in DATES:
+        try:
+            datetime.strptime(text.replace(",", "."), form)
+        except ValueError:
+            continue
+        return lambda t, form=form: datetime.strptime(t.replace(",", "."), form)
+    return None

@@ -1,0 +1,100 @@
+"""Delimited text: CSV and its relatives as spreadsheets, lasers, loggers and scripts write them.
+
+Encodings UTF-8 (with or without a byte order mark), UTF-16 and Windows-1252; separators semicolon, tab, comma, bar or
+runs of blanks; decimal points or commas; any number of lines above the header.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections import Counter
+from pathlib import Path
+
+from errpipe.errors import DataError
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet
+
+name = "delimited text"
+suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
+
+SEPARATORS = (";", "\t", "|", ",")
+LONGEST_LINE = 1 << 16
+SAMPLE_LINES = 400
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether the first bytes are text of one of the encodings."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF8)):
+        return True
+    if b"\0" in head:
+        return _wide(head) is not None
+    control = sum(byte < 9 or 13 < byte < 32 for byte in head)
+    return control <= len(head) // 200
+
+
+def _wide(head: bytes) -> str | None:
+    """UTF-16 without a mark: every second byte of Latin text is zero."""
+    even, odd = head[0::2].count(0), head[1::2].count(0)
+    if odd > 0.4 * len(head) / 2 and even < 0.05 * len(head):
+        return "utf-16-le"
+    return "utf-16-be" if even > 0.4 * len(head) / 2 and odd < 0.05 * len(head) else None
+
+
+def read(path: Path, options: DoorOptions) -> list[Sheet]:
+    """The cells of a text file. Raises DataError where it is no table."""
+    data = path.read_bytes()
+    encoding, text = _decode(path, data)
+    lines = text.splitlines()
+    if any(len(line) > LONGEST_LINE for line in lines[:SAMPLE_LINES]):
+        raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")
+    separator = _separator(lines[:SAMPLE_LINES])
+    rows: list[list[Cell]]
+    if separator == " ":
+        rows = [list(re.split(r"\s+", line.strip())) if line.strip() else [] for line in lines]
+    else:
+        try:
+            rows = [[cell.strip() or None for cell in row] for row in csv.reader(lines, delimiter=separator)]
+        except csv.Error as err:
+            raise DataError(f"{path}: not a table: {err}") from None
+    words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
+    return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}"]).limited()]
+
+
+def _decode(path: Path, data: bytes) -> tuple[str, str]:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        candidates = ["utf-16"]
+    elif (wide := _wide(data[: 1 << 14])) is not None and b"\0" in data[: 1 << 14]:
+        candidates = [wide]
+    else:
+        candidates = ["utf-8-sig", "cp1252", "latin-1"]
+    for encoding in candidates:
+        try:
+            return {"utf-8-sig": "UTF-8", "cp1252": "Windows-1252"}.get(encoding, encoding), data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    raise DataError(f"{path}: not text (tried {', '.join(candidates)})")
+
+
+def _separator(lines: list[str]) -> str:
+    """The separator that splits most lines into the same number of parts (at least two)."""
+    best, most = " ", 0
+    filled = [line for line in lines if line.strip()]
+    for separator in SEPARATORS:
+        counts = Counter(line.count(separator) for line in filled)
+        counts.pop(0, None)
+        if not counts:
+            continue
+        width = counts.most_common(1)[0][0]
+        agree = sum(n for w, n in counts.items() if abs(w - width) <= 1)
+        if separator == "," and _commas_are_decimal(filled):
+            continue
+        if agree > 1.05 * most and agree >= 0.3 * len(filled):
+            best, most = separator, agree
+    return best
+
+
+def _commas_are_decimal(lines: list[str]) -> bool:
+    """Whether commas stand inside numbers and blanks between them: `1,5  2,25`."""
+    decimal = sum(bool(re.fullmatch(r"\s*([+-]?\d+,\d+\s+)+[+-]?\d+,\d+\s*", line)) for line in lines)
+    return decimal > 0.5 * len(lines)

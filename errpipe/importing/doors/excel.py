@@ -1,0 +1,53 @@
+"""Excel workbooks (.xlsx, .xlsm, .xlsb, .xls) and OpenDocument sheets, by python-calamine (extra `excel`)."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Any
+
+from errpipe.errors import DataError, UsageError, did_you_mean
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet
+
+name = "Excel workbook"
+suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+_OLE = b"\xd0\xcf\x11\xe0"
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """A zip or OLE file with a spreadsheet's ending."""
+    return path.suffix.lower() in suffixes and head.startswith((b"PK", _OLE))
+
+
+def read(path: Path, options: DoorOptions) -> list[Sheet]:
+    """The named sheet, else every sheet with at least two rows. Raises DataError, UsageError."""
+    try:
+        from python_calamine import CalamineWorkbook
+    except ImportError:
+        raise UsageError(f"{path}: reading Excel needs python-calamine: pip install 'errpipe[excel]'") from None
+    try:
+        book = CalamineWorkbook.from_path(str(path))
+        names = list(book.sheet_names)
+        if options.sheet is not None and options.sheet not in names:
+            near = did_you_mean(options.sheet, names)
+            raise UsageError(f"{path}: no sheet {options.sheet!r} (sheets: {', '.join(names)}).{near}")
+        chosen = [options.sheet] if options.sheet is not None else names
+        found = [
+            Sheet(n, [[_cell(c) for c in row] for row in book.get_sheet_by_name(n).to_python(skip_empty_area=False)])
+            for n in chosen
+        ]
+    except UsageError:
+        raise
+    except Exception as err:  # calamine raises many kinds, none of them ours
+        raise DataError(f"{path}: not a workbook that can be read ({type(err).__name__})") from None
+    return [sheet.limited() for sheet in found if len(sheet.rows) > 1]
+
+
+def _cell(value: Any) -> Cell:
+    if isinstance(value, bool) or value is None or value == "":
+        return None if value in (None, "") else float(value)
+    if isinstance(value, int | float):
+        return float(value)
+    if isinstance(value, datetime.datetime | datetime.date | datetime.time):
+        return value.isoformat()
+    return value.total_seconds() if isinstance(value, datetime.timedelta) else str(value)

@@ -1,0 +1,59 @@
+"""Logs of LinuxCNC's `halsampler`: numbers separated by blanks, no header, the columns in the order of the pins.
+
+With `-t` the first column counts the samples. The file names neither pins nor period: `--names` and `--period` do.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from errpipe.errors import DataError
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, number
+
+name = "LinuxCNC halsampler"
+suffixes = (".log", ".sampler", ".txt")
+_LINE = re.compile(rb"\s*([+-]?[0-9.]+([eE][+-]?\d+)?[ \t]+)+[+-]?[0-9.]+([eE][+-]?\d+)?\s*")
+PERIOD = 0.001  # s: the servo period of most LinuxCNC machines
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Lines of numbers and blanks only (or `overrun`), from the first line on."""
+    lines = [line for line in head.splitlines()[:-1] if line.strip()][:50]
+    return len(lines) > 2 and all(_LINE.fullmatch(line) or line.strip() == b"overrun" for line in lines)
+
+
+def read(path: Path, options: DoorOptions) -> list[Sheet]:
+    """The samples with a time column. Raises DataError naming the line that does not fit."""
+    rows: list[list[Cell]] = []
+    notes = []
+    width = overruns = 0
+    for n, line in enumerate(path.read_text(encoding="latin-1").splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        if words == ["overrun"]:
+            overruns += 1
+            continue
+        values = [number(word, comma=False) for word in words]
+        width = width or len(values)
+        if len(values) != width or None in values:
+            raise DataError(f"{path}:{n}  {line[:60]!r} is not {width} numbers")
+        rows.append(list(values))
+    if overruns:
+        notes.append(f"{overruns} overruns: samples were lost there")
+    counted = len(rows) > 2 and all(rows[i + 1][0] == rows[i][0] + 1 for i in range(min(len(rows) - 1, 200)))
+    period = options.period or PERIOD
+    names = list(options.names)
+    if counted:
+        notes.append(f"the first column counts samples, {period:g} s apart" + ("" if options.period else " (a guess)"))
+        rows = [[period * (r[0] - rows[0][0]), *r[1:]] for r in rows]
+        names = names if len(names) == width else ["t [s]", *names]
+    else:
+        rows = [[period * i, *r] for i, r in enumerate(rows)]
+        names, width = ["t [s]", *names], width + 1
+        notes.append(f"rows are {period:g} s apart" + ("" if options.period else " (a guess: --period says it)"))
+    if len(names) != width:
+        names = ["t [s]", *(f"pin.{i}" for i in range(width - 1))]
+        notes.append(f"the file names no columns: --names says them, {width - 1} of them, such as x_cmd,x_fb")
+    return [Sheet(path.stem, rows, names, notes).limited()]

@@ -1,0 +1,79 @@
+"""HDF5 files (.h5, .hdf5), by h5py (extra `hdf`). Data sets of one length are the columns of a sheet.
+
+A two-dimensional or compound data set is a sheet of its own; an attribute `units` or `unit` is the unit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from errpipe.errors import DataError, UsageError
+from errpipe.importing.sheet import DoorOptions, Sheet
+
+name = "HDF5"
+suffixes = (".h5", ".hdf5", ".hdf", ".nc")
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+MOST_SETS = 200
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """The signature of HDF5, but not a MATLAB file, which has a header of its own before it."""
+    return head.startswith(SIGNATURE)
+
+
+def read(path: Path, options: DoorOptions) -> list[Sheet]:
+    """Sheets of columns with one length. Raises DataError."""
+    try:
+        import h5py
+    except ImportError:
+        raise UsageError(f"{path}: reading HDF5 needs h5py: pip install 'errpipe[hdf]'") from None
+    found: list[tuple[str, Any, str]] = []
+
+    def visit(key: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.size and len(found) < MOST_SETS:
+            found.append((key, item[()], _unit(item)))
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
+        raise DataError(f"{path}: not an HDF5 file that can be read ({type(err).__name__})") from None
+    return [s.limited() for s in sheets_of(found, path.stem) if options.sheet in (None, s.name)]
+
+
+def _unit(item: Any) -> str:
+    for key in ("units", "unit"):
+        value = item.attrs.get(key)
+        if value is not None:
+            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return ""
+
+
+def sheets_of(found: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
+    """(name, array, unit) of every data set as sheets: the columns of one length and group belong together."""
+    groups: dict[tuple[str, int], list[tuple[str, Any, str]]] = {}
+    sheets = []
+    for key, value, unit in found:
+        array = np.squeeze(np.asarray(value))
+        group, _, leaf = key.rpartition("/")
+        if array.dtype.names:
+            parts = [(n, array[n], "") for n in array.dtype.names if array[n].ndim == 1]
+            groups.setdefault((key, array.size), []).extend(parts)
+        elif array.ndim == 1 and array.size > 1:
+            groups.setdefault((group, array.size), []).append((leaf, array, unit))
+        elif array.ndim == 2 and array.dtype.kind in "iuf" and array.shape[1] <= 64:
+            sheets.append(Sheet(key, np.asarray(array, dtype=float).tolist()))
+    for (group, length), parts in groups.items():
+        header = [f"{n} [{u}]" if u else n for n, _, u in parts]
+        columns = [_cells(a) for _, a, _ in parts]
+        sheets.insert(0, Sheet(group or stem, [[c[i] for c in columns] for i in range(length)], header))
+    return sorted(sheets, key=lambda s: -sum(map(len, s.rows)))
+
+
+def _cells(array: np.ndarray) -> list:
+    if array.dtype.kind in "iufb":
+        return np.asarray(array, dtype=float).tolist()
+    return [v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in array]

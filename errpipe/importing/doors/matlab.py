@@ -1,0 +1,76 @@
+"""MATLAB files (.mat): version 5 to 7 by scipy, version 7.3 by h5py (extra `hdf`). Vectors are columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.importing.sheet import DoorOptions, Sheet
+
+name = "MATLAB"
+suffixes = (".mat",)
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """The text header of a MATLAB file."""
+    return head.startswith(b"MATLAB ")
+
+
+def read(path: Path, options: DoorOptions) -> list[Sheet]:
+    """Variables, and the fields of structures, of one length are the columns of a sheet. Raises DataError."""
+    if path.read_bytes()[:20].startswith(b"MATLAB 7.3"):
+        found = _newer(path)
+    else:
+        from scipy.io import loadmat
+
+        try:
+            file = loadmat(path, squeeze_me=True, struct_as_record=True)
+        except Exception as err:  # scipy raises ValueError, TypeError, zlib.error, ... for damaged files
+            raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
+        found = [part for key, value in file.items() if not key.startswith("__") for part in _parts(key, value)]
+    groups: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
+    sheets = []
+    for group, key, array in found:
+        if array.ndim == 1 and array.size > 1:
+            groups.setdefault((group, array.size), []).append((key, array))
+        elif array.ndim == 2 and array.shape[1] <= 64:
+            sheets.append(Sheet(key, np.asarray(array, dtype=float).tolist()))
+    for (group, length), parts in groups.items():
+        columns = [np.asarray(a, dtype=float).tolist() for _, a in parts]
+        sheets.append(
+            Sheet(group or path.stem, [[c[i] for c in columns] for i in range(length)], [n for n, _ in parts])
+        )
+    sheets.sort(key=lambda s: -sum(map(len, s.rows)))
+    return [s.limited() for s in sheets if options.sheet in (None, s.name)]
+
+
+def _parts(key: str, value: Any, group: str = "") -> list[tuple[str, str, np.ndarray]]:
+    array = np.asarray(value)
+    if array.dtype.names and array.ndim == 0:
+        return [part for n in array.dtype.names for part in _parts(n, array[n].item(), key)]
+    if array.dtype.kind in "iufb" and array.ndim in (1, 2):
+        return [(group, key, array)]
+    return []
+
+
+def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
+    try:
+        import h5py
+    except ImportError:
+        raise DataError(f"{path}: MATLAB 7.3 needs h5py: pip install 'errpipe[hdf]', or save it with -v7") from None
+    found: list[tuple[str, str, np.ndarray]] = []
+
+    def visit(key: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and not key.startswith("#refs#"):
+            group, _, leaf = key.rpartition("/")
+            found.append((group, leaf, np.squeeze(item[()]).T))
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except Exception as err:  # h5py raises OSError, RuntimeError, ValueError for damaged files
+        raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
+    return found

@@ -1,0 +1,58 @@
+"""LabVIEW and NI DIAdem files (.tdms), by npTDMS (extra `tdms`, LGPL). A group is a sheet, a channel a column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from errpipe.errors import DataError, UsageError
+from errpipe.importing.sheet import DoorOptions, Sheet
+
+name = "TDMS"
+suffixes = (".tdms",)
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """The lead-in of a TDMS segment."""
+    return head.startswith(b"TDSm")
+
+
+def read(path: Path, options: DoorOptions) -> list[Sheet]:
+    """Channels of each group, with a time column where the channels state their increment. Raises DataError."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError:
+        raise UsageError(f"{path}: reading TDMS needs npTDMS: pip install 'errpipe[tdms]'") from None
+    try:
+        file = TdmsFile.read(str(path))
+        groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
+        return [_sheet(group).limited() for group in groups]
+    except DataError:
+        raise
+    except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
+        raise DataError(f"{path}: not a TDMS file that can be read ({type(err).__name__})") from None
+
+
+def _sheet(group) -> Sheet:
+    header, columns = [], []
+    step = group.channels()[0].properties.get("wf_increment")
+    for channel in group.channels():
+        values = np.asarray(channel[:])
+        if values.dtype.kind == "M":
+            values = (values - values[0]) / np.timedelta64(1, "s")
+            header.append(f"{channel.name} [s]")
+        elif values.dtype.kind not in "iufb":
+            header.append(channel.name)
+            columns.append([str(v) for v in values])
+            continue
+        else:
+            unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
+            header.append(f"{channel.name} [{unit}]" if unit else channel.name)
+        columns.append(np.asarray(values, dtype=float).tolist())
+    length = max(map(len, columns), default=0)
+    if step and not any(h.lower().startswith("time") for h in header):
+        header.insert(0, "time [s]")
+        columns.insert(0, (float(step) * np.arange(length)).tolist())
+    rows = [[c[i] if i < len(c) else None for c in columns] for i in range(length)]
+    return Sheet(group.name, rows, header)

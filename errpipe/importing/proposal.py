@@ -1,0 +1,270 @@
+"""From guesses to a proposed recording: rows in one order, a manifest, and every guess in words.
+
+Nothing is computed here that the manifest does not state or a note tell.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain import components
+from errpipe.domain.recording import ROLE_UNITS
+from errpipe.errors import DataError, UsageError, did_you_mean
+from errpipe.importing import columns as guessing
+from errpipe.importing import settle, wide
+from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
+
+PLAIN_UNITS = {"inch": ("mm", 25.4), "thou": ("mm", 0.0254)}  # of errors and readings, which the manifest has in mm
+
+
+def propose(layout: Layout, options: ImportOptions) -> Proposal:
+    """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
+    proposal = Proposal(notes=list(layout.notes))
+    if not layout.columns:
+        raise DataError("no column has a value")
+    guesses = {c.header: _said(c, options) or guessing.guess(c) for c in layout.columns}
+    proposal.facts.update(_facts(layout.above))
+    axis = options.axis or _axis(layout, guesses)
+    if axis is None:
+        axis = "X"
+        proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
+    found = wide.find(layout, guesses)
+    if found is not None:
+        _wide(layout, guesses, found, axis, options, proposal)
+    else:
+        _long(layout, guesses, axis, options, proposal)
+    return proposal
+
+
+FACTS = {
+    "machine": r"machine|maschine",
+    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
+    "operator": r"operator|bediener|pr[üu]fer|inspector",
+    "date": r"date|datum",
+    "instrument": r"instrument|messger[äa]t|laser",
+}
+
+
+def _facts(above: list[str]) -> dict[str, str]:
+    """What the lines above a table say of the set-up: `Maschine: VMC 3`."""
+    found = {}
+    for line in above:
+        for name, words in FACTS.items():
+            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
+            if match and name not in found:
+                found[name] = match.group(1).strip()
+    return found
+
+
+def _said(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
+    """What `--set COLUMN.role=...` says of a column."""
+    said = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
+    role = said.get("role")
+    if role is None:
+        return None
+    known = (*ROLE_UNITS, "counts")
+    if role not in known:
+        raise UsageError(f"--set {column.header}.role: no role {role!r}.{did_you_mean(role, known)}")
+    return guessing.ColumnGuess(role, said.get("axis") or guessing.axis_in(column.header), "")
+
+
+def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> str | None:
+    motion = ("command", "position", "actual", "counts", "error")
+    named = [g.axis for g in guesses.values() if g.axis is not None and g.kind in motion]
+    return named[0] if named else guessing.axis_above(layout.above)
+
+
+def _long(
+    layout: Layout, guesses: dict[str, guessing.ColumnGuess], axis: str, options: ImportOptions, p: Proposal
+) -> None:
+    """One row of the file is one row of the recording."""
+    keep = _measured_rows(layout, guesses)
+    dropped = len(keep) - int(keep.sum())
+    if dropped:
+        p.notes.append(f"{dropped} rows without a position, time or reading were left out (sums, remarks, blank lines)")
+    if not keep.any():
+        raise DataError("no row holds a reading")
+    parts = [
+        RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
+    ]
+    for column in parts:
+        add_column(column, guesses[column.header], axis, options, p)
+    settle.settle_positions(p, axis)
+    settle.finish(p, layout, axis, options)
+
+
+def _wide(
+    layout: Layout,
+    guesses: dict[str, guessing.ColumnGuess],
+    found: wide.Wide,
+    axis: str,
+    options: ImportOptions,
+    p: Proposal,
+) -> None:
+    """A row per target becomes a row per reading."""
+    index, run, sides, values = wide.unfold(found)
+    unit, why = found.target.unit, "the column of targets"
+    if unit is None:
+        unit = "deg" if axis[0] in "ABC" else "mm"
+        why += f"; no unit is stated, taken as {unit}"
+    columns, targets = len(found.readings), len(np.unique(found.target.values[index]))
+    p.notes.append(f"wide layout: {columns} columns of readings, {len(set(run))} runs, {targets} targets")
+    p.put("run", run, "from the headers of the columns", role="run")
+    p.put(found.target.header, found.target.values[index], why, role="position", axis=axis, unit=unit)
+    if np.isfinite(sides).all():
+        p.put("direction", sides, "from the headers of the columns", role="direction", axis=axis)
+    _wide_readings(layout, found, values, axis, options, p)
+    for c in layout.columns:
+        if c is found.target or any(c is r for r, _, _ in found.readings):
+            continue
+        g = guesses[c.header]
+        if g.kind in ("temperature", "pressure", "humidity", "feed", "spindle_speed"):
+            cells = [c.cells[i] for i in index]
+            add_column(RawColumn(c.header, c.unit, cells, c.values[index]), g, axis, options, p)
+        else:
+            p.notes.append(f"column {c.header!r} was left out: {g.why}")
+    settle.finish(p, layout, axis, options)
+
+
+def _wide_readings(
+    layout: Layout, found: wide.Wide, values: np.ndarray, axis: str, options: ImportOptions, p: Proposal
+) -> None:
+    component = options.component or components.positioning(axis)
+    stated = [c.unit for c, _, _ in found.readings if c.unit is not None]
+    if len(set(stated)) > 1:
+        raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
+    unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
+    why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
+    if unit in PLAIN_UNITS:
+        plain, factor = PLAIN_UNITS[unit]
+        values, why, unit = values * factor, f"{why}; {unit} written as {plain}", plain
+    if unit is None:
+        unit = unit_by_size(values) if components.unit(component) == "um" else components.unit(component)
+        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+    p.put(component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis)
+
+
+def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> np.ndarray:
+    """Rows in which every position column that has numbers has one."""
+    keep = np.ones(len(layout.columns[0].cells), dtype=bool)
+    for c in layout.columns:
+        if guesses[c.header].kind in ("command", "position") and c.numeric:
+            keep &= np.isfinite(c.values)
+    numbers = [np.isfinite(c.values) for c in layout.columns if c.numeric]
+    return keep & np.any(numbers, axis=0) if numbers else keep & False
+
+
+def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
+    """One column of the file with the role that was guessed."""
+    said = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
+    unit = said.get("unit") or c.unit
+    own = said.get("axis") or g.axis or axis
+    why = "" if said.get("role") else f"{g.kind} by {g.why}"
+    if g.kind == "time":
+        _time(c, unit, why, p)
+    elif g.kind == "direction":
+        p.put(c.header, guessing.sides(c), why, role="direction", axis=own)
+    elif g.kind in ("run", "group"):
+        p.put(c.header, [_label(x) for x in c.cells], why, role=g.kind, of=said.get("of"))
+    elif g.kind in ("command", "position", "actual"):
+        unit, why = _unit_or(unit, "deg" if own[0] in "ABC" else "mm", why)
+        p.put(c.header, c.values, why, role=g.kind, axis=own, unit=unit)
+    elif g.kind == "counts":
+        _counts(c, own, why, options, p)
+    elif g.kind in ("error", "simulated"):
+        component = said.get("component") or options.component or component_in(c.header)
+        _response(c, g.kind, own, options.unit or unit, why, component, p)
+    elif g.kind == "current":
+        unit, why = _unit_or(unit, "A", why)
+        name = p.put(c.header, c.values, why, role="current", axis=own, unit=unit)
+        if options.torque_constant is not None:
+            amps = options.torque_constant * (1e-3 if unit == "mA" else 1.0)
+            p.put(f"torque_{own}", None, role="torque", axis=own, unit="Nm", derived={"of": name, "factor": amps})
+    elif g.kind in ROLE_UNITS and g.kind != "ignore":
+        allowed = ROLE_UNITS[g.kind]
+        if allowed:
+            unit, why = _unit_or(unit if unit in allowed else None, allowed[0], why)
+        moving = g.kind in ("velocity", "acceleration", "force", "torque")
+        place = said.get("location") or (c.header if g.kind == "temperature" else None)
+        p.put(c.header, c.values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)
+    else:
+        p.put(c.header, c.values if c.numeric else [_label(x) for x in c.cells], g.why, role="ignore")
+
+
+def _label(cell: Any) -> str:
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return "" if cell is None else str(cell).strip()
+
+
+def _unit_or(unit: str | None, usual: str, why: str) -> tuple[str, str]:
+    if unit is not None:
+        return unit, why
+    return usual, f"{why}; no unit is stated, taken as {usual}".strip("; ")
+
+
+def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
+    stamps = guessing.seconds(c) if not c.numeric else None
+    if p.first("time") is not None:
+        p.put(c.header, [_label(x) for x in c.cells], "a second clock", role="ignore")
+    elif stamps is not None:
+        p.put("t", stamps[0], f"{why}; dates written as s since the first row", role="time", unit="s", epoch=stamps[1])
+    elif c.numeric:
+        unit, why = _unit_or(unit if unit in ROLE_UNITS["time"] else None, "s", why)
+        p.put(
+            c.header,
+            c.values - np.nanmin(c.values) if np.nanmin(c.values) > 1e8 else c.values,
+            why,
+            role="time",
+            unit=unit,
+        )
+    else:
+        p.put(c.header, [_label(x) for x in c.cells], "a date that is not understood", role="ignore")
+
+
+def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Proposal) -> None:
+    if options.resolution is None:
+        p.put(c.header, c.values, f"{why}; counts need --resolution (mm or deg of one count)", role="ignore")
+        return
+    name = p.put(c.header, c.values, why, role="ignore")
+    unit = "deg" if axis[0] in "ABC" else "mm"
+    derived = {"of": name, "factor": options.resolution}
+    p.put(f"actual_{axis}", None, role="actual", axis=axis, unit=unit, derived=derived)
+
+
+def _response(
+    c: RawColumn, role: str, axis: str, unit: str | None, why: str, said: dict[str, str], p: Proposal
+) -> None:
+    """An error or simulated column; inches are converted, a missing unit is judged by the size of the readings."""
+    if component is None:
+        component = components.positioning(axis)
+        why += f"; component {component} from the axis"
+    values = c.values
+    wanted = components.unit(component)
+    if unit in PLAIN_UNITS:
+        plain, factor = PLAIN_UNITS[unit]
+        values, why, unit = values * factor, f"{why}; {unit} written as {plain}", plain
+    if unit is None:
+        unit = wanted if wanted != "um" else unit_by_size(values)
+        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+    p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis)
+
+
+def component_in(text: str) -> str | None:
+    """The ISO 230-1 component that a header names, or None."""
+    for word in re.findall(r"[A-Z][A-Z0-9_]{2,4}", text):
+        try:
+            return components.parse(word).name
+        except ValueError:
+            continue
+    return None
+
+
+def unit_by_size(values: np.ndarray) -> str:
+    """um or mm: readings that are all below 1 and have steps below 0.05 are mm (a hundredth of a dial), others um."""
+    size = np.abs(values[np.isfinite(values)])
+    return "mm" if size.size and float(size.max()) < 1.0 else "um"

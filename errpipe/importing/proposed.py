@@ -1,0 +1,68 @@
+"""A proposed recording: its columns, what the manifest says of each, and every guess in words."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What a person says on the command line instead of leaving it to a guess.
+
+    resolution: mm (deg) of one encoder count; torque_constant: N m per A; sets: column -> key -> value.
+    """
+
+    axis: str | None = None
+    component: str | None = None
+    unit: str | None = None
+    sign: Literal["actual-minus-commanded", "commanded-minus-actual"] | None = None
+    resolution: float | None = None
+    torque_constant: float | None = None
+    title: str = ""
+    machine: str = ""
+    sets: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+@dataclass
+class Proposal:
+    """Rows by column name, the manifest's entry of each column, what was guessed of it, and notes on the whole."""
+
+    data: dict[str, Any] = field(default_factory=dict)  # column -> float array (NaN: empty) or list of texts
+    entries: dict[str, dict[str, Any]] = field(default_factory=dict)
+    guesses: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    facts: dict[str, str] = field(default_factory=dict)  # of the set-up, from the lines above the table
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return max((len(v) for v in self.data.values()), default=0)
+
+    def put(self, name: str, values: Any, why: str = "", **entry: Any) -> str:
+        """Add a column under a name that is free; returns that name."""
+        base, n = slug(name), 2
+        found = base
+        while found in self.entries:
+            found, n = f"{base}_{n}", n + 1
+        self.entries[found] = {k: v for k, v in entry.items() if v is not None}
+        if values is not None:
+            self.data[found] = values
+        if why:
+            self.guesses[found] = why
+        return found
+
+    def first(self, role: str, axis: str | None = None) -> str | None:
+        """The first column of a role (and axis)."""
+        return next((n for n, e in self.entries.items() if e["role"] == role and axis in (None, e.get("axis"))), None)
+
+
+def slug(text: str) -> str:
+    """A header as a plain column name: letters, digits and underscores."""
+    for letter, plain in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("µ", "u"), ("μ", "u"), ("°", "deg")):
+        text = text.replace(letter, plain).replace(letter.upper(), plain.capitalize())
+    plain_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9]+", "_", plain_text).strip("_")
+    return (f"c_{name}" if not name or name[0].isdigit() else name)[:60]

@@ -1,0 +1,70 @@
+"""The cells of a measurement file, before anything is known of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+from errpipe.errors import DataError
+
+Cell = str | float | None
+MOST_CELLS = 12_000_000  # about 1 GB of Python objects at 80 bytes each would be 12 million
+MINUS = str.maketrans({"−": "-", "–": "-", "\u00a0": "", "\u202f": ""})
+_PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
+
+
+@dataclass(frozen=True)
+class DoorOptions:
+    """What a person may say about a file. names: of the columns where it has no header; period: s between rows."""
+
+    sheet: str | None = None
+    names: tuple[str, ...] = ()
+    period: float | None = None
+
+
+@dataclass
+class Sheet:
+    """One table of cells. header: its column names where the file states them apart; notes: what the door says."""
+
+    name: str
+    rows: list[list[Cell]]
+    header: list[str] | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def limited(self) -> Sheet:
+        """The sheet itself. Raises DataError where it holds more cells than memory should be spent on."""
+        cells = sum(len(row) for row in self.rows)
+        if cells > MOST_CELLS:
+            raise DataError(f"{self.name}: {cells} cells (at most {MOST_CELLS} are imported; split the file)")
+        return self
+
+
+def number(cell: Any, comma: bool) -> float | None:
+    """A cell as a number, or None. comma: whether the file writes decimal commas."""
+    if isinstance(cell, float):
+        return cell
+    if isinstance(cell, int):
+        return float(cell)
+    if not cell:
+        return None
+    text = str(cell).strip().translate(MINUS).replace(" ", "")
+    if len(text) > 40:
+        return None
+    if comma and (_COMMA.fullmatch(text) or _GROUPED.fullmatch(text)):
+        text = text.replace(".", "").replace(",", ".")
+    return float(text) if _PLAIN.fullmatch(text) else None
+
+
+def decimal_comma(rows: list[list[Cell]]) -> bool:
+    """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points."""
+    commas = points = 0
+    for row in rows[:2000]:
+        for cell in row:
+            if isinstance(cell, str) and cell:
+                text = cell.strip().translate(MINUS)
+                commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None
+                points += "." in text and _PLAIN.fullmatch(text) is not None
+    return commas > points

@@ -1,0 +1,253 @@
+"""`errpipe import`: files as labs and shops have them into a recording folder, every guess shown and confirmed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from errpipe.importing.proposed import ImportOptions, Proposal
+    from errpipe.importing.sheet import DoorOptions
+
+TABLE = "recording.csv"
+DIGITS = 12  # of a number in the table: more than any instrument has
+
+
+def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
+    """The proposed recording of some files, and what is to be shown before it is confirmed.
+
+    Raises DataError for a file that cannot be read, UsageError for an option that does not fit.
+    """
+    from errpipe.importing.doors import open_file
+    from errpipe.importing.layout import lay_out
+    from errpipe.importing.proposal import propose
+
+    parts, sources = [], []
+    for file in files:
+        vendor = _of_known_format(Path(file))
+        if vendor is not None:
+            parts.append(vendor)
+            sources.append({"file": Path(file).name, "kind": "a format with a door of its own", "rows": vendor.rows})
+            continue
+        kind, sheets = open_file(Path(file), door)
+        found, problems = None, []
+        for sheet in sheets:
+            try:
+                found = propose(lay_out(sheet, door.names), options)
+            except DataError as err:
+                problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
+                continue
+            where = f"{kind}, {sheet.name}" if len(sheets) > 1 else kind
+            sources.append({"file": Path(file).name, "kind": where, "rows": found.rows})
+            break
+        if found is None:
+            raise DataError(f"{file}: {'; '.join(problems)}")
+        parts.append(found)
+    whole = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
+    shown = _shown(whole, sources)
+    return whole, {**shown, "checks": _plausible(whole, options)}
+
+
+def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path]) -> dict[str, Any]:
+    """Write the confirmed recording: `recording.yaml` with a comment beside every guess, and `recording.csv`."""
+    from errpipe import jsonfile
+    from errpipe.formats import manifest_folder
+
+    manifest = _manifest(proposal, options, files)
+    jsonfile.write_text(Path(folder) / TABLE, _csv(proposal))
+    text = _commented(manifest_folder.manifest_text(manifest), proposal)
+    jsonfile.write_text(Path(folder) / manifest_folder.MANIFEST, text)
+    manifest_folder.load_manifest(Path(folder))
+    return {
+        "folder": str(folder),
+        "rows": proposal.rows,
+        "says": [
+            f"{Path(folder) / manifest_folder.MANIFEST}: {proposal.rows} rows, {len(proposal.entries)} columns",
+            f"next: errpipe init --template NAME DIR --recording {folder}, or errpipe check {folder}",
+        ],
+    }
+
+
+def _of_known_format(file: Path) -> Proposal | None:
+    """A file of a vendor's own format (`errpipe formats`), as its door reads it."""
+    import numpy as np
+
+    from errpipe import formats
+    from errpipe.importing.proposed import Proposal
+
+    if not file.exists():
+        raise DataError(f"{file}: no such file")
+    if file.is_dir() or not any(f.sniff(file) for f in formats.FORMATS):
+        if file.is_dir():
+            raise DataError(f"{file}: a folder (allowed: files)")
+        return None
+    recording = formats.read(file)
+    proposal = Proposal(notes=[f"{file.name} is of the format {formats.detect(file).name}: nothing is guessed"])
+    for name, column in recording.manifest.columns.items():
+        if name in recording.frame:
+            text = column.role in ("run", "group")
+            values: Any = recording.frame[name].astype(str).tolist() if text else np.asarray(recording.array(name))
+            proposal.put(name, values, **column.model_dump(exclude_none=True))
+    return proposal
+
+
+def _together(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
+    """Files of one layout one after another; the runs of each carry its name."""
+    import numpy as np
+
+    from errpipe.importing.proposed import Proposal
+
+    first = parts[0]
+    for other, stem in zip(parts[1:], stems[1:], strict=True):
+        if other.entries.keys() != first.entries.keys():
+            odd = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
+            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {odd})")
+    whole = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
+    run = whole.first("run")
+    if run is None:
+        run = whole.put("run", None, "one run for each file", role="run")
+        whole.entries = {run: whole.entries.pop(run), **whole.entries}
+    for name in first.data:
+        values = [part.data[name] for part in parts]
+        whole.data[name] = (
+            [v for part in values for v in part] if isinstance(values[0], list) else np.concatenate(values)
+        )
+    labels = []
+    for part, stem in zip(parts, stems, strict=True):
+        own = part.data.get(run)
+        labels += [f"{stem}-{label}" for label in own] if own is not None else [stem] * part.rows
+    whole.data[run] = labels
+    return whole
+
+
+def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path]) -> Any:
+    from errpipe.domain.recording import Manifest
+
+    title = options.title or ", ".join(Path(f).stem for f in files)
+    columns = {name: dict(entry) for name, entry in proposal.entries.items()}
+    for said, keys in options.sets.items():
+        from errpipe.importing.proposed import slug
+
+        name = slug(said)
+        if name in columns:
+            columns[name] |= {k: v for k, v in keys.items() if k in ("unit", "axis", "component", "location", "of")}
+    facts = dict(proposal.facts)
+    machine = options.machine or facts.pop("machine", "")
+    document: dict[str, Any] = {"recording": 1, "title": title, "machine": machine, "tables": [TABLE]}
+    document |= {"constants": {name: {"value": text} for name, text in facts.items()}, "columns": columns}
+    try:
+        return Manifest.model_validate(document)
+    except ValueError as err:
+        first = err.errors()[0] if hasattr(err, "errors") else {"loc": (), "msg": str(err)}
+        raise UsageError(f"import: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+
+
+def _csv(proposal: Proposal) -> str:
+    import csv
+    import io
+
+    names = [n for n in proposal.entries if n in proposal.data]
+    columns = [[_written(v) for v in proposal.data[n]] for n in names]
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(zip(*columns, strict=True))
+    return stream.getvalue()
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, str):
+        return re.sub(r"[\x00-\x1f]+", " ", value)
+    return "" if value != value else f"{float(value):.{DIGITS}g}"
+
+
+def _commented(text: str, proposal: Proposal) -> str:
+    lines = []
+    for line in text.splitlines():
+        name = line.strip().split(":", 1)[0].strip('"')
+        why = proposal.guesses.get(name) if line.startswith("  ") else None
+        lines.append(f"{line}  # guess, confirmed: {' '.join(why.split())}" if why else line)
+    head = ["# Written by errpipe import. Comments say what was guessed and confirmed; mend a line where it is wrong."]
+    return "\n".join([*head, *(f"# {' '.join(note.split())}" for note in proposal.notes), *lines, ""])
+
+
+def _shown(proposal: Proposal, sources: list[dict[str, Any]]) -> dict[str, Any]:
+    """What a person sees before confirming: the files, every column with its guess, the notes."""
+    lines = [f"{s['file']}: {s['kind']}, {s['rows']} rows" for s in sources]
+    lines += [f"  note: {note}" for note in proposal.notes]
+    width = max(len(n) for n in proposal.entries)
+    for name, entry in proposal.entries.items():
+        facts = [entry["role"], *(str(entry[k]) for k in ("component", "axis", "unit", "of") if entry.get(k))]
+        lines.append(
+            f"  {name:<{width}}  {' '.join(facts)}" + (f"  = {_way(entry['derived'])}" if "derived" in entry else "")
+        )
+        if name in proposal.guesses:
+            lines.append(f"  {'':<{width}}    guess: {proposal.guesses[name]}")
+    columns = [{"name": n, **e, "guess": proposal.guesses.get(n, "")} for n, e in proposal.entries.items()]
+    return {"sources": sources, "notes": proposal.notes, "columns": columns, "says": lines}
+
+
+def _way(derived: dict[str, Any]) -> str:
+    if derived.get("minus"):
+        return " - ".join(derived["minus"])
+    if derived.get("of"):
+        return f"{derived.get('factor', 1.0):g} * {derived['of']}"
+    return f"{derived['constant']:g}"
+
+
+def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
+    """Everything implausible about the proposed recording, in words."""
+    import pandas as pd
+
+    from errpipe.domain import units
+    from errpipe.domain.recording import Recording
+    from errpipe.formats import _derived, manifest_folder
+    from errpipe.validation import plausibility
+
+    manifest = _manifest(proposal, options, [Path("x")])
+    raw, out = dict(proposal.data), {}
+    for name, values in raw.items():
+        column = manifest.columns[name]
+        try:
+            convert = units.conversion(column.role, column.unit)
+        except ValueError as err:
+            raise UsageError(f"import: {name}: {err}") from None
+        out[name] = values if convert is None else convert(values)
+    columns = _derived.derive(out, raw, proposal.rows, manifest)
+    found = plausibility.findings(Recording(manifest_folder.canonical(manifest), pd.DataFrame(columns)))
+    return [str(f) for f in found]
+
+
+def options_of(**said: Any) -> ImportOptions:
+    """Options of the command line. Raises UsageError for a `--set` that is not COLUMN.key=value."""
+    from errpipe.importing.proposed import ImportOptions
+
+    sets: dict[str, dict[str, str]] = {}
+    keys = ("role", "unit", "axis", "component", "location", "of")
+    for text in said.pop("sets"):
+        left, equals, value = text.partition("=")
+        name, dot, key = left.rpartition(".")
+        if not equals or not dot or not name or key not in keys:
+            raise UsageError(f"--set {text}: not of the form COLUMN.key=value (keys: {', '.join(keys)})")
+        sets.setdefault(name, {})[key] = value.strip()
+    options = ImportOptions(**said, sets=sets)
+    if options.component is not None:
+        from errpipe.domain import components
+
+        try:
+            components.parse(options.component)
+        except ValueError as err:
+            raise UsageError(f"--component {err}") from None
+    if options.axis is not None and not re.fullmatch(r"[A-Z]\d?", options.axis):
+        raise UsageError(f"--axis {options.axis}: not an axis (allowed: a capital letter such as X, X1, C)")
+    return options
+
+
+def plain(shown: dict[str, Any]) -> dict[str, Any]:
+    """What was shown, without the lines for people."""
+    return {k: (asdict(v) if hasattr(v, "__dataclass_fields__") else v) for k, v in shown.items() if k != "says"}

@@ -1,0 +1,374 @@
+"""Files of many dialects hold one known test: whatever the file, the recording is the same, sign and all."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from errpipe.cli.app import main
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, ErrpipeError, UsageError
+from errpipe.formats import manifest_folder
+from errpipe.importing.sheet import DoorOptions
+from errpipe.stages import import_files
+
+TARGETS = np.linspace(0, 600, 13)
+
+
+def deviation(run: int, side: float) -> np.ndarray:
+    """The known deviation at every target in um: 10 um too long at the far end, 4 um of lost motion."""
+    return np.round(TARGETS / 60 + 3 * np.sin(TARGETS / 80) - 2 * side + 0.1 * run, 1)
+
+
+def number(value: float, mark: str, digits: int = 4) -> str:
+    return f"{value:.{digits}f}".replace(".", mark)
+
+
+def long_rows() -> list[tuple[str, float, float, float]]:
+    """(run, target, side, deviation in um) in the order of measuring."""
+    rows = []
+    for run in range(1, 4):
+        for side in (1.0, -1.0):
+            order = range(13) if side > 0 else range(12, -1, -1)
+            rows += [(str(run), TARGETS[i], side, deviation(run, side)[i]) for i in order]
+    return rows
+
+
+def imported(tmp_path: Path, file: Path | list[Path], door: DoorOptions | None = None, **said: Any) -> Recording:
+    """The recording of a file, written and read back."""
+    files = file if isinstance(file, list) else [file]
+    options = import_files.options_of(sets=said.pop("sets", []), **said)
+    proposal, _ = import_files.prepare(files, door or DoorOptions(), options)
+    import_files.write(proposal, tmp_path / "rec", options, files)
+    return manifest_folder.read(tmp_path / "rec")
+
+
+def holds_the_truth(recording: Recording) -> None:
+    """The recording says what was measured: target, side and deviation of every reading."""
+    (error,) = recording.names("error", component="EXX")
+    place = recording.name("command", axis="X") or recording.name("position", axis="X")
+    side = recording.name("direction", axis="X")
+    assert place and side
+    run = recording.frame[recording.name("run")].astype(str)
+    found = {
+        (r[-1], x, s): d
+        for r, x, s, d in zip(run, recording.array(place), recording.array(side), recording.array(error), strict=True)
+    }
+    for label, x, s, d in long_rows():
+        assert found[label, x, s] == pytest.approx(d, abs=1e-6), (label, x, s)
+
+
+WORDS = {"sign": ("+", "-"), "english": ("up", "down"), "german": ("auf", "ab"), "number": ("1", "-1")}
+
+
+@pytest.mark.parametrize(
+    ("separator", "mark", "encoding", "words"),
+    [
+        *itertools.product((";", "\t", "|"), (",", "."), ("utf-8", "utf-16", "cp1252"), ("sign", "german")),
+        (",", ".", "utf-8-sig", "english"),
+        (",", ".", "utf-8", "number"),
+    ],
+)
+def test_a_long_table_in_any_dialect(tmp_path: Path, separator: str, mark: str, encoding: str, words: str) -> None:
+    lines = ["Messprotokoll Größe 5", "Maschine: VMC 3", "Prüfer: A. Müller", ""]
+    lines.append(separator.join(["Lauf", "Soll [mm]", "Richtung", "Abw. Ist-Soll [µm]"]))
+    for run, x, s, d in long_rows():
+        lines.append(separator.join([run, number(x, mark), WORDS[words][s < 0], number(d, mark)]))
+    lines.append(separator.join(["", "Mittel", "", number(3.2, mark)]))
+    file = tmp_path / "test.csv"
+    file.write_bytes("\r\n".join(lines).encode(encoding, errors="replace"))
+    recording = imported(tmp_path, file)
+    holds_the_truth(recording)
+    assert recording.manifest.machine == "VMC 3"
+    assert recording.manifest.constants["operator"].value.endswith("ller")
+
+
+HEADERS = {
+    "lauf auf ab": [f"Lauf {r} {w} [µm]" for r in (1, 2, 3) for w in ("auf", "ab")],
+    "run up down": [f"Run {r} {w} (um)" for r in (1, 2, 3) for w in ("up", "down")],
+    "1+ 1-": [f"{r}{w}" for r in (1, 2, 3) for w in ("+", "-")],
+    "arrows": [f"#{r} {w} µm" for r in (1, 2, 3) for w in ("↑", "↓")],
+}
+
+
+@pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
+@pytest.mark.parametrize("mark", [",", "."])
+def test_a_wide_table(tmp_path: Path, header: list[str], mark: str) -> None:
+    file = tmp_path / "wide.csv"
+    file.write_text("\n".join(wide_lines(["Soll [mm]", *header], mark)), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, file))
+
+
+def wide_lines(header: list[str], mark: str, scale: float = 1.0) -> list[str]:
+    lines = ["X-Achse;;;;;;", ";".join(header)]
+    for i, x in enumerate(TARGETS):
+        cells = [deviation(r, s)[i] * scale for r in (1, 2, 3) for s in (1.0, -1.0)]
+        lines.append(";".join([number(x, mark, 1), *(number(c, mark, 5) for c in cells)]))
+    return lines
+
+
+def test_groups_above_the_names_and_a_unit_row(tmp_path: Path) -> None:
+    lines = wide_lines(["", "Run 1", "", "Run 2", "", "Run 3", ""], ".")
+    lines[2:2] = ["Target;up;down;up;down;up;down", "mm;µm;µm;µm;µm;µm;µm"]
+    file = tmp_path / "grouped.csv"
+    file.write_text("\n".join(lines), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, file))
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("mm", 1e-3), ("in", 1e-3 / 25.4), ("thou", 1 / 25.4), ("µm", 1.0)])
+def test_readings_in_other_units(tmp_path: Path, unit: str, scale: float) -> None:
+    header = ["Target [mm]", *(f"Run {r} {w} [{unit}]" for r in (1, 2, 3) for w in ("up", "down"))]
+    lines = wide_lines(header, ".")[:2]
+    for i, x in enumerate(TARGETS):
+        cells = [deviation(r, s)[i] * scale for r in (1, 2, 3) for s in (1.0, -1.0)]
+        lines.append(";".join([str(x), *map(repr, map(float, cells))]))
+    (tmp_path / "w.csv").write_text("\n".join(lines), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "w.csv"))
+
+
+@pytest.mark.parametrize("words", ["Abw. (Soll-Ist) [um]", "nominal minus actual [um]", "target - measured [um]"])
+def test_a_file_that_says_commanded_minus_actual_is_turned(tmp_path: Path, words: str) -> None:
+    lines = [f"Run;Target [mm];Dir;{words}"] + [f"{r};{x};{s:+.0f};{-d}" for r, x, s, d in long_rows()]
+    (tmp_path / "s.csv").write_text("\n".join(lines), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "s.csv")
+    holds_the_truth(recording)
+    text = (tmp_path / "rec" / "recording.yaml").read_text(encoding="utf-8")
+    assert "factor: -1.0" in text and "the sign is turned" in text
+
+
+def test_a_person_says_the_sign(tmp_path: Path) -> None:
+    lines = ["Run;Target [mm];Dir;Deviation [um]"] + [f"{r};{x};{s:+.0f};{-d}" for r, x, s, d in long_rows()]
+    (tmp_path / "s.csv").write_text("\n".join(lines), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "s.csv", sign="commanded-minus-actual"))
+
+
+@pytest.mark.parametrize(
+    "header", ["commanded;dial reading", "Soll [mm];Ist [mm]", "target_mm;measured_mm", "x_cmd;x_fb"]
+)
+def test_absolute_readings_are_subtracted_not_exported(tmp_path: Path, header: str) -> None:
+    lines = [header] + [f"{x:.3f};{x + d / 1000:.4f}" for _, x, _, d in long_rows()]
+    (tmp_path / "dial.csv").write_text("\n".join(lines), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "dial.csv"))
+
+
+def test_readings_called_errors_are_seen_to_be_readings(tmp_path: Path) -> None:
+    lines = ["X;error"] + [f"{x:.3f};{x + d / 1000:.4f}" for _, x, _, d in long_rows()]
+    (tmp_path / "dial.csv").write_text("\n".join(lines), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "dial.csv")
+    holds_the_truth(recording)
+    assert "absolute readings" in (tmp_path / "rec" / "recording.yaml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "stamp", ["12.03.2026 08:{m:02d}:{s:02d}", "2026-03-12T08:{m:02d}:{s:02d}", "08:{m:02d}:{s:02d}"]
+)
+def test_dates_become_seconds(tmp_path: Path, stamp: str) -> None:
+    rows = [stamp.format(m=i // 60, s=i % 60) + f";{r};{x};{s:+.0f};{d}" for i, (r, x, s, d) in enumerate(long_rows())]
+    lines = ["Zeit;Lauf;Soll [mm];Richtung;Abw. [um]", *rows]
+    (tmp_path / "t.csv").write_text("\n".join(lines), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "t.csv")
+    assert recording.time().tolist() == list(range(78))
+    holds_the_truth(recording)
+
+
+# ---------------------------------------------------------------- heavier doors, samples made by independent libraries
+
+
+def test_excel_by_openpyxl(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl", reason="the sample is made by openpyxl")
+    pytest.importorskip("python_calamine", reason="the extra `excel` is not installed")
+    book = openpyxl.Workbook()
+    book.active.append(["a cover sheet"])
+    sheet = book.create_sheet("X-Achse")
+    sheet.append(["Machine: VMC 3"])
+    sheet.append([])
+    sheet.append(["Target [mm]", *(f"Run {r} {w} [µm]" for r in (1, 2, 3) for w in ("up", "down"))])
+    for i, x in enumerate(TARGETS):
+        sheet.append([float(x), *(float(deviation(r, s)[i]) for r in (1, 2, 3) for s in (1.0, -1.0))])
+    book.save(tmp_path / "test.xlsx")
+    holds_the_truth(imported(tmp_path, tmp_path / "test.xlsx"))
+    with pytest.raises(UsageError, match="no sheet 'Y'"):
+        imported(tmp_path, tmp_path / "test.xlsx", DoorOptions(sheet="Y"))
+
+
+def test_excel_by_xlsxwriter_long_with_merged_header(tmp_path: Path) -> None:
+    xlsxwriter = pytest.importorskip("xlsxwriter", reason="the sample is made by xlsxwriter")
+    pytest.importorskip("python_calamine", reason="the extra `excel` is not installed")
+    with xlsxwriter.Workbook(tmp_path / "long.xlsx") as book:
+        sheet = book.add_worksheet()
+        sheet.merge_range("A1:D1", "Positioning test of axis X")
+        sheet.write_row(2, 0, ["Run", "Position [mm]", "Direction", "Deviation [mm]"])
+        for i, (r, x, s, d) in enumerate(long_rows()):
+            sheet.write_row(3 + i, 0, [int(r), x, "+" if s > 0 else "-", d / 1000])
+    holds_the_truth(imported(tmp_path, tmp_path / "long.xlsx"))
+
+
+def test_tdms_by_nptdms(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms", reason="the extra `tdms` is not installed")
+    rows = long_rows()
+    names = {"run": [float(r) for r, *_ in rows], "x_cmd": [x for _, x, *_ in rows]}
+    names["x_act"] = [x + d / 1000 for _, x, _, d in rows]
+    with nptdms.TdmsWriter(str(tmp_path / "t.tdms")) as writer:
+        properties = {"wf_increment": 2.0, "unit_string": "mm"}
+        writer.write_segment(
+            [
+                nptdms.ChannelObject("axis", n, np.array(v), properties={} if n == "run" else properties)
+                for n, v in names.items()
+            ]
+        )
+    holds_the_truth(imported(tmp_path, tmp_path / "t.tdms"))
+
+
+def test_hdf5_and_matlab_73_by_h5py(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="the extra `hdf` is not installed")
+    rows = long_rows()
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        group = file.create_group("X")
+        group["run"] = [int(r) for r, *_ in rows]
+        group["target"] = [x for _, x, *_ in rows]
+        group["target"].attrs["units"] = "mm"
+        group["deviation"] = [d for *_, d in rows]
+        group["deviation"].attrs["units"] = "um"
+        file["scalar"] = 3.0
+    holds_the_truth(imported(tmp_path, tmp_path / "t.h5"))
+
+
+def test_matlab_by_scipy(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    rows = long_rows()
+    test = {"run": [int(r) for r, *_ in rows], "x_target": [x for _, x, *_ in rows], "error_um": [d for *_, d in rows]}
+    savemat(tmp_path / "t.mat", {"test": test, "note": "axis X"})
+    holds_the_truth(imported(tmp_path, tmp_path / "t.mat"))
+
+
+def test_mtconnect(tmp_path: Path) -> None:
+    samples = "".join(
+        f'<Position dataItemId="xc" name="X_cmd" timestamp="2026-03-12T08:00:{i:02d}.000Z">{x}</Position>'
+        f'<Position dataItemId="xa" name="X_act" timestamp="2026-03-12T08:00:{i:02d}.000Z">{x + 0.01}</Position>'
+        for i, x in enumerate(np.linspace(0, 90, 10))
+    )
+    text = f'<?xml version="1.0"?><MTConnectStreams xmlns="urn:mtconnect.org:MTConnectStreams:1.5"><Streams>{samples}'
+    (tmp_path / "s.xml").write_text(text + "</Streams></MTConnectStreams>")
+    recording = imported(tmp_path, tmp_path / "s.xml")
+    assert recording.array("EXX") == pytest.approx(10.0, abs=1e-6)
+    (tmp_path / "bomb.xml").write_text('<!DOCTYPE x [<!ENTITY a "b">]>' + text + "</Streams></MTConnectStreams>")
+    with pytest.raises(DataError, match="entities"):
+        imported(tmp_path, tmp_path / "bomb.xml")
+
+
+def test_halsampler_with_and_without_counter(tmp_path: Path) -> None:
+    x = np.linspace(0, 100, 800)
+    for counter in (True, False):
+        lines = [f"{f'{i} ' if counter else ''}{v:.6f} {v - 0.005:.6f}" for i, v in enumerate(x)]
+        (tmp_path / "hal.log").write_text("\n".join(["overrun", *lines, ""]))
+        recording = imported(tmp_path, tmp_path / "hal.log", DoorOptions(names=("x_cmd", "x_fb"), period=0.002))
+        assert recording.array("EXX") == pytest.approx(-5.0, abs=1e-6)
+        assert np.diff(recording.time()) == pytest.approx(0.002)
+        assert recording.names("simulated") and recording.names("velocity", axis="X")
+
+
+def test_counts_and_current_are_derived_and_stated(tmp_path: Path) -> None:
+    lines = ["t [s];x_cmd [mm];encoder counts;motor current [mA]"]
+    lines += [f"{i * 0.001};{x:.6f};{round((x + 0.01) * 1000)};{250}" for i, x in enumerate(np.arange(0, 60, 0.1))]
+    (tmp_path / "c.csv").write_text("\n".join(lines))
+    recording = imported(tmp_path, tmp_path / "c.csv", resolution=0.001, torque_constant=0.4)
+    assert recording.array("EXX") == pytest.approx(10.0, abs=1e-6)
+    (torque,) = recording.names("torque")
+    assert recording.array(torque) == pytest.approx(0.1)
+    text = (tmp_path / "rec" / "recording.yaml").read_text()
+    assert "factor: 0.001" in text and "derived: " in text
+
+
+def test_klipper_frame_expansion(tmp_path: Path) -> None:
+    lines = ["sample,time,frame_t,bed_t,chamber_t,Z error [mm]"]
+    lines += [f"{i},{60 * i},{22 + i / 10:.2f},{90},{30 + i / 20:.2f},{-0.01 * i:.4f}" for i in range(60)]
+    (tmp_path / "frame.csv").write_text("\n".join(lines))
+    recording = imported(tmp_path, tmp_path / "frame.csv", component="E_Z", sets=["sample.role=ignore"])
+    assert len(recording.names("temperature")) == 3
+    assert recording.components() == ("E_Z",)
+
+
+def test_several_files_are_runs(tmp_path: Path) -> None:
+    for run in (1, 2, 3):
+        lines = ["Target [mm];Dir;Deviation [um]"] + [
+            f"{x};{s:+.0f};{d}" for r, x, s, d in long_rows() if r == str(run)
+        ]
+        (tmp_path / f"run{run}.csv").write_text("\n".join(lines))
+    recording = imported(tmp_path, [tmp_path / f"run{r}.csv" for r in (1, 2, 3)])
+    assert recording.run_labels() == ("run1", "run2", "run3")
+    holds_the_truth(recording)
+
+
+# ---------------------------------------------------------------- nothing is written unasked
+
+
+def test_nothing_is_written_before_someone_says_yes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "w.csv").write_text("\n".join(wide_lines(["Soll [mm]", *HEADERS["1+ 1-"]], ".")))
+    line = ["import", str(tmp_path / "w.csv"), "--out", str(tmp_path / "rec")]
+    assert main(line) == 2
+    heard = capsys.readouterr()
+    assert "guess: " in heard.err and "nothing was written" in heard.err and not (tmp_path / "rec").exists()
+    assert main([*line, "--yes"]) == 0
+    assert "guess, confirmed" in (tmp_path / "rec" / "recording.yaml").read_text(encoding="utf-8")
+    assert main(["check", str(tmp_path / "rec")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "code"),
+    [
+        ("a.csv", b"", 3),
+        ("a.csv", b"\n\n\n", 3),
+        ("a.csv", b"hello world\n", 3),
+        ("a.csv", b"a,b,c\n", 3),
+        ("a.csv", b"a;b\n1;x\n2;y\n", 3),
+        ("a.csv", b"\x00\x01\x02" * 50, 3),
+        ("a.csv", b"\xff\xfe\x00", 3),
+        ("a.csv", b"x" * 100_000, 3),
+        ("a.csv", b"x [mm],err [um]\n" + b"nan,inf\n" * 20, 3),
+        ("a.csv", b'x [mm],err [um]\n"1,2\n' * 5, 3),
+        ("a.csv", b"x [mm];T [degC]\n" + b"1;2\n2;3\n3;4\n", 3),
+        ("a.xlsx", b"PK\x03\x04broken", 3),
+        ("a.xls", b"\xd0\xcf\x11\xe0" + b"0" * 600, 3),
+        ("a.tdms", b"TDSm" + b"\xff" * 100, 3),
+        ("a.h5", b"\x89HDF\r\n\x1a\n" + b"\0" * 200, 3),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 300, 3),
+        ("a.mat", b"MATLAB 7.3 MAT-file" + b"\0" * 300, 3),
+        ("a.xml", b"<MTConnectStreams><a></MTConnectStreams>", 3),
+        ("a.xml", b"<MTConnectStreams></MTConnectStreams>", 3),
+        ("a.log", b"1 2 3\n" * 10 + b"1 2\n", 3),
+    ],
+)
+def test_a_hostile_file_is_refused_in_a_sentence(
+    tmp_path: Path, name: str, data: bytes, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    assert main(["import", str(tmp_path / name), "--out", str(tmp_path / "rec"), "--yes"]) == code
+    heard = capsys.readouterr()
+    assert name in heard.err and "internal error" not in heard.err
+    assert not (tmp_path / "rec").exists()
+
+
+def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
+    """Whole files cut and garbled at random: every outcome is a recording or an ErrpipeError."""
+    from scipy.io import savemat
+
+    (tmp_path / "w.csv").write_text("\n".join(wide_lines(["Soll [mm]", *HEADERS["1+ 1-"]], ",")), encoding="utf-16")
+    savemat(tmp_path / "w.mat", {"x_target": TARGETS, "error_um": deviation(1, 1.0)})
+    rng = np.random.default_rng(7)
+    for seed in ("w.csv", "w.mat"):
+        whole = (tmp_path / seed).read_bytes()
+        for _ in range(60):
+            data = bytearray(whole[: rng.integers(1, len(whole) + 1)])
+            for place in rng.integers(0, len(data), 8):
+                data[place] = rng.integers(0, 256)
+            file = tmp_path / f"damaged{Path(seed).suffix}"
+            file.write_bytes(bytes(data))
+            try:
+                import_files.prepare([file], DoorOptions(), import_files.options_of(sets=[]))
+            except ErrpipeError:
+                continue
