@@ -67,7 +67,7 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "humidity": ("%",),
     "force": ("N", "kN"),
     "current": ("A", "mA"),
-    "torque": ("Nm", "Ncm", "mNm"),
+    "torque": ("N m", "N mm", "N cm", "kN m"),
     "load": ("kg", "g", "t"),
     "depth_of_cut": ("mm", "um"),
     "overhang": ("mm", "m"),

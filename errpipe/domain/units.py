@@ -28,12 +28,8 @@ _INTO: dict[str, dict[str, tuple[float, float]]] = {
     "hPa": {"hPa": (0, 1), "mbar": (0, 1), "Pa": (0, 1e-2), "kPa": (0, 10), "bar": (0, 1e3)},
     "%": {"%": (0, 1)},
     "N": {"N": (0, 1), "kN": (0, 1e3)},
-<<<<<<< HEAD
     "N m": {"N m": (0, 1), "kN m": (0, 1e3), "N mm": (0, 1e-3), "N cm": (0, 1e-2)},
-=======
     "A": {"A": (0, 1), "mA": (0, 1e-3)},
-    "Nm": {"Nm": (0, 1), "Ncm": (0, 1e-2), "mNm": (0, 1e-3)},
->>>>>>> ac41224 (errpipe import: CSV in any dialect, Excel, TDMS, HDF5, MAT, MTConnect and halsampler into a recording whose guesses are shown and confirmed; derived columns)
     "kg": {"kg": (0, 1), "g": (0, 1e-3), "t": (0, 1e3)},
     "um": {"um": (0, 1), "mm": (0, 1e3), "nm": (0, 1e-3)},
     "urad": {"urad": (0, 1), "mrad": (0, 1e3), "arcsec": (0, math.pi / 648e3 * 1e6)},
@@ -54,7 +50,7 @@ _CANONICAL: dict[str, tuple[str, ...]] = {
     "humidity": ("%",),
     "force": ("N",),
     "current": ("A",),
-    "torque": ("Nm",),
+    "torque": ("N m",),
     "load": ("kg",),
     "depth_of_cut": ("mm",),
     "overhang": ("mm",),

@@ -43,7 +43,7 @@ KIND_OF_UNIT = {
     "counts": "counts",
     "A": "current",
     "mA": "current",
-    "Nm": "torque",
+    "N m": "torque",
     "rpm": "spindle_speed",
     "mm/min": "feed",
     "hPa": "pressure",

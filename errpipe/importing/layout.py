@@ -36,7 +36,7 @@ UNITS = {
     **dict.fromkeys(("arcsec", "″", "''", "asec"), "arcsec"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "Nm"),
+    **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
     **dict.fromkeys(("n", "newton"), "N"),
     **dict.fromkeys(("kn",), "kN"),
     **dict.fromkeys(("rpm", "1/min", "u/min", "rev/min", "min-1"), "rpm"),
@@ -90,7 +90,7 @@ def unit_of(text: str) -> str | None:
     """The unit that a text is, or None. Capital Nm is a torque, nm a length."""
     plain = text.strip().strip(".:")
     if plain in ("Nm", "N m"):
-        return "Nm"
+        return "N m"
     return UNITS.get(plain.lower().replace(" ", ""))
 
 

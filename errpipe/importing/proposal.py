@@ -183,7 +183,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         name = p.put(c.header, c.values, why, role="current", axis=own, unit=unit)
         if options.torque_constant is not None:
             amps = options.torque_constant * (1e-3 if unit == "mA" else 1.0)
-            p.put(f"torque_{own}", None, role="torque", axis=own, unit="Nm", derived={"of": name, "factor": amps})
+            p.put(f"torque_{own}", None, role="torque", axis=own, unit="N m", derived={"of": name, "factor": amps})
     elif g.kind in ROLE_UNITS and g.kind != "ignore":
         allowed = ROLE_UNITS[g.kind]
         if allowed:
@@ -237,7 +237,7 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
 
 
 def _response(
-    c: RawColumn, role: str, axis: str, unit: str | None, why: str, said: dict[str, str], p: Proposal
+    c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, p: Proposal
 ) -> None:
     """An error or simulated column; inches are converted, a missing unit is judged by the size of the readings."""
     if component is None:
