@@ -146,7 +146,7 @@ def reversed_sign(r: Response) -> Finding | None:
     if good.sum() < FEWEST_STEPS or np.ptp(true[good]) == 0 or np.ptp(r.deviation[good]) == 0:
         return None
     match = float(np.corrcoef(true[good], r.deviation[good])[0, 1])
-    slope = float(np.polyfit(true[good], r.deviation[good], 1)[0])
+    slope = _slope(true[good], r.deviation[good])
     if match < -0.9:
         found = f"it is minus the difference of {actual} and {command} (correlation {match:.2f})"
         return Finding("reversed-sign", r.column, found, "error = actual - commanded: turn the sign")
