@@ -12,7 +12,7 @@ CODE := errpipe tests trials bench examples
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow test-all lint types check generated bench trials trials-scales trials-real clean
+.PHONY: help setup demo test test-slow test-all lint types check generated bench trials trials-scales trials-real trials-thermal clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -67,6 +67,9 @@ trials-scales: $(SETUP) ## diagnosis of one textbook effect on machines of every
 
 trials-real: $(SETUP) ## diagnosis on real recordings whose repetition stands in for the simulation (FROM=folders)
 	@$(BIN)/python -m trials.real --from $(FROM) --seed $(SEED) --jobs 2 $(ARGS)
+
+trials-thermal: $(SETUP) ## thermal model families on simulated machines, judged by a season they have not seen
+	@$(BIN)/python -m trials.thermal --seed $(SEED) $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,155 @@
+"""Families of thermal models on machines nobody tuned for: fitted on two seasons, judged on the third.
+
+python -m trials.thermal --seed 7 --machines 24 [--families season,auto] [--keep DIR] [--json FILE] [--markdown FILE]
+
+The families run by their public commands (`errpipe run`, `errpipe predict`) in a process of their own. What is not
+exported counts as no compensation. Baselines are computed here on the same rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trials import folder
+from trials.folder import Array, Sheet
+
+from .baselines import predictions, since_start
+from .seasons import recordings
+
+COMPONENT = "E_Z"
+PIPELINE = """\
+pipeline: 1
+title: thermal trial
+stages:
+  - {{kind: ingest, recording: fit}}
+  - {{kind: fit, family: {family}, component: E_Z}}
+  - {{kind: validate}}
+  - {{kind: export}}
+"""
+GATE = 4
+
+
+def errpipe(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """The command line in a process of its own."""
+    line = [sys.executable, "-m", "errpipe.cli.app", *words]
+    return subprocess.run(line, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+def by_family(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
+    """One family on one machine: the judged rows' prediction, whether it was exported, coverage of its interval."""
+    (where / f"{family}.yaml").write_text(PIPELINE.format(family=family))
+    ran = errpipe("run", f"{family}.yaml", "--out", family, cwd=where)
+    if ran.returncode not in (0, GATE):
+        return {"failed": (ran.stderr or ran.stdout).strip().splitlines()[-1:]}
+    model = next(iter(sorted((where / family).rglob("error_model.json"))), None)
+    if model is None:
+        return {"failed": ["no error model was written"]}
+    asked = errpipe("predict", str(model.resolve()), "judge", "--out", f"{family}.csv", cwd=where)
+    if asked.returncode:
+        return {"failed": asked.stderr.strip().splitlines()[-1:]}
+    table = pd.read_csv(where / f"{family}.csv")
+    found: dict[str, Any] = {"exported": ran.returncode == 0}
+    found["prediction"] = since_start(table[f"{COMPONENT}_predicted"].to_numpy(float), judged.runs())
+    low, high = (table.get(f"{COMPONENT}_{side}") for side in ("lower", "upper"))
+    if low is not None and high is not None and low.notna().any():
+        half = 0.5 * (high - low).to_numpy(float)
+        left = since_start(judged.values(COMPONENT), judged.runs()) - found["prediction"]
+        found["covered"] = float(np.mean(np.abs(left) <= half))
+        needed = float(np.quantile(np.abs(left), 0.9))
+        found["width"] = float(np.mean(half)) / max(needed, 1e-9)
+    return found
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def one_machine(where: Path, seed: int, number: int, families: list[str]) -> dict[str, Any]:
+    """Left-out-season rms of every family and baseline over that of no compensation."""
+    fit, judged = recordings(seed, number)
+    folder.write(where / "fit", fit)
+    folder.write(where / "judge", judged)
+    y = since_start(judged.values(COMPONENT), judged.runs())
+    nothing = rms(y)
+    row: dict[str, Any] = {"machine": fit.machine, "uncompensated_um": nothing, "left": {}, "families": {}}
+    for name, predicted in predictions(fit, judged, COMPONENT).items():
+        row["left"][name] = rms(y - predicted) / nothing
+    for family in families:
+        found = by_family(where, family, judged)
+        if "prediction" in found:
+            row["left"][family] = rms(y - found["prediction"]) / nothing if found["exported"] else 1.0
+            row.setdefault("left_if_exported", {})[family] = rms(y - found.pop("prediction")) / nothing
+        row["families"][family] = found
+    return row
+
+
+def geometric(values: list[float]) -> float:
+    return float(np.exp(np.mean(np.log(values)))) if values else float("nan")
+
+
+def markdown(rows: list[dict[str, Any]], title: str) -> str:
+    """By kind of machine: geometric mean of what is left, share at most lasso, never worse than nothing."""
+    methods = list(dict.fromkeys(m for r in rows for m in r["left"]))
+    kinds = sorted({r["machine"].split("-")[0] for r in rows})
+    head = ["left-out season: residual over uncompensated, geometric mean", *kinds, "all", "at most lasso", "worst"]
+    lines = [title, "", f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
+    for m in methods:
+        cells = []
+        for kind in [*kinds, ""]:
+            own = [r["left"][m] for r in rows if m in r["left"] and r["machine"].startswith(kind)]
+            cells.append(f"{geometric(own):.3f}" if own else "–")
+        known = [r for r in rows if m in r["left"]]
+        level = sum(r["left"][m] <= r["left"]["lasso"] * 1.0000001 for r in known)
+        lines.append(
+            f"| {m} | {' | '.join(cells)} | {level} of {len(known)} | {max(r['left'][m] for r in known):.2f} |"
+        )
+    for family in dict.fromkeys(f for r in rows for f in r["families"]):
+        of = [r["families"][family] for r in rows]
+        covered = [f["covered"] for f in of if "covered" in f]
+        text = f"{family}: exported on {sum(bool(f.get('exported')) for f in of)} of {len(of)}"
+        text += f", failed on {sum('failed' in f for f in of)}"
+        if covered:
+            text += f"; 90 % interval covers {100 * np.mean(covered):.0f} %, "
+            text += f"{np.median([f['width'] for f in of if 'width' in f]):.1f} times as wide as needed (median)"
+        lines += ["", text + "."]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Thermal families on machines nobody tuned for.")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--machines", type=int, default=24)
+    parser.add_argument("--families", default="season,auto", help="comma-separated; empty: baselines only")
+    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path)
+    a = parser.parse_args()
+    families = [f for f in a.families.split(",") if f]
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for number in range(a.machines):
+            where = (a.keep or Path(temporary)) / f"machine-{number}"
+            row = one_machine(where, a.seed, number, families)
+            rows.append(row)
+            left = ", ".join(f"{m} {v:.3f}" for m, v in row["left"].items())
+            failed = "; ".join(f"{f}: {v['failed']}" for f, v in row["families"].items() if "failed" in v)
+            print(f"{row['machine']} {row['uncompensated_um']:.1f} um: {left} {failed}", flush=True)
+    text = markdown(rows, f"{len(rows)} machines, seed {a.seed}")
+    print(text)
+    if a.markdown:
+        a.markdown.write_text(text)
+    if a.json:
+        a.json.write_text(json.dumps({"seed": a.seed, "machines": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
