@@ -1,8 +1,8 @@
 """The compensation table: a compiled error model that a controller runs in a fixed-rate cycle.
 
-This model *is* the JSON twin (format version 1); the binary twin `.ect` holds the same, bit for bit, and
-`schemas/ect-1.md` states both so that they can be implemented without reading this code. Every target and
-every evaluator sees only this.
+This model *is* the JSON twin (format version 2; version 1 is read and runs by its own rules); the binary twin `.ect`
+holds the same, bit for bit, and `schemas/ect-2.md` states both so that they can be implemented without reading this
+code. Every target and every evaluator sees only this.
 
     conditioned inputs -> nodes (drivers) -> profile(position) x node, summed per component
                        -> synthesis: outputs = sum of weight x component x nodes -> limits -> correction
@@ -19,7 +19,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from errpipe.domain import operations
-from errpipe.domain.operations import LARGEST_NUMBER, Number, Positive
+from errpipe.domain.operations import LARGEST_NUMBER, NotNegative, Number, Positive
 from errpipe.domain.recording import Frozen
 
 MAX_INPUTS = 64
@@ -51,6 +51,7 @@ STATUS = (
     "beyond_profile",
     "waiting",
     "not_finite",
+    "holding",
 )
 # Why a reading is not believed, and what stands in for it: the codes a controller shows per input.
 FAULTS = ("none", "missing", "stale", "range", "rate")
@@ -126,9 +127,10 @@ class Substitute(Part):
 class TableInput(Part):
     """A channel the controller feeds each cycle, and what happens when its reading cannot be believed.
 
-    A reading is believed if it is finite, fresh, within [low, high], and has not moved faster than
-    `max_rate` since the last believed one. Else: the substitute (if its sources are believed), else the last
-    believed reading for less than `hold_s`, else `default`. The result is always within [low, high].
+    A reading is believed if it is finite, fresh, within [low, high], and lies within `noise` of where `max_rate` lets
+    it be; the first one of a run once it has stayed there for half a thermal cycle. Else: the substitute (if its
+    sources are believed), else the last believed reading for less than `hold_s`, else `default`. The result is always
+    within [low, high], and what the table sees of it within `valid`.
     """
 
     name: Name = Field(description="Name of the channel.")
@@ -139,6 +141,11 @@ class TableInput(Part):
     high: Number = Field(description="Highest believable reading.", json_schema_extra={"unit": "of the input"})
     max_rate: Positive | None = Field(
         None, description="Largest believable change.", json_schema_extra={"unit": "of the input per s"}
+    )
+    noise: NotNegative = Field(
+        0.0,
+        description="Change that is no movement: noise and resolution of the reading (with max_rate).",
+        json_schema_extra={"unit": "of the input"},
     )
     stale_after_s: Positive | None = Field(
         None, description="A reading older than this is not believed.", json_schema_extra={"unit": "s"}
@@ -174,6 +181,8 @@ class TableInput(Part):
             raise ValueError(f"input {self.name}: default {self.default:g} lies outside {self.low:g}..{self.high:g}")
         if (self.valid is None) != (self.margin is None):
             raise ValueError(f"input {self.name}: valid and margin come together (never a cliff)")
+        if self.noise > 0 and self.max_rate is None:
+            raise ValueError(f"input {self.name}: noise {self.noise:g} without max_rate says nothing")
         if self.valid is not None and not self.valid[0] <= self.valid[1]:
             raise ValueError(f"input {self.name}: valid range is reversed")
         return self
@@ -361,9 +370,9 @@ class Output(Part):
 
 
 class CompensationTable(Part):
-    """Format version 1 of the compensation table (JSON twin)."""
+    """Format version 2 of the compensation table (JSON twin); version 1 is read too, and runs by its rules."""
 
-    table: Literal[1] = 1
+    table: Literal[1, 2] = Field(2, description="Format version: 2, and 1 for tables of older programs.")
     machine: Annotated[str, text(63, TITLE)] = Field("", description="Machine it was made for.")
     title: Annotated[str, text(127, TITLE)] = Field("", description="What it is, for people.")
     version: Annotated[str, text(31, TITLE)] = Field("", description="errpipe version that compiled it.")
@@ -403,6 +412,8 @@ class CompensationTable(Part):
     @model_validator(mode="after")
     def _consistent(self) -> CompensationTable:
         known = _unique("input", (i.name for i in self.inputs))
+        if self.table == 1 and any(i.noise > 0 for i in self.inputs):
+            raise ValueError("a table of version 1 knows no noise of its inputs")
         components = _unique("component", (c.name for c in self.components))
         _unique("output", (o.name for o in self.outputs))
         believed = {i.name for i in self.inputs if not i.optional}

@@ -20,10 +20,13 @@ OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 
 SLOW, START_ZERO = 1, 2
 HAS_MAGNITUDE, HAS_SLEW, HAS_ACCELERATION = 1, 2, 4
 RUNNING, ACTIVE, RAMPING, SUBSTITUTED, HELD, DEFAULTED, FADING, FADED = 1, 2, 4, 8, 16, 32, 64, 128
-AT_MAGNITUDE, AT_RATE, BEYOND_PROFILE, WAITING, NOT_FINITE = 256, 512, 1024, 2048, 4096
+AT_MAGNITUDE, AT_RATE, BEYOND_PROFILE, WAITING, NOT_FINITE, HOLDING = 256, 512, 1024, 2048, 4096, 8192
 LOST = 1 << 31  # internal: an input that matters is down to its default
 PERIODIC = KEEP = 1
+SLOW_KINDS = 4  # kinds of inputs from here on are shown in thermal cycles
+OFF, ON, HOLD = 0, 1, 2  # modes of a cycle
 LARGEST = 1e30
+NOWHERE = 1e31  # where an anchor stands before the first reading
 
 LOG2_E = 1.4426950408889634
 LN2_HIGH = 0.6931471803691238
@@ -70,8 +73,10 @@ LN = np.array(
 class Program(NamedTuple):
     """A table: cycles and times, and its sections as record arrays."""
 
+    rules: int  # format version by whose rules it runs
     slow_every: int
     cycle_s: float
+    thermal_s: float
     ramp_s: float
     fade_s: float
     inputs: np.ndarray
@@ -194,12 +199,14 @@ def towards(value, target, dt, whole):
 
 @kernel
 def reset(program, state):
-    """The next cycle is the first of a run."""
+    """The next cycle is the first of a run; corrections stay where they are, and go on from there."""
     for i in range(state.inputs.size):
         own = state.inputs[i]
         own.raw = np.nan
-        own.wait = own.good = own.age = own.value = 0.0
-        own.seen = own.fault = own.source = 0
+        own.anchor = NOWHERE
+        own.left = 1.0
+        own.wait = own.good = own.age = own.now = own.value = 0.0
+        own.seen = own.fault = own.source = own.rejected = 0
         own.usable = 1 if program.inputs[i].flags & OPTIONAL else 0
     for n in range(state.nodes.size):
         own = state.nodes[n]
@@ -207,18 +214,46 @@ def reset(program, state):
         own.ready = 0
     for o in range(state.outputs.size):
         own = state.outputs[o]
-        own.deviation = own.correction = own.limited = own.rate = own.target = 0.0
+        if program.rules == 1:
+            own.limited = 0.0
+        own.deviation = own.rate = 0.0
+        own.target = own.limited
+        own.correction = own.limited * program.outputs[o].factor
     own = state.common[0]
-    own.fade, own.ramp = -1.0, 0.0
+    own.fade = -1.0
+    if program.rules == 1:
+        own.ramp = 0.0
     own.until_slow = own.heartbeat = own.status = 0
     own.unready = state.nodes.size
 
 
 @kernel
-def condition(inputs, substitutes, state, readings, fresh, dt):
+def follows(channel, own, v, fresh, unwatched, thermal_s):
+    """Whether a reading lies where its rate and noise let it be; the anchor follows it at that rate."""
+    if unwatched and not own.seen:
+        own.anchor = v
+        return True
+    reach = channel.max_rate * own.age
+    moved = v - own.anchor
+    if moved > reach + channel.noise or -moved > reach + channel.noise:
+        if not own.seen:
+            own.anchor = v
+            own.age = 0.0
+        elif fresh:
+            own.rejected = (own.rejected + 1) & 0xFFFFFFFF
+        return False
+    if not own.seen and own.age < 0.5 * thermal_s:
+        return False
+    own.anchor = own.anchor + reach if moved > reach else own.anchor - reach if -moved > reach else v
+    return True
+
+
+@kernel
+def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, thermal_s):
     """Judge all readings, then let something stand in for those not believed.
 
-    Returns the status bits, bit 31 set where an input that matters is down to its default.
+    unwatched: the first reading of a run is believed at once. Returns the status bits, bit 31 set where an input that
+    matters is down to its default.
     """
     doubtful = 0
     for i in range(inputs.size):
@@ -237,21 +272,36 @@ def condition(inputs, substitutes, state, readings, fresh, dt):
             fault = 2
         elif v < channel.low or v > channel.high:
             fault = 3
-        elif channel.flags & HAS_MAX_RATE and own.seen:
-            moved = v - own.good
-            if moved < 0.0:
-                moved = -moved
-            if moved > channel.max_rate * own.age:
-                fault = 4
+        elif channel.flags & HAS_MAX_RATE and not follows(channel, own, v, fresh[i], unwatched, thermal_s):
+            fault = 4
         own.fault = fault
         own.source = 0
         if fault == 0:
-            own.good = own.value = v
+            own.good = own.now = v
             own.age = 0.0
             own.seen = own.usable = 1
         else:
             doubtful += 1
     return stand_in(inputs, substitutes, state) if doubtful else 0
+
+
+@kernel
+def show(inputs, state, every, clamped):
+    """What the table sees of the inputs (without `every`, only of the fast ones), and what validity leaves of it."""
+    for i in range(inputs.size):
+        channel = inputs[i]
+        own = state[i]
+        if channel.kind >= SLOW_KINDS and not every:
+            continue
+        v = own.now
+        own.left = 1.0
+        if channel.flags & HAS_VALID:
+            outside = channel.valid_low - v if v < channel.valid_low else v - channel.valid_high
+            if outside > 0.0:
+                own.left = 1.0 - outside / channel.margin
+                if clamped:
+                    v = channel.valid_low if v < channel.valid_low else channel.valid_high
+        own.value = v
 
 
 @kernel
@@ -265,7 +315,7 @@ def stand_in(inputs, substitutes, state):
             continue
         own.source = 3
         if channel.flags & OPTIONAL:
-            own.value = channel.default
+            own.now = channel.default
             continue
         begin = np.int64(channel.first)
         whole = channel.count > 0
@@ -280,16 +330,16 @@ def stand_in(inputs, substitutes, state):
                 v = channel.low
             if v > channel.high:
                 v = channel.high
-            own.value = v
+            own.now = v
             own.usable = 1
             own.source = 1
             status |= SUBSTITUTED
         elif own.seen and (not channel.flags & HAS_HOLD or own.age < channel.hold):
-            own.value = own.good
+            own.now = own.good
             own.source = 2
             status |= HELD
         else:
-            own.value = channel.default
+            own.now = channel.default
             status |= DEFAULTED
             if channel.flags & FADE_ON_DEFAULT:
                 status |= LOST
@@ -415,20 +465,14 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
 
 
 @kernel
-def fade_target(inputs, state, lost):
+def fade_target(state, lost):
     """1 inside the validity box, falling to 0 over the margin outside it."""
     if lost:
         return 0.0
     target = 1.0
-    for i in range(inputs.size):
-        channel = inputs[i]
-        if channel.flags & HAS_VALID:
-            v = state[i].value
-            outside = channel.valid_low - v if v < channel.valid_low else v - channel.valid_high
-            if outside > 0.0:
-                left = 1.0 - outside / channel.margin
-                if left < target:
-                    target = left
+    for i in range(state.size):
+        if state[i].left < target:
+            target = state[i].left
     return target if target > 0.0 else 0.0
 
 
@@ -568,7 +612,20 @@ def approach_target(output, own, target, dt):
 
 
 @kernel
-def limit(outputs, state, ramp, dt, replay):
+def bound(magnitude, own, before):
+    """Keep a correction within its magnitude; True where it would have left it."""
+    if own.limited > magnitude:
+        own.limited = magnitude
+    elif own.limited < -magnitude:
+        own.limited = -magnitude
+    else:
+        return False
+    own.rate = own.limited - before
+    return True
+
+
+@kernel
+def limit(outputs, state, ramp, dt, replay, hold, bounds_last):
     """Corrections from deviations: magnitude, slew and acceleration; returns status bits."""
     status = 0
     for o in range(outputs.size):
@@ -582,21 +639,35 @@ def limit(outputs, state, ramp, dt, replay):
             if target < -output.magnitude:
                 target = -output.magnitude
                 status |= AT_MAGNITUDE
-        if replay or not output.flags & (HAS_SLEW | HAS_ACCELERATION):
+        if hold:
+            own.rate = 0.0
+            own.target = target
+        elif replay or not output.flags & (HAS_SLEW | HAS_ACCELERATION):
             own.limited = target
-        elif approach_target(output, own, target, dt):
-            status |= AT_RATE
+        else:
+            before = own.limited
+            if approach_target(output, own, target, dt):
+                status |= AT_RATE
+                if bounds_last and output.flags & HAS_MAGNITUDE and bound(output.magnitude, own, before):
+                    status |= AT_MAGNITUDE
         own.correction = own.limited * output.factor
     return status
 
 
 @kernel
-def cycle(program, state, readings, fresh, dt, replay, enable):
-    """One cycle. fresh: non-zero where readings holds a new one; dt in s (since the row before, when replaying)."""
+def cycle(program, state, readings, fresh, dt, replay, mode):
+    """One cycle. fresh: non-zero where readings holds a new one; dt in s (since the row before, when replaying).
+
+    mode: OFF (corrections go to 0), ON, or HOLD (they stay as they are).
+    """
     common = state.common[0]
     slow = replay or common.until_slow == 0
     common.until_slow = (program.slow_every if slow else common.until_slow) - 1
-    status = RUNNING | condition(program.inputs, program.substitutes, state.inputs, readings, fresh, dt)
+    old = program.rules == 1
+    status = RUNNING | condition(
+        program.inputs, program.substitutes, state.inputs, readings, fresh, dt, replay or old, program.thermal_s
+    )
+    show(program.inputs, state.inputs, slow or old, not old)
     status |= run_nodes(
         program.every if slow else program.fast,
         program.nodes,
@@ -610,7 +681,7 @@ def cycle(program, state, readings, fresh, dt, replay, enable):
     )
     if common.unready > 0:
         status |= WAITING
-    target = fade_target(program.inputs, state.inputs, status & LOST)
+    target = fade_target(state.inputs, status & LOST)
     common.fade = towards(common.fade, target, dt, 0.0 if replay or common.fade < 0.0 else program.fade_s)
     if common.fade < 1.0:
         status |= FADING
@@ -619,12 +690,15 @@ def cycle(program, state, readings, fresh, dt, replay, enable):
     status |= run_profiles(program.profiles, program.values, program.same_grid, state.inputs, state.profiles)
     sum_components(program.pairs, state.profiles, state.nodes, common.fade, state.components)
     status |= sum_outputs(program.outputs, program.terms, state.components, state.nodes, state.outputs)
-    common.ramp = towards(common.ramp, 1.0 if enable else 0.0, dt, 0.0 if replay else program.ramp_s)
+    if mode == HOLD:
+        status |= HOLDING
+    else:
+        common.ramp = towards(common.ramp, 1.0 if mode == ON else 0.0, dt, 0.0 if replay else program.ramp_s)
     if common.ramp >= 1.0:
         status |= ACTIVE
     elif common.ramp > 0.0:
         status |= RAMPING
-    status |= limit(program.outputs, state.outputs, common.ramp, dt, replay)
+    status |= limit(program.outputs, state.outputs, common.ramp, dt, replay, mode == HOLD, not old)
     common.status = status & ~LOST
     common.heartbeat = (common.heartbeat + 1) & 0xFFFFFFFF
 
@@ -642,7 +716,7 @@ def replay(program, state, columns, fresh, t, run, deviation, correction, status
             reset(program, state)
         elif t[k] > t[k - 1]:
             dt = t[k] - t[k - 1]
-        cycle(program, state, columns[k], fresh, dt, True, True)
+        cycle(program, state, columns[k], fresh, dt, True, ON)
         for o in range(state.outputs.size):
             deviation[k, o] = state.outputs[o].deviation
             correction[k, o] = state.outputs[o].correction
@@ -650,10 +724,10 @@ def replay(program, state, columns, fresh, t, run, deviation, correction, status
 
 
 @kernel
-def stream(program, state, columns, fresh, enable, deviation, correction, status):
-    """Many cycles at the controller's rate: columns and fresh (cycles, inputs), enable (cycles,)."""
+def stream(program, state, columns, fresh, mode, deviation, correction, status):
+    """Many cycles at the controller's rate: columns and fresh (cycles, inputs), mode (cycles,)."""
     for k in range(columns.shape[0]):
-        cycle(program, state, columns[k], fresh[k], program.cycle_s, False, enable[k] != 0)
+        cycle(program, state, columns[k], fresh[k], program.cycle_s, False, mode[k])
         for o in range(state.outputs.size):
             deviation[k, o] = state.outputs[o].deviation
             correction[k, o] = state.outputs[o].correction

@@ -345,6 +345,10 @@ def evaluate(
                 row[k] = x if x < high else high
             if channel.flags & HAS_VALID:
                 fade_block(channel, row, inside)
+                if program.rules > 1:
+                    for k in range(count):
+                        x = row[k] if row[k] > channel.valid_low else channel.valid_low
+                        row[k] = x if x < channel.valid_high else channel.valid_high
         for n in range(program.nodes.size):
             if node_moves[n]:
                 node = program.nodes[n]

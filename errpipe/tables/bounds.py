@@ -15,17 +15,20 @@ from errpipe.tables.arithmetic import power
 Span = tuple[float, float]
 
 
-def input_span(channel: t.TableInput) -> Span:
-    """Range over which the table acts in full or in part: validity and its margin, else what is plausible."""
+def input_span(channel: t.TableInput, version: int = 2) -> Span:
+    """What the table sees of an input: its validity, else what is plausible.
+
+    In version 1, which does not keep drivers within it, validity and the margin over which the table fades.
+    """
     if channel.valid is None:
         return channel.low, channel.high
-    margin = channel.margin or 0.0
+    margin = (channel.margin or 0.0) if version == 1 else 0.0
     return max(channel.low, channel.valid[0] - margin), min(channel.high, channel.valid[1] + margin)
 
 
-def node_spans(nodes: Sequence[t.Node], inputs: Sequence[t.TableInput]) -> list[Span]:
+def node_spans(nodes: Sequence[t.Node], inputs: Sequence[t.TableInput], version: int = 2) -> list[Span]:
     """Lowest and highest value of every node, by interval arithmetic over `input_span`."""
-    known = {i.name: input_span(i) for i in inputs}
+    known = {i.name: input_span(i, version) for i in inputs}
     spans: list[Span] = []
     for node in nodes:
         spans.append(_span(node, [spans[o] for o in node.of], known))
@@ -83,7 +86,7 @@ class Reach:
 
 def components(table: t.CompensationTable) -> tuple[Reach, ...]:
     """Largest deviation and error of every component, by interval arithmetic (never too small)."""
-    spans = node_spans(table.nodes, table.inputs)
+    spans = node_spans(table.nodes, table.inputs, table.table)
     out = []
     for component in table.components:
         deviation = gridding = 0.0
@@ -99,7 +102,7 @@ def components(table: t.CompensationTable) -> tuple[Reach, ...]:
 
 def outputs(table: t.CompensationTable) -> tuple[Reach, ...]:
     """Largest deviation and error of every output, by interval arithmetic (never too small)."""
-    spans = node_spans(table.nodes, table.inputs)
+    spans = node_spans(table.nodes, table.inputs, table.table)
     reach = {c.name: c for c in components(table)}
     out = []
     for output in table.outputs:
@@ -202,7 +205,7 @@ def cost(table: t.CompensationTable) -> tuple[Cost, Cost]:
 
 
 # Bytes of one record of the C runtime's work area on a 64-bit machine in double, and on a 32-bit one in single.
-_WORK = {8: (136, 16, 72, 16, 8, 64, 8, 16, 88, 32, 4), 4: (76, 8, 44, 8, 4, 36, 4, 16, 48, 28, 4)}
+_WORK = {8: (176, 16, 72, 16, 8, 64, 8, 16, 88, 32, 4), 4: (96, 8, 44, 8, 4, 36, 4, 16, 48, 28, 4)}
 
 
 def work_bytes(table: t.CompensationTable, real: int = 8) -> int:

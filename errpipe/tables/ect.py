@@ -1,10 +1,10 @@
-"""The binary compensation table, `.ect` version 1: fixed little-endian records that a PLC STRUCT overlays.
+"""The binary compensation table, `.ect` version 2: fixed little-endian records that a PLC STRUCT overlays.
 
-`schemas/ect-1.md` describes every field; this file is its writer and its strict reader. Layout: a header of 512
+`schemas/ect-2.md` describes every field; this file is its writer and its strict reader. Layout: a header of 512
 bytes (identity, cycles, table of 11 sections), then the sections, each starting at a multiple of 8. Everything
 the JSON twin holds is in the file, so both turn into each other without losing a bit. What the controller
 would have to divide or exponentiate (reciprocal steps, lag factors) is stored beside its source, and the
-reader refuses a file where the two disagree.
+reader refuses a file where the two disagree. A table of version 1 is read and written as such.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def dumps(table: t.CompensationTable) -> bytes:
     sections = _sections(table)
     at = lay.HEADER_SIZE
     index, body = b"", b""
-    for number, (_, record) in lay.RECORDS.items():
+    for number, (_, record) in lay.records(table.table).items():
         data = sections[number]
         index += lay.SECTION.pack(number, record.size, len(data) // record.size, at)
         data += bytes(-len(data) % 8)
@@ -89,7 +89,7 @@ def dumps(table: t.CompensationTable) -> bytes:
         table.machine.encode(), table.title.encode(), table.version.encode(), bytes.fromhex(table.fingerprint)
     )
     fixed = (table.slow_every, table.position_cycle_s, table.thermal_cycle_s, table.ramp_s, table.fade_s)
-    head = lay.HEADER.pack(lay.MAGIC, lay.VERSION, lay.HEADER_SIZE, at, 0, *fixed) + identity + index
+    head = lay.HEADER.pack(lay.MAGIC, table.table, lay.HEADER_SIZE, at, 0, *fixed) + identity + index
     whole = bytearray(head + bytes(lay.HEADER_SIZE - len(head)) + body)
     struct.pack_into("<I", whole, 20, zlib.crc32(whole[lay.CRC_FROM :]))
     return bytes(whole)
@@ -101,7 +101,7 @@ def _sections(table: t.CompensationTable) -> dict[int, bytes]:
     out: dict[int, bytes] = dict.fromkeys(lay.RECORDS, b"")
     substitutes = 0
     for i in table.inputs:
-        out[1] += _input_record(i, substitutes)
+        out[1] += _input_record(i, substitutes)[: lay.records(table.table)[1][1].size]
         substitutes += len(i.substitute)
         out[2] += b"".join(lay.SUBSTITUTE.pack(inputs[s.input], s.weight) for s in i.substitute)
     operands = constants = 0
@@ -150,6 +150,7 @@ def _input_record(i: t.TableInput, first: int) -> bytes:
         i.substitute_offset,
         *valid,
         i.margin or 0.0,
+        i.noise if i.max_rate is not None else 0.0,
     )
 
 
@@ -232,10 +233,12 @@ def _check_header(data: bytes) -> tuple[Any, ...]:
     if len(data) < lay.HEADER_SIZE:
         raise VerifyError(f"cut off: {len(data)} bytes, its header alone has {lay.HEADER_SIZE}")
     fixed = lay.HEADER.unpack_from(data)
-    if fixed[1] != lay.VERSION:
-        raise VerifyError(f"format version {fixed[1]} (this program reads version {lay.VERSION})")
+    if fixed[1] not in lay.VERSIONS:
+        raise VerifyError(
+            f"format version {fixed[1]} (this program reads versions {lay.VERSIONS[0]} and {lay.VERSIONS[1]})"
+        )
     if fixed[2] != lay.HEADER_SIZE:
-        raise VerifyError(f"header size {fixed[2]} (version {lay.VERSION} has {lay.HEADER_SIZE})")
+        raise VerifyError(f"header size {fixed[2]} (version {fixed[1]} has {lay.HEADER_SIZE})")
     if fixed[3] != len(data):
         raise VerifyError(f"{'cut off' if len(data) < fixed[3] else 'too long'}: {len(data)} of {fixed[3]} bytes")
     found = zlib.crc32(data[lay.CRC_FROM :])
@@ -247,14 +250,18 @@ def _check_header(data: bytes) -> tuple[Any, ...]:
 def section(data: bytes, number: int) -> bytes:
     """The records of one section of sound data, as bytes."""
     count, offset = _section_index(data)[number]
-    return data[offset : offset + count * lay.RECORDS[number][1].size]
+    return data[offset : offset + count * _records(data)[number][1].size]
+
+
+def _records(data: bytes) -> dict[int, tuple[str, struct.Struct]]:
+    return lay.records(struct.unpack_from("<I", data, 8)[0])
 
 
 def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
     """Section id -> (count, offset), in the one order and place the version allows."""
     index = {}
     at = lay.HEADER_SIZE
-    for position, (number, (what, record)) in enumerate(lay.RECORDS.items()):
+    for position, (number, (what, record)) in enumerate(_records(data).items()):
         found = lay.SECTION.unpack_from(data, lay.SECTIONS_AT + position * lay.SECTION.size)
         if found[:2] != (number, record.size):
             raise VerifyError(f"section {number} ({what}): id {found[0]} with records of {found[1]} bytes")
@@ -275,7 +282,7 @@ def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
 def _rows(data: bytes, index: dict[int, tuple[int, int]]) -> dict[int, list[tuple]]:
     rows = {}
     for number, (count, offset) in index.items():
-        record = lay.RECORDS[number][1]
+        record = _records(data)[number][1]
         rows[number] = list(record.iter_unpack(data[offset : offset + count * record.size]))
     return rows
 
@@ -286,6 +293,7 @@ def _build(data: bytes, fixed: tuple, rows: dict[int, list[tuple]]) -> t.Compens
     components = [_text(r[0], "component name") for r in rows[8]]
     return t.CompensationTable.model_validate(
         {
+            "table": fixed[1],
             "machine": _text(machine, "machine"),
             "title": _text(title, "title"),
             "version": _text(version, "version"),
@@ -308,7 +316,7 @@ def _build(data: bytes, fixed: tuple, rows: dict[int, list[tuple]]) -> t.Compens
 
 def _input(row: tuple, substitutes: list[tuple], names: list[str]) -> dict[str, Any]:
     name, axis, unit, kind, flags, first, count = row[:7]
-    low, high, max_rate, stale, hold, default, offset, valid_low, valid_high, margin = row[7:]
+    low, high, max_rate, stale, hold, default, offset, valid_low, valid_high, margin, *noise = row[7:]
     return {
         "name": _text(name, "input name"),
         "kind": _pick(lay.KINDS, kind, "input kind"),
@@ -317,6 +325,7 @@ def _input(row: tuple, substitutes: list[tuple], names: list[str]) -> dict[str, 
         "low": low,
         "high": high,
         "max_rate": max_rate if flags & lay.HAS_MAX_RATE else None,
+        "noise": noise[0] if noise else 0.0,
         "stale_after_s": stale if flags & lay.HAS_STALE else None,
         "substitute": [
             {"input": _pick(names, s[0], "input"), "weight": s[1]}
@@ -424,7 +433,7 @@ def _contradiction(expected: bytes, found: bytes) -> str:
     where = "header"
     for number, offset in _offsets(found):
         if at >= offset:
-            what, record = lay.RECORDS[number]
+            what, record = _records(found)[number]
             where = f"{what}, record {(at - offset) // record.size}, byte {(at - offset) % record.size}"
     return f"contradicts itself at byte {at} ({where})"
 

@@ -33,7 +33,7 @@ def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[He
     otherwise: largest change of an input that states no `max_rate`, per s. Without it such an input may cross its
     whole range within a cycle, and is counted so.
     """
-    spans = bounds.node_spans(table.nodes, table.inputs)
+    spans = bounds.node_spans(table.nodes, table.inputs, table.table)
     behind = _behind(table, spans, otherwise)
     reach = {c.name: c.deviation for c in bounds.components(table)}
     lag = dict.fromkeys(reach, 0.0)

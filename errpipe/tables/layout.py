@@ -1,4 +1,4 @@
-"""Records of the binary compensation table, `.ect` version 1: `schemas/ect-1.md` describes every field."""
+"""Records of the binary compensation table, `.ect` versions 1 and 2: `schemas/ect-2.md` describes every field."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 from errpipe.domain import table as t
 
 MAGIC = b"ECT\x00\r\n\x1a\n"  # a transfer in text mode damages it
-VERSION = 1
+VERSIONS = (1, 2)
 HEADER = struct.Struct("<8sIIIII4xdddd")  # magic, version, header size, file size, crc, slow_every, cycles, ramp, fade
 HEADER_SIZE = 512
 CRC_FROM = 24  # the checksum covers everything behind itself
@@ -16,7 +16,8 @@ IDENTITY = struct.Struct("<64s128s32s32s")  # machine, title, version, fingerpri
 SECTIONS_AT = IDENTITY_AT + IDENTITY.size
 SECTION = struct.Struct("<IIII")  # id, record size, count, offset
 
-INPUT = struct.Struct("<32s8s16sHHII4x" + "10d")
+INPUT = struct.Struct("<32s8s16sHHII4x" + "11d")
+INPUT_1 = struct.Struct("<32s8s16sHHII4x" + "10d")  # of version 1: without noise
 SUBSTITUTE = struct.Struct("<I4xd")
 NODE = struct.Struct("<HHIIII4x" + "4d")
 OPERAND = struct.Struct("<I4xd")
@@ -41,6 +42,7 @@ RECORDS = {
     10: ("outputs", OUTPUT),
     11: ("terms", TERM),
 }
+RECORDS_1 = RECORDS | {1: ("inputs", INPUT_1)}
 MOST = {
     1: t.MAX_INPUTS,
     2: t.MAX_OPERANDS,
@@ -84,6 +86,11 @@ OPERATIONS: dict[str, tuple[int, type[t.Node], tuple[str, ...]]] = {
     "lookup": (12, t.LookupNode, ("start", "step")),
 }
 BY_CODE = {code: (op, cls, fields) for op, (code, cls, fields) in OPERATIONS.items()}
+
+
+def records(version: int) -> dict[int, tuple[str, struct.Struct]]:
+    """Section id -> its name and record, of a format version."""
+    return RECORDS_1 if version == 1 else RECORDS
 
 
 def input_flags(i: t.TableInput) -> int:

@@ -11,6 +11,7 @@ from errpipe.tables import ect
 INPUT_RECORD = np.dtype(
     {
         "names": [
+            "kind",
             "flags",
             "first",
             "count",
@@ -24,10 +25,11 @@ INPUT_RECORD = np.dtype(
             "valid_low",
             "valid_high",
             "margin",
+            "noise",
         ],
-        "formats": ["<u2", "<u4", "<u4"] + ["<f8"] * 10,
-        "offsets": [58, 60, 64, *range(72, 152, 8)],
-        "itemsize": 152,
+        "formats": ["<u2", "<u2", "<u4", "<u4"] + ["<f8"] * 11,
+        "offsets": [56, 58, 60, 64, *range(72, 160, 8)],
+        "itemsize": 160,
     }
 )
 WEIGHTED = np.dtype({"names": ["number", "weight"], "formats": ["<u4", "<f8"], "offsets": [0, 8], "itemsize": 16})
@@ -73,8 +75,8 @@ TERM_RECORD = np.dtype(
 )
 
 INPUT_STATE = np.dtype(
-    [(n, "f8") for n in ("raw", "wait", "good", "age", "value")]
-    + [(n, "i8") for n in ("seen", "usable", "fault", "source")]
+    [(n, "f8") for n in ("raw", "wait", "good", "age", "anchor", "now", "left", "value")]
+    + [(n, "i8") for n in ("seen", "usable", "fault", "source", "rejected")]
 )
 NODE_STATE = np.dtype([("value", "f8"), ("memory", "f8"), ("ready", "i8")])
 OUTPUT_STATE = np.dtype([(n, "f8") for n in ("deviation", "correction", "limited", "rate", "target")])
@@ -97,13 +99,15 @@ _SECTIONS = {
 
 
 def program(table: t.CompensationTable) -> k.Program:
-    """The arrays of a table."""
-    data = ect.dumps(table)
+    """The arrays of a table, in the records of version 2; a table of version 1 keeps its rules."""
+    data = ect.dumps(table.model_copy(update={"table": 2}))
     arrays = {name: np.frombuffer(ect.section(data, n), dtype).copy() for name, (n, dtype) in _SECTIONS.items()}
     slow = (arrays["nodes"]["flags"] & k.SLOW) != 0
     return k.Program(
+        rules=table.table,
         slow_every=table.slow_every,
         cycle_s=table.position_cycle_s,
+        thermal_s=table.thermal_cycle_s,
         ramp_s=table.ramp_s,
         fade_s=table.fade_s,
         **arrays,

@@ -1,12 +1,13 @@
 """The plain-Python evaluator: what a compensation table means, one cycle at a time.
 
-The order of every operation here is the definition (`schemas/ect-1.md` says the same in words); the Numba
+The order of every operation here is the definition (`schemas/ect-2.md` says the same in words); the Numba
 kernel, the C runtime and the function block repeat it and give the same bits.
 
-One cycle: readings are conditioned (every result lies within its input's [low, high]); nodes run in
+One cycle: readings are conditioned (every result lies within its input's validity); nodes run in
 order, slow ones only in thermal cycles (the first cycle and every `slow_every`-th after it); profiles, pairs,
 synthesis; then limits. A state (first, lag, direction, approach) follows its operand until every required
-input below it has had a believed reading, and starts there.
+input below it has had a believed reading, and starts there. Tables of format version 1 run by the rules of their
+version (`schemas/ect-1.md`).
 
 Two ways to call it: at the controller's fixed rate (dt None), or over a recording (dt given: time since the
 row before). Over a recording every node runs in every row, and ramp, fade time, slew and acceleration,
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 from errpipe.domain import table as t
 from errpipe.tables.arithmetic import exp, power
 
+_NOWHERE = 1e31  # where an anchor stands before the first reading: beyond every reading
 _BIT = {name: 1 << n for n, name in enumerate(t.STATUS)}
 
 
@@ -35,6 +37,7 @@ class Cycle:
     heartbeat: int
     faults: dict[str, str]
     sources: dict[str, str]
+    rejected: dict[str, int]
 
     def says(self) -> tuple[str, ...]:
         """Names of the status bits that are set."""
@@ -51,16 +54,34 @@ class Evaluator:
         self._inverse_step = [1.0 / p.step for p in table.profiles]
         self._inverse_turn = [1.0 / (len(p.values) - 1) if p.periodic else 0.0 for p in table.profiles]
         self._alphas = [self._lag_factors(n) for n in table.nodes]
+        self._rules_of_2 = table.table > 1
+        self._ramp = 0.0
+        self._correction = [0.0] * len(table.outputs)
         self.reset()
 
+    def take_over(self, before: Evaluator) -> None:
+        """Begin where the evaluator of another table stands: its corrections and its ramp.
+
+        Raises ValueError where the outputs are not the same ones.
+        """
+        theirs, ours = ([(o.name, o.unit, o.correction_unit) for o in e.table.outputs] for e in (before, self))
+        if theirs != ours:
+            raise ValueError("the tables have other outputs: a correction would jump")
+        self._correction, self._ramp = list(before._correction), before._ramp
+        self._target = list(self._correction)
+
     def reset(self) -> None:
-        """Forget everything: the next cycle is the first of a run."""
+        """The next cycle is the first of a run; corrections stay where they are, and go on from there."""
         table = self.table
         inputs, nodes, outputs = len(table.inputs), len(table.nodes), len(table.outputs)
         self._raw = [float("nan")] * inputs
         self._wait = [0.0] * inputs
         self._good = [0.0] * inputs
         self._age = [0.0] * inputs
+        self._anchor = [_NOWHERE] * inputs
+        self._rejected = [0] * inputs
+        self._now = [0.0] * inputs
+        self._left = [1.0] * inputs
         self._seen = [False] * inputs
         self._usable = [i.optional for i in table.inputs]
         self._value = [0.0] * inputs
@@ -68,30 +89,37 @@ class Evaluator:
         self._ready = [False] * nodes
         self._a = [0.0] * nodes
         self._fade = -1.0
-        self._ramp = 0.0
-        self._correction = [0.0] * outputs
+        if not self._rules_of_2:
+            self._ramp = 0.0
+            self._correction = [0.0] * outputs
         self._rate = [0.0] * outputs
-        self._target = [0.0] * outputs
+        self._target = list(self._correction)
         self._until_slow = 0
         self._heartbeat = 0
         self._status = 0
 
-    def cycle(self, inputs: Mapping[str, float], dt: float | None = None, enable: bool = True) -> Cycle:
+    def cycle(
+        self, inputs: Mapping[str, float], dt: float | None = None, enable: bool = True, hold: bool = False
+    ) -> Cycle:
         """One cycle. inputs: new readings by name (NaN: a failed one; absent: none since the last cycle).
 
-        dt: None at the controller's rate, else s since the row before. Raises KeyError for an unknown input.
+        dt: None at the controller's rate, else s since the row before; enable: corrections are wanted (else they go
+        to 0); hold: they stay as they are, whatever `enable` says. Raises KeyError for an unknown input.
         """
         self._status = _BIT["running"]
         replay = dt is not None
         step = self.table.position_cycle_s if dt is None else dt
         slow = replay or self._until_slow == 0
         self._until_slow = (self.table.slow_every if slow else self._until_slow) - 1
-        faults, sources, lost = self._condition(inputs, step)
+        faults, sources, lost = self._condition(inputs, step, replay)
+        for n, channel in enumerate(self.table.inputs):
+            if slow or channel.fast or not self._rules_of_2:
+                self._show(n, channel)
         self._run_nodes(slow, dt)
         self._move_fade(self._fade_target(lost), step, replay)
         components = self._components()
         deviation = self._synthesis(components)
-        correction = self._limit(deviation, step, replay, enable)
+        correction = self._limit(deviation, step, replay, enable, hold)
         self._heartbeat = (self._heartbeat + 1) % (1 << 32)
         names = [o.name for o in self.table.outputs]
         return Cycle(
@@ -102,6 +130,7 @@ class Evaluator:
             self._heartbeat,
             {i.name: t.FAULTS[f] for i, f in zip(self.table.inputs, faults, strict=True)},
             {i.name: t.SOURCES[s] for i, s in zip(self.table.inputs, sources, strict=True)},
+            {i.name: r for i, r in zip(self.table.inputs, self._rejected, strict=True)},
         )
 
     def nodes(self) -> tuple[float, ...]:
@@ -118,11 +147,11 @@ class Evaluator:
 
     # readings ---------------------------------------------------------------------------------------
 
-    def _condition(self, readings: Mapping[str, float], dt: float) -> tuple[list[int], list[int], bool]:
+    def _condition(self, readings: Mapping[str, float], dt: float, replay: bool) -> tuple[list[int], list[int], bool]:
         for name in readings:
             if name not in self._number:
                 raise KeyError(f"the table has no input {name!r} (inputs: {', '.join(self._number)})")
-        faults = [self._judge(n, i, readings, dt) for n, i in enumerate(self.table.inputs)]
+        faults = [self._judge(n, i, readings, dt, replay) for n, i in enumerate(self.table.inputs)]
         sources = [0] * len(faults)
         lost = False
         for n, i in enumerate(self.table.inputs):
@@ -133,7 +162,7 @@ class Evaluator:
                     lost = lost or (sources[n] == 3 and i.fade_on_default)
         return faults, sources, lost
 
-    def _judge(self, n: int, channel: t.TableInput, readings: Mapping[str, float], dt: float) -> int:
+    def _judge(self, n: int, channel: t.TableInput, readings: Mapping[str, float], dt: float, replay: bool) -> int:
         self._age[n] = self._age[n] + dt
         self._wait[n] = self._wait[n] + dt
         if channel.name in readings:
@@ -146,22 +175,42 @@ class Evaluator:
             return 2
         if v < channel.low or v > channel.high:
             return 3
-        if channel.max_rate is not None and self._seen[n]:
-            moved = v - self._good[n]
-            if moved < 0.0:
-                moved = -moved
-            if moved > channel.max_rate * self._age[n]:
-                return 4
+        if channel.max_rate is not None and not self._follows(n, channel, v, channel.name in readings, replay):
+            return 4
         self._good[n] = v
-        self._value[n] = v
+        self._now[n] = v
         self._age[n] = 0.0
         self._seen[n] = True
         self._usable[n] = True
         return 0
 
+    def _follows(self, n: int, channel: t.TableInput, v: float, fresh: bool, replay: bool) -> bool:
+        """Whether a reading lies where `max_rate` and `noise` let it be; the anchor follows it at that rate.
+
+        The first reading of a run is believed once it has stayed there for half a thermal cycle.
+        """
+        seen = self._seen[n]
+        if not seen and (replay or not self._rules_of_2):
+            self._anchor[n] = v
+            return True
+        assert channel.max_rate is not None
+        reach = channel.max_rate * self._age[n]
+        moved = v - self._anchor[n]
+        if moved > reach + channel.noise or -moved > reach + channel.noise:
+            if not seen:
+                self._anchor[n] = v
+                self._age[n] = 0.0
+            elif fresh:
+                self._rejected[n] = (self._rejected[n] + 1) % (1 << 32)
+            return False
+        if not seen and self._age[n] < 0.5 * self.table.thermal_cycle_s:
+            return False
+        self._anchor[n] = self._anchor[n] + reach if moved > reach else self._anchor[n] - reach if -moved > reach else v
+        return True
+
     def _stand_in(self, n: int, channel: t.TableInput, faults: list[int]) -> int:
         if channel.optional:
-            self._value[n] = channel.default
+            self._now[n] = channel.default
             return 3
         sources = [self._number[s.input] for s in channel.substitute]
         if sources and all(faults[s] == 0 for s in sources):
@@ -172,14 +221,27 @@ class Evaluator:
                 v = channel.low
             if v > channel.high:
                 v = channel.high
-            self._value[n] = v
+            self._now[n] = v
             self._usable[n] = True
             return 1
         if self._seen[n] and (channel.hold_s is None or self._age[n] < channel.hold_s):
-            self._value[n] = self._good[n]
+            self._now[n] = self._good[n]
             return 2
-        self._value[n] = channel.default
+        self._now[n] = channel.default
         return 3
+
+    def _show(self, n: int, channel: t.TableInput) -> None:
+        """What the table sees of an input: within its validity, and what is left of the table outside it."""
+        v = self._now[n]
+        self._left[n] = 1.0
+        if channel.valid is not None:
+            low, high = channel.valid
+            outside = low - v if v < low else v - high
+            if outside > 0.0:
+                self._left[n] = 1.0 - outside / (channel.margin or 1.0)
+                if self._rules_of_2:
+                    v = low if v < low else high
+        self._value[n] = v
 
     # nodes ------------------------------------------------------------------------------------------
 
@@ -305,14 +367,8 @@ class Evaluator:
             return 0.0
         target = 1.0
         for n, channel in enumerate(self.table.inputs):
-            if channel.valid is None or (names is not None and channel.name not in names):
-                continue
-            v = self._value[n]
-            outside = channel.valid[0] - v if v < channel.valid[0] else v - channel.valid[1]
-            if outside > 0.0:
-                left = 1.0 - outside / (channel.margin or 1.0)
-                if left < target:
-                    target = left
+            if (names is None or channel.name in names) and self._left[n] < target:
+                target = self._left[n]
         return target if target > 0.0 else 0.0
 
     def _move_fade(self, target: float, dt: float, replay: bool) -> None:
@@ -371,9 +427,11 @@ class Evaluator:
             out.append(total)
         return out
 
-    def _limit(self, deviation: list[float], dt: float, replay: bool, enable: bool) -> list[float]:
-        ramp_s = 0.0 if replay else self.table.ramp_s
-        self._ramp = _towards(self._ramp, 1.0 if enable else 0.0, dt, ramp_s)
+    def _limit(self, deviation: list[float], dt: float, replay: bool, enable: bool, hold: bool) -> list[float]:
+        if hold:
+            self._status |= _BIT["holding"]
+        else:
+            self._ramp = _towards(self._ramp, 1.0 if enable else 0.0, dt, 0.0 if replay else self.table.ramp_s)
         if self._ramp >= 1.0:
             self._status |= _BIT["active"]
         elif self._ramp > 0.0:
@@ -388,7 +446,10 @@ class Evaluator:
                 if target < -output.magnitude:
                     target = -output.magnitude
                     self._status |= _BIT["at_magnitude"]
-            if replay or (output.slew is None and output.acceleration is None):
+            if hold:
+                self._rate[n] = 0.0
+                self._target[n] = target
+            elif replay or (output.slew is None and output.acceleration is None):
                 self._correction[n] = target
             else:
                 self._approach_target(n, output, target, dt)
@@ -425,8 +486,15 @@ class Evaluator:
             return
         self._status |= _BIT["at_rate"]
         rate = self._closing_rate(n, way, drift, slowest, fastest, brake)
+        before = self._correction[n]
         self._rate[n] = rate
-        self._correction[n] = self._correction[n] + rate
+        self._correction[n] = before + rate
+        if output.magnitude is not None and self._rules_of_2:
+            bounded = min(max(self._correction[n], -output.magnitude), output.magnitude)
+            if bounded != self._correction[n]:
+                self._status |= _BIT["at_magnitude"]
+                self._correction[n] = bounded
+                self._rate[n] = bounded - before
 
     def _closing_rate(self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float) -> float:
         """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way.

@@ -30,11 +30,12 @@ class CRuntime(Target):
     sign = "a positive correction is added to the command: it moves the axis in plus"
     limits = "whole table; single precision loses a few nanometres"
     holds = ("screw", "both directions", "cross", "temperature")
-    source = "schemas/ect-1.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"
+    source = "schemas/ect-2.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"
     activation = (
         "ect_load must return ECT_OK; e.crc shows the table's checksum: compare it with `errpipe whatis table.ect`",
+        "emergency stop or drives without power: mode ECT_HOLD; before and while homing: ECT_OFF",
         "call ect_cycle once per position cycle; bit 0 of e.status must be set and e.heartbeat must count",
-        "read e.outputs[].correction at three points with enable 0 (all 0) and 1 before it is added to a command",
+        "read e.outputs[].correction at three points with ECT_OFF (all 0) and ECT_ON before adding it to a command",
     )
 
     @classmethod
@@ -107,7 +108,7 @@ int main(void)
         printf("refused: %s (record %u)\\n", ect_says(error), (unsigned)e.where);
         return 1;
     }}
-    ect_cycle(&e, readings, NULL, 1);
+    ect_cycle(&e, readings, NULL, ECT_ON);
     for (o = 0; o < e.output_count; o++) {{
         printf("%u %.9g\\n", (unsigned)o, (double)e.outputs[o].correction);
     }}

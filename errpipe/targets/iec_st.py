@@ -32,7 +32,7 @@ from errpipe.targets._whole import WholeTable
 
 TYPES = ("ECT_FILE", "ECT_INPUTS", "ECT_FRESH", "ECT_OUTPUTS", "ECT_TABLE")
 FUNCTIONS = ("EctInt", "EctReal", "EctNull", "EctMisfit", "EctExp", "EctPower", "EctMove", "EctClosing")
-BLOCKS = ("FB_EctLoad", "FB_EctCycle")
+BLOCKS = ("FB_EctLoad", "FB_EctCycle", "FB_EctSwitch", "FB_EctFind", "FB_EctWatch")
 DATA = "GVL_EctData"
 # Room for other tables than the one exported: what the arrays hold at least.
 LEAST_ROOM = {

@@ -1,4 +1,4 @@
-"""A second evaluator of the compensation table, written from the text of `schemas/ect-1.md` alone (sections 4 to 8)."""
+"""A second evaluator of the compensation table, written from the text of `schemas/ect-2.md`, sections 4 to 8 and 11."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from tests.contract.second_reader import Input, Node, Output, Profile, Table
 
 BIG = 1e30
 RUNNING, ACTIVE, RAMPING, SUBSTITUTED, HELD, DEFAULTED, FADING = 1, 2, 4, 8, 16, 32, 64
-FADED, AT_MAGNITUDE, AT_RATE, BEYOND, WAITING, NOT_FINITE = 128, 256, 512, 1024, 2048, 4096
+FADED, AT_MAGNITUDE, AT_RATE, BEYOND, WAITING, NOT_FINITE, HOLDING = 128, 256, 512, 1024, 2048, 4096, 8192
 
 
 def is_sane(x: float) -> bool:
@@ -26,13 +26,16 @@ class Cycle(NamedTuple):
     heartbeat: int
     sources: list[int]
     faults: list[int]
+    rejected: list[int]
 
 
 class InputState:
     """Section 4, first paragraph, and section 5: what is remembered of an input."""
 
     def __init__(self, optional: bool) -> None:
-        self.age = self.wait = self.good = self.value = 0.0
+        self.age = self.wait = self.good = self.now = self.value = 0.0
+        self.anchor, self.left = 1e31, 1.0
+        self.rejected = 0
         self.raw = math.nan
         self.seen = False
         self.usable = optional
@@ -60,6 +63,8 @@ class Evaluator:
     def __init__(self, table: Table, number: type[float] = float) -> None:
         self.number = number
         self.table: Table = self._rounded(table)
+        self.outputs = [OutputState() for _ in self.table.outputs]
+        self.rho = 0.0
         self.reset()
 
     def _rounded(self, thing: Any) -> Any:
@@ -71,19 +76,25 @@ class Evaluator:
         return [self._rounded(x) for x in thing] if isinstance(thing, list) else thing
 
     def reset(self) -> None:
-        """Section 4, first paragraph."""
+        """Section 4, first paragraphs."""
         self.inputs = [InputState(r.optional) for r in self.table.inputs]
         self.nodes = [NodeState() for _ in self.table.nodes]
-        self.outputs = [OutputState() for _ in self.table.outputs]
-        self.phi, self.rho = -1.0, 0.0
+        self.phi = -1.0
+        for s in self.outputs:
+            s.c = s.c if self.table.version > 1 else 0.0
+            s.r, s.g = 0.0, s.c
+        self.rho = self.rho if self.table.version > 1 else 0.0
         self.count = self.heartbeat = self.status = 0
 
-    def cycle(self, enable: bool, readings: Sequence[float | None]) -> Cycle:
+    def cycle(self, mode: int, readings: Sequence[float | None]) -> Cycle:
         """Section 4: one cycle; a reading that is not fresh is None."""
         first, thermal = self.count == 0, self.count % self.table.slow_every == 0
         self.count += 1
         self.status = RUNNING
         lost = self._read(readings)
+        for r, s in zip(self.table.inputs, self.inputs, strict=True):
+            if thermal or r.kind < 4 or self.table.version == 1:
+                self._take_over(r, s)
         for node, state in zip(self.table.nodes, self.nodes, strict=True):
             if thermal or not node.slow:
                 self._run(node, state)
@@ -91,12 +102,13 @@ class Evaluator:
             self.status |= WAITING
         self._fade(first, lost)
         deviations = self._sums([self._profile(p) for p in self.table.profiles])
-        self._ramp(enable)
+        self._ramp(mode)
         limited = zip(self.table.outputs, self.outputs, deviations, strict=True)
-        corrections = [self._limit(o, s, d) for o, s, d in limited]
+        corrections = [self._limit(o, s, d, mode) for o, s, d in limited]
         self.heartbeat = (self.heartbeat + 1) % 2**32
         sources, faults = [s.source for s in self.inputs], [s.fault for s in self.inputs]
-        return Cycle(deviations, corrections, self.status, self.heartbeat, sources, faults)
+        rejected = [s.rejected for s in self.inputs]
+        return Cycle(deviations, corrections, self.status, self.heartbeat, sources, faults, rejected)
 
     # ---- section 5 ----
 
@@ -121,12 +133,32 @@ class Evaluator:
             s.fault = 2
         elif s.raw < r.low or s.raw > r.high:
             s.fault = 3
-        elif r.flags & 8 and s.seen and abs(s.raw - s.good) > r.max_rate * s.age:
+        elif r.flags & 8 and not self._rate(r, s, reading is not None):
             s.fault = 4
         else:
             s.fault, s.source, s.age = 0, 0, 0.0
-            s.good = s.value = s.raw
+            s.good = s.now = s.raw
             s.seen = s.usable = True
+
+    def _rate(self, r: Input, s: InputState, fresh: bool) -> bool:
+        """Section 5, RATE; section 11."""
+        if not s.seen and self.table.version == 1:
+            s.anchor = s.raw
+            return True
+        reach, t = r.max_rate * s.age, abs(s.raw - s.anchor)
+        if t > reach + r.noise:
+            if not s.seen:
+                s.anchor, s.age = s.raw, self.number(0.0)
+            elif fresh:
+                s.rejected += 1
+            return False
+        if not s.seen and s.age < self.number(0.5) * self.table.thermal_cycle:
+            return False
+        if t > reach:
+            s.anchor = s.anchor + reach if s.raw - s.anchor > reach else s.anchor - reach
+        else:
+            s.anchor = s.raw
+        return True
 
     def _replace(self, r: Input, s: InputState) -> None:
         """Section 5, the value of an input that has a fault."""
@@ -134,19 +166,30 @@ class Evaluator:
             return
         links = self.table.substitutes[r.first : r.first + r.count]
         if r.optional:
-            s.value, s.source = r.default, 3
+            s.now, s.source = r.default, 3
         elif links and not any(self.inputs[link.target].fault for link in links):
             value = r.offset
             for link in links:
                 value = value + link.weight * self.inputs[link.target].good
-            s.value, s.source, s.usable = (r.low if value < r.low else r.high if value > r.high else value), 1, True
+            s.now, s.source, s.usable = (r.low if value < r.low else r.high if value > r.high else value), 1, True
             self.status |= SUBSTITUTED
         elif s.seen and (not r.flags & 32 or s.age < r.hold):
-            s.value, s.source = s.good, 2
+            s.now, s.source = s.good, 2
             self.status |= HELD
         else:
-            s.value, s.source = r.default, 3
+            s.now, s.source = r.default, 3
             self.status |= DEFAULTED
+
+    def _take_over(self, r: Input, s: InputState) -> None:
+        """Section 5, last paragraph; section 11."""
+        s.value, s.left = s.now, self.number(1.0)
+        if r.flags & 4:
+            below = s.now < r.valid_low
+            over = r.valid_low - s.now if below else s.now - r.valid_high
+            if over > 0:
+                s.left = 1 - over / r.margin
+                if self.table.version > 1:
+                    s.value = r.valid_low if below else r.valid_high
 
     # ---- section 6 ----
 
@@ -235,11 +278,8 @@ class Evaluator:
     def _fade(self, first: bool, lost: bool) -> None:
         """Section 7, phi."""
         target = 1.0
-        for r, s in zip(self.table.inputs, self.inputs, strict=True):
-            if r.flags & 4:
-                over = r.valid_low - s.value if s.value < r.valid_low else s.value - r.valid_high
-                if over > 0:
-                    target = min(target, 1 - over / r.margin)
+        for s in self.inputs:
+            target = min(target, s.left)
         target = 0.0 if lost else max(target, 0.0)
         self.phi = target if first else self._move(self.phi, target, self.table.fade)
         if self.phi < 1:
@@ -296,18 +336,24 @@ class Evaluator:
 
     # ---- section 8 ----
 
-    def _ramp(self, enable: bool) -> None:
+    def _ramp(self, mode: int) -> None:
         """Section 8, rho."""
-        self.rho = self._move(self.rho, 1.0 if enable else 0.0, self.table.ramp)
+        if mode == 2:
+            self.status |= HOLDING
+        else:
+            self.rho = self._move(self.rho, 1.0 if mode == 1 else 0.0, self.table.ramp)
         self.status |= ACTIVE if self.rho >= 1 else RAMPING if self.rho > 0 else 0
 
-    def _limit(self, output: Output, s: OutputState, d: float) -> float:
+    def _limit(self, output: Output, s: OutputState, d: float, mode: int) -> float:
         """Section 8: the correction of an output."""
         dt = self.table.position_cycle
         goal = -d * self.rho
         if output.flags & 1 and abs(goal) > output.magnitude:
             goal = output.magnitude if goal > 0 else -output.magnitude
             self.status |= AT_MAGNITUDE
+        if mode == 2:
+            s.r, s.g = self.number(0.0), goal
+            return s.c * output.factor
         if not output.flags & 6:
             s.c = goal
             return s.c * output.factor
@@ -324,7 +370,11 @@ class Evaluator:
         else:
             self.status |= AT_RATE
             s.r = _closing(way, drift, s.r, hi, lo, a)
-            s.c = s.c + s.r
+            b, s.c = s.c, s.c + s.r
+            if self.table.version > 1 and output.flags & 1 and abs(s.c) > output.magnitude:
+                self.status |= AT_MAGNITUDE
+                s.c = output.magnitude if s.c > 0 else -output.magnitude
+                s.r = s.c - b
         return s.c * output.factor
 
 

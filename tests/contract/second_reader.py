@@ -1,7 +1,7 @@
-"""A second reader of the compensation table (`.ect`), written from the text of `schemas/ect-1.md` alone.
+"""A second reader of the compensation table (`.ect`), written from the text of `schemas/ect-2.md` alone.
 
 It shares no line with the package: where the two disagree, one of them or the text is wrong. Nothing but the standard
-library. Sections are those of `ect-1.md`; the cycle itself (sections 4 to 9) is in `second_cycle.py`.
+library. Sections are those of `ect-2.md`; the cycle itself (sections 4 to 9) is in `second_cycle.py`.
 """
 
 import math
@@ -42,6 +42,7 @@ class Input(NamedTuple):
     valid_low: float
     valid_high: float
     margin: float
+    noise: float = 0.0
 
     @property
     def optional(self) -> bool:
@@ -152,6 +153,7 @@ class Number(NamedTuple):
 class Table(NamedTuple):
     """A sound file: the header's numbers and the eleven sections (section 2)."""
 
+    version: int
     name: str
     machine: str
     title: str
@@ -176,7 +178,7 @@ class Table(NamedTuple):
 
 # id - 1: record, its layout, the most records, may it be empty (section 2)
 SECTIONS: tuple[tuple[Any, str, int, bool], ...] = (
-    (Input, "<32s8s16sHHIII10d", 64, True),
+    (Input, "<32s8s16sHHIII11d", 64, True),
     (Link, "<IId", 4096, True),
     (Node, "<HHIIIII4d", 1024, False),
     (Link, "<IId", 4096, True),
@@ -188,6 +190,9 @@ SECTIONS: tuple[tuple[Any, str, int, bool], ...] = (
     (Output, "<32s8sIIII4d", 64, False),
     (Term, "<IIIIIId", 4096, False),
 )
+
+# section 11: what version 1 has instead
+SECTIONS_1 = ((Input, "<32s8s16sHHIII10d", 64, True), *SECTIONS[1:])
 
 # unit, correction unit: factor (section 3.4)
 FACTORS = {(0, 0): 0.001, (0, 1): 1.0, (1, 2): 1.0, (1, 3): 5.729577951308232e-05, (1, 4): 1e-06}
@@ -255,7 +260,7 @@ def load(data: bytes) -> Table:
     check(len(data) >= HEADER, "shorter than its header")
     check(data[:8] == MAGIC, "no magic")
     version, header, size, crc, slow_every, zero = struct.unpack_from("<6I", data, 8)
-    check(version == 1, "format version is not 1")
+    check(version in (1, 2), "format version is not 1 or 2")
     check(header == HEADER, "header size is not 512")
     check(size == len(data), "file size is wrong")
     check(crc == zlib.crc32(data[24:]), "CRC-32 is wrong")
@@ -268,9 +273,10 @@ def load(data: bytes) -> Table:
     check(0 <= ramp <= 3600 and 0 <= fade <= 3600, "ramp or fade is out of range")
     machine, title = text(data[64:128], "machine"), text(data[128:256], "title")
     compiler = text(data[256:288], "version")
-    sections = [_records(data, *place) for place in _places(data)]
+    layouts = SECTIONS_1 if version == 1 else SECTIONS
+    sections = [_records(data, layouts, *place) for place in _places(data, layouts)]
     sections[4], sections[6] = [r.value for r in sections[4]], [r.value for r in sections[6]]
-    table = Table(f"{crc:08x}", machine, title, compiler, slow_every, cycle, thermal, ramp, fade, *sections)
+    table = Table(version, f"{crc:08x}", machine, title, compiler, slow_every, cycle, thermal, ramp, fade, *sections)
     _check_inputs(table)
     _check_nodes(table)
     _check_profiles(table)
@@ -279,10 +285,10 @@ def load(data: bytes) -> Table:
     return table
 
 
-def _places(data: bytes) -> list[tuple[int, int, int]]:
+def _places(data: bytes, layouts: tuple[Any, ...]) -> list[tuple[int, int, int]]:
     """Section 2, the list of sections: number, count and offset of each, all of them inside the file."""
     end, places = HEADER, []
-    for i, (_, layout, most, empty) in enumerate(SECTIONS):
+    for i, (_, layout, most, empty) in enumerate(layouts):
         ident, record, count, offset = struct.unpack_from("<4I", data, 320 + 16 * i)
         check(ident == i + 1 and record == struct.calcsize(layout), f"section {i + 1}: id or record size is wrong")
         check((count > 0 or empty) and count <= most, f"section {i + 1}: too few or too many records")
@@ -296,9 +302,9 @@ def _places(data: bytes) -> list[tuple[int, int, int]]:
     return places
 
 
-def _records(data: bytes, section: int, count: int, offset: int) -> list[Any]:
+def _records(data: bytes, layouts: tuple[Any, ...], section: int, count: int, offset: int) -> list[Any]:
     """Section 3: the records of a section; words are words, numbers are finite (section 1)."""
-    kind, layout, _, _ = SECTIONS[section]
+    kind, layout, _, _ = layouts[section]
     end = offset + count * struct.calcsize(layout)
     records = []
     for i, fields in enumerate(struct.iter_unpack(layout, data[offset:end])):
@@ -342,6 +348,7 @@ def _input_rules(r: Input) -> Iterator[bool]:
     yield r.kind <= 9 and r.flags < 64 and r.zero == 0
     yield is_n(r.low) and is_n(r.high) and r.high > r.low
     yield is_p(r.max_rate) if r.flags & 8 else same(r.max_rate, 0)
+    yield 0 <= r.noise <= 1e15 if r.flags & 8 else same(r.noise, 0)
     yield is_p(r.stale_after) if r.flags & 16 else same(r.stale_after, 0)
     yield 0 <= r.hold <= 1e15 if r.flags & 32 else same(r.hold, 0)
     yield r.low <= r.default <= r.high and is_n(r.offset)

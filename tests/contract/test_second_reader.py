@@ -23,10 +23,10 @@ from tests.contract import second_reader
 from tests.contract.second_cycle import Evaluator
 from tests.contract.second_functions import Single, exp, ln, power
 from tests.golden import vectors
-from tests.unit.tables.made import everything, stimulus
+from tests.unit.tables.made import everything, modes, stimulus
 from tests.unit.targets.c import test_c_runtime as c
 
-NAMES = vectors.NAMES
+NAMES = vectors.names()
 every = pytest.mark.parametrize("number", range(len(NAMES)), ids=NAMES)
 # Random tables that between them use every branch of sections 5 to 8 that random readings reach.
 SEEDS = (0, 1, 2, 18, 28, 47, 48, 81, 174, 181, 196)
@@ -83,7 +83,7 @@ WORDS = (
 
 @cache
 def golden():
-    return vectors.read(vectors.FILE.read_text(encoding="utf-8"))
+    return vectors.golden()
 
 
 def bits(numbers) -> list[str]:
@@ -103,15 +103,14 @@ def agree(table: t.CompensationTable, readings, fresh, enable) -> int:
     visited = 0
     for k, row in enumerate(readings):
         values = given(row, fresh[k])
-        theirs = first.cycle(
-            {n: v for n, v in zip(names, values, strict=True) if v is not None}, enable=bool(enable[k])
-        )
-        ours = second.cycle(bool(enable[k]), values)
+        theirs = first.cycle({n: v for n, v in zip(names, values, strict=True) if v is not None}, **modes(enable[k]))
+        ours = second.cycle(int(enable[k]), values)
         assert bits(ours.deviations) == bits(theirs.deviation.values()), k
         assert bits(ours.corrections) == bits(theirs.correction.values()), k
         assert bits(s.y for s in second.nodes) == bits(first.nodes()), k
         assert (ours.status, ours.heartbeat) == (theirs.status, theirs.heartbeat), k
         assert [t.FAULTS[f] for f in ours.faults] == list(theirs.faults.values()), k
+        assert ours.rejected == list(theirs.rejected.values()), k
         assert [t.SOURCES[s] for s in ours.sources] == list(theirs.sources.values()), k
         visited |= ours.status
     return visited
@@ -131,12 +130,34 @@ def test_golden_vectors_to_the_bit(number):
     name, data, readings, fresh, enable, results, status = golden()[number]
     assert name == NAMES[number]
     evaluator = Evaluator(second_reader.load(data))
-    for _ in range(2):  # after a reset, the same again
-        for k, row in enumerate(readings):
-            cycle = evaluator.cycle(bool(enable[k]), given(row, fresh[k]))
-            assert bits(cycle.deviations + cycle.corrections) == bits(results[k])
-            assert (cycle.status, cycle.heartbeat) == (status[k], k + 1)
-        evaluator.reset()
+    for k, row in enumerate(readings):
+        cycle = evaluator.cycle(int(enable[k]), given(row, fresh[k]))
+        assert bits(cycle.deviations + cycle.corrections) == bits(results[k])
+        assert (cycle.status, cycle.heartbeat) == (status[k], k + 1)
+
+
+@every
+def test_after_a_reset_corrections_go_on_from_where_they_stand(number):
+    _, data, readings, fresh, enable, *_ = golden()[number]
+    table = ect.loads(data)
+    first, second = reference.Evaluator(table), Evaluator(second_reader.load(data))
+    for k in (*range(40), -1, *range(40)):
+        if k < 0:
+            before = dict(zip(names_of(table), (s.c for s in second.outputs), strict=True))
+            first.reset()
+            second.reset()
+            assert table.table == 1 or before == dict(zip(names_of(table), (s.c for s in second.outputs), strict=True))
+            continue
+        k = min(k, len(readings) - 1)
+        values = given(readings[k], fresh[k])
+        known = {i.name: v for i, v in zip(table.inputs, values, strict=True) if v is not None}
+        theirs, ours = first.cycle(known, **modes(enable[k])), second.cycle(int(enable[k]), values)
+        assert bits(ours.corrections) == bits(theirs.correction.values()), k
+        assert (ours.status, ours.heartbeat) == (theirs.status, theirs.heartbeat)
+
+
+def names_of(table: t.CompensationTable) -> list[str]:
+    return [o.name for o in table.outputs]
 
 
 @every
@@ -506,7 +527,7 @@ def test_single_precision_is_the_c_runtime_to_the_bit(number, single):
     with np.errstate(over="ignore"):
         theirs = single.stream(ect.loads(data), readings, fresh, enable)
     for k, row in enumerate(readings):
-        cycle = evaluator.cycle(bool(enable[k]), given(row, fresh[k]))
+        cycle = evaluator.cycle(int(enable[k]), given(row, fresh[k]))
         assert bits(cycle.deviations) == bits(theirs[0][k])
         assert bits(cycle.corrections) == bits(theirs[1][k])
         assert cycle.status == theirs[2][k]

@@ -12,13 +12,14 @@ import numpy as np
 from errpipe.domain import table as t
 
 TICK = 2.0**-10
+HOLD = 2  # mode of a cycle in which corrections stay
 HIGH = 1000.0  # where every channel ends that says nothing else
 BAD = math.nan
 
 
 def channel(name: str, **more) -> t.TableInput:
-    """An input without a unit of its own, -1000 to 1000."""
-    return t.TableInput(name=name, kind="sensor", **({"low": -HIGH, "high": HIGH, "default": 3.0} | more))
+    """An input without a unit of its own, -1000 to 1000, read anew in every cycle."""
+    return t.TableInput(name=name, **({"kind": "force", "low": -HIGH, "high": HIGH, "default": 3.0} | more))
 
 
 def shown(inputs, nodes, faded=(), **more) -> t.CompensationTable:
@@ -186,6 +187,50 @@ def readings() -> tuple[t.CompensationTable, list[dict]]:
         ],
     )
     return table, given
+
+
+def doubts() -> tuple[t.CompensationTable, list[dict]]:
+    """Rates with a noise, exactly at their bounds and beside them, before and after the first reading is believed."""
+    inputs = (
+        channel("a", max_rate=4 / TICK, noise=8.0, hold_s=6 * TICK, fade_on_default=False),
+        channel("b", max_rate=2 / TICK, noise=1.0, stale_after_s=2 * TICK, fade_on_default=False),
+        channel("c", max_rate=1 / TICK, optional=True, default=-7.0),
+        channel("d", max_rate=4 / TICK, noise=8.0, substitute=({"input": "a", "weight": 1.0},)),
+    )
+    nodes = tuple(t.InputNode(input=i.name) for i in inputs)
+    first = tuple(t.FirstNode(of=(n,)) for n in range(len(nodes)))
+    table = shown(inputs, (*nodes, *first), slow_every=6)
+    start = [0.0, 12.125, 12.125, 0.0, 12.0, 20.0, 8.0, 8.0, 8.0, 20.0, 20.125, 20.0, 32.0, 24.0, 12.0, -0.125, 0.0]
+    a = [*start, 12.0, 24.0, 24.125, BAD, 24.0, 80.0, 80.0, 79.875, 80.0, None, 80.0, None, None, 60.0, 36.0]
+    b = [5.0, None, 5.0, 8.0, 5.0, 5.0, 5.0, 8.0, 8.0, 5.0, 2.0, None, None, None, 2.0, -1.0, -4.0, -4.125, 30.0, 0.0]
+    c = [1.0, 1.0, 1.0, 1.0, 2.0, 3.0, 4.125, 5.0, 6.0, 6.0, 4.0, 3.0, 2.0, 1.0, BAD, BAD, -1.0]
+    r = np.random.default_rng(8)
+    walk = [float(v) for v in np.cumsum(r.integers(-28, 29, 120)) / 2.0]
+    jumps = [float(v) for v in np.cumsum(r.choice((-12.0, -4.0, -0.5, 0.0, 0.5, 4.0, 12.0, 12.125, -12.125), 120))]
+    d = [None if v == 0.5 else v for v in jumps]
+    return table, rows(a=a + walk, b=b + [v / 4 for v in walk], c=c + [v / 16 for v in walk], d=d)
+
+
+def slowly() -> tuple[t.CompensationTable, list[dict]]:
+    """Inputs shown in thermal cycles only, within their validity: a profile, nodes and the fade see the same."""
+    inputs = (
+        channel("a", kind="sensor", valid=(-1.0, 1.0), margin=8.0, hold_s=2 * TICK, default=3.0),
+        channel(
+            "b", kind="position", valid=(0.0, 4.0), margin=16.0, hold_s=2 * TICK, default=0.0, fade_on_default=False
+        ),
+        channel("c", kind="other", max_rate=2 / TICK, noise=1.0, hold_s=4 * TICK, fade_on_default=False),
+    )
+    nodes = (*(t.InputNode(input=i.name, slow=slow) for i in inputs for slow in (False, True)), t.FirstNode(of=(0,)))
+    table = shown(inputs, nodes, faded=(0, 3), slow_every=3, fade_s=8 * TICK)
+    profiles = (*table.profiles, t.Profile(input="a", start=-2.0, step=1.0, values=(0, 8, 16, -8, 4, 64), scale=0.125))
+    pairs = (*table.pairs, t.Pair(component="N0", profile=1, driver=0, keep=True))
+    table = t.CompensationTable.model_validate(table.model_dump() | {"profiles": profiles, "pairs": pairs})
+    r = np.random.default_rng(9)
+    a = [0.5, 9.0, 1.0, 1.0, -1.0, 9.0, 5.0, BAD, BAD, BAD, BAD, 1.125, 0.0, 0.0, -9.0, -9.0, -5.0, -1.125, -1.0, 0.0]
+    a += [float(v) for v in r.choice((-13.0, -9.0, -2.0, -1.0, 0.0, 0.5, 1.0, 1.25, 5.0, 9.0, 10.0, BAD), 100)]
+    b = [float(v) for v in r.choice((-16.0, -8.0, -0.5, 0.0, 2.0, 4.0, 4.25, 8.0, 20.0, 21.0, BAD), 120)]
+    c = [None if v == 0 else float(v) for v in np.cumsum(r.integers(-4, 5, 120)) / 2.0]
+    return table, rows(a=a, b=b, c=c)
 
 
 def fading() -> tuple[t.CompensationTable, list[dict]]:
@@ -488,7 +533,7 @@ def sums() -> tuple[t.CompensationTable, list[dict]]:
 
 
 def motion() -> tuple[t.CompensationTable, list[dict], list[int]]:
-    """Slew 4 um, acceleration 1 um per cycle, magnitude 20 um: arrivals exactly at them, goals that move, ramps."""
+    """Slew 4 um, acceleration 1 um per cycle, magnitude 20 um: arrivals exactly at them, moving goals, ramps, holds."""
     limits = [
         {"slew": s, "acceleration": a, "magnitude": m}
         for s in (None, 4.0 / TICK)
@@ -522,6 +567,8 @@ def motion() -> tuple[t.CompensationTable, list[dict], list[int]]:
     way += [*map(float, walk), *map(float, jumps), *map(float, slopes)]
     enable = [1] * len(way)
     enable[100:104], enable[-60:-45] = [0] * 4, [0] * 15
+    for at, cycles in ((14, 3), (40, 2), (101, 2), (150, 5), (300, 1), (330, 9)):
+        enable[at : at + cycles] = [HOLD] * cycles
     return table, rows(a=[float(v) for v in way]), enable
 
 

@@ -147,14 +147,8 @@ def bits(numbers: Any) -> bytes:
 def blocks() -> list[tuple[Any, ...]]:
     """The golden file as plain Python, the cheapest tables first."""
     out = []
-    for _, data, readings, fresh, enable, results, status in vectors.read(vectors.FILE.read_text(encoding="utf-8")):
-        plain = (
-            readings.tolist(),
-            fresh.tolist(),
-            [bool(e) for e in enable],
-            [bits(r) for r in results],
-            status.tolist(),
-        )
+    for _, data, readings, fresh, enable, results, status in vectors.golden():
+        plain = (readings.tolist(), fresh.tolist(), enable.tolist(), [bits(r) for r in results], status.tolist())
         out.append((second_reader.load(data), *plain))
     return sorted(out, key=lambda b: len(b[1]) * len(b[0].nodes))
 

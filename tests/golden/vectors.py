@@ -1,7 +1,8 @@
 """Golden vectors of the compensation table: made by the reference evaluator, read by anyone.
 
-`python -m tests.golden.vectors` writes `schemas/ect-1.golden.txt` anew; a test says when it should be. Changing it
-means that the meaning of a table has changed: that needs a new format version. Ties (a travel of exactly the
+`python -m tests.golden.vectors` writes `schemas/ect-2.golden.txt` anew; a test says when it should be. Changing it
+means that the meaning of a table has changed: that needs a new format version. `ect-1.golden.txt`, of version 1, is
+read only: tables of that version are still run by its rules. Ties (a travel of exactly the
 threshold) are exact in single precision too; elsewhere comparisons stay away from them.
 """
 
@@ -21,20 +22,23 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, ect
 from errpipe.tables.reference import Evaluator
 from tests.golden import edges
-from tests.unit.tables.made import everything, stimulus
+from tests.unit.tables.made import everything, modes, stimulus
 
-FILE = Path(__file__).parents[2] / "schemas" / "ect-1.golden.txt"
-HEAD = """# Golden vectors of the compensation table, binary form, version 1 (ect-1.md).
+SCHEMAS = Path(__file__).parents[2] / "schemas"
+FILE = SCHEMAS / "ect-2.golden.txt"
+FILE_1 = SCHEMAS / "ect-1.golden.txt"
+HEAD = """# Golden vectors of the compensation table, binary form, version 2 (ect-2.md).
 #
 # Each block: `table NAME`, the bytes of the file in hexadecimal, then one line per cycle from a fresh start:
-#     ENABLE  one field per input  >  one deviation per output, one correction per output, status (hexadecimal)
-# A field is - where there is no new reading, nan or inf where it failed, else a number as C's %a writes it (binary64,
-# exact). An evaluator in binary64 must give every bit of every number; one in binary32 keeps the deviations within
-# 0.005 um or 2e-6 of the largest of the table, whichever is more (mixed-1: 3e-5, mixed-81: 5e-6); a limited correction
-# on its way may be one cycle early or late.
+#     MODE  one field per input  >  one deviation per output, one correction per output, status (hexadecimal)
+# MODE is 0 off, 1 on, 2 hold. A field is - where there is no new reading, nan or inf where it failed, else a number as
+# C's %a writes it (binary64, exact). An evaluator in binary64 must give every bit; one in binary32 keeps
+# the deviations within 0.005 um or 2e-6 of the largest of the table, whichever is more (mixed-1: 3e-5, mixed-81: 5e-6);
+# a limited correction on its way may be one cycle early or late.
 #
-# straight to volumetric: machines one can check by hand. readings, fading, operations, sums, motion: each rule of
-# sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N: random tables that use everything.
+# straight to volumetric: machines one can check by hand. readings, fading, operations, sums, motion, doubts, slowly:
+# each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N: random tables that
+# use everything.
 """
 NAMES = (
     "straight",
@@ -50,6 +54,8 @@ NAMES = (
     "operations",
     "sums",
     "motion",
+    "doubts",
+    "slowly",
     "mixed-1",
     "mixed-28",
     "mixed-81",
@@ -63,9 +69,20 @@ SINGLE = 0.005
 SINGLE_SHARE = dict.fromkeys(NAMES, 2e-6) | {"mixed-1": 3e-5, "mixed-81": 5e-6}
 
 
+def golden() -> list[tuple[str, bytes, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """All blocks of both files, those of version 1 behind the others and named `v1/NAME`."""
+    new, old = (read(file.read_text(encoding="utf-8")) for file in (FILE, FILE_1))
+    return [*new, *((f"v1/{block[0]}", *block[1:]) for block in old)]
+
+
+def names() -> list[str]:
+    """Names of all blocks of both files, in their order."""
+    return [block[0] for block in golden()]
+
+
 @dataclass(frozen=True)
 class Block:
-    """One table and its cycles: readings (cycles, inputs), fresh and enable as in the kernels."""
+    """One table and its cycles: readings (cycles, inputs), fresh and mode as in the kernels."""
 
     name: str
     table: t.CompensationTable
@@ -264,7 +281,7 @@ def mixed(seed: int) -> Block:
 def blocks() -> Iterator[Block]:
     """All blocks, in the order of the file."""
     yield from (straight(), curves(), thermal(), reversal(), limits(), volumetric(), mixed(6), mixed(13))
-    for make in (edges.readings, edges.fading, edges.operations, edges.sums, edges.motion):
+    for make in (edges.readings, edges.fading, edges.operations, edges.sums, edges.motion, edges.doubts, edges.slowly):
         yield block(make.__name__, *make())
     yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))
 
@@ -279,10 +296,11 @@ def text() -> str:
         evaluator = Evaluator(b.table)
         names = [i.name for i in b.table.inputs]
         for row, news, on in zip(b.readings, b.fresh, b.enable, strict=True):
-            cycle = evaluator.cycle({n: row[k] for k, n in enumerate(names) if news[k]}, enable=bool(on))
-            given = " ".join(number(v) if new else "-" for v, new in zip(row, news, strict=True))
+            given = {n: row[k] for k, n in enumerate(names) if news[k]}
+            cycle = evaluator.cycle(given, **modes(on))
+            shown = " ".join(number(v) if new else "-" for v, new in zip(row, news, strict=True))
             results = " ".join(number(v) for v in (*cycle.deviation.values(), *cycle.correction.values()))
-            out.append(f"{on} {given} > {results} {cycle.status:x}\n")
+            out.append(f"{on} {shown} > {results} {cycle.status:x}\n")
     return "".join(out)
 
 
@@ -293,7 +311,7 @@ def number(value: float) -> str:
 
 def single_bound(name: str, deviations: np.ndarray) -> float:
     """What binary32 may lose of the deviations (cycles, outputs) of a table, um or urad."""
-    return max(SINGLE, SINGLE_SHARE[name] * float(np.abs(deviations).max()))
+    return max(SINGLE, SINGLE_SHARE[name.removeprefix("v1/")] * float(np.abs(deviations).max()))
 
 
 def read(content: str) -> list[tuple[str, bytes, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:

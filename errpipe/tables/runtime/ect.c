@@ -1,4 +1,4 @@
-/* See ect.h. Section numbers in comments are those of ect-1.md, from which this file was written. */
+/* See ect.h. Section numbers in comments are those of ect-2.md, from which this file was written. */
 #include "ect.h"
 
 #include <string.h>
@@ -16,9 +16,10 @@ enum { CONSTANT = 1, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DI
 enum { OPTIONAL = 1, FADE_ON_DEFAULT = 2, HAS_VALID = 4, HAS_MAX_RATE = 8, HAS_STALE = 16, HAS_HOLD = 32 };
 enum { SLOW = 1, START_ZERO = 2 };
 enum { HAS_MAGNITUDE = 1, HAS_SLEW = 2, HAS_ACCELERATION = 4 };
+enum { SLOW_KINDS = 4, RECORD_INPUT_1 = 152 }; /* the record of an input in version 1 */
 #define LOST 0x80000000u /* internal: an input that matters is down to its default */
 
-static const uint32_t RECORD[SECTIONS] = {152, 16, 56, 16, 8, 72, 4, 24, 16, 88, 32};
+static const uint32_t RECORD[SECTIONS] = {160, 16, 56, 16, 8, 72, 4, 24, 16, 88, 32};
 static const uint32_t MOST[SECTIONS] = {64, 4096, 1024, 4096, 65536, 512, 4194304, 64, 2048, 64, 4096};
 static const uint32_t FEWEST[SECTIONS] = {0, 0, 1, 0, 0, 1, 1, 1, 1, 1, 1};
 
@@ -188,9 +189,10 @@ static int is_number(ect_real x) { return x >= R(-1e15) && x <= R(1e15); }
 static int is_positive(ect_real x) { return x > SMALLEST && x <= R(1e15); }
 
 /* A stored number that a formula of others gives. In binary64: every bit of it, so that 0 is not -0. In binary32, which
- * cannot know them, the range that the formula has; the sign is read from the file, as a tiny number rounds to 0. */
+ * cannot know them, within 1e-5 of the formula; the sign is read from the file, as a tiny number rounds to 0. */
 #ifdef ECT_SINGLE
 static int is_within(const uint8_t *p, ect_real most) { return p[7] < 0x80 && real_at(p) <= most; }
+static int is_near(ect_real a, ect_real b) { return a - b <= R(1e-5) && b - a <= R(1e-5); }
 #else
 static int is_stored(const uint8_t *p, ect_real x)
 {
@@ -341,6 +343,7 @@ int ect_arithmetic_is_exact(void)
 typedef struct {
     const uint8_t *at[SECTIONS];
     uint32_t count[SECTIONS];
+    uint32_t rules, input_size;
 } sections;
 
 static ect_error find_sections(const uint8_t *t, size_t size, sections *s, uint32_t *where)
@@ -357,7 +360,9 @@ static ect_error find_sections(const uint8_t *t, size_t size, sections *s, uint3
     if (size < HEADER) {
         return ECT_CUT_OFF;
     }
-    if (u32_at(t + 8) != 1 || u32_at(t + 12) != HEADER) {
+    s->rules = u32_at(t + 8);
+    s->input_size = s->rules == 1 ? (uint32_t)RECORD_INPUT_1 : RECORD[INPUTS];
+    if (s->rules < 1 || s->rules > 2 || u32_at(t + 12) != HEADER) {
         return ECT_VERSION;
     }
     if (u32_at(t + 16) != size) {
@@ -365,12 +370,12 @@ static ect_error find_sections(const uint8_t *t, size_t size, sections *s, uint3
     }
     for (i = 0; i < SECTIONS; i++) {
         const uint8_t *row = t + 320 + 16 * i;
-        uint32_t count = u32_at(row + 8), bytes;
+        uint32_t count = u32_at(row + 8), size_of_one = i == INPUTS ? s->input_size : RECORD[i], bytes;
         *where = i + 1;
-        if (u32_at(row) != i + 1 || u32_at(row + 4) != RECORD[i] || count > MOST[i] || count < FEWEST[i]) {
+        if (u32_at(row) != i + 1 || u32_at(row + 4) != size_of_one || count > MOST[i] || count < FEWEST[i]) {
             return ECT_SECTION;
         }
-        bytes = count * RECORD[i]; /* at most 16 MiB: no overflow */
+        bytes = count * size_of_one; /* at most 16 MiB: no overflow */
         if (u32_at(row + 12) != at || bytes > size - at) {
             return ECT_SECTION;
         }
@@ -381,7 +386,7 @@ static ect_error find_sections(const uint8_t *t, size_t size, sections *s, uint3
             return ECT_SECTION;
         }
         at += bytes;
-        if (!is_zero_bits(s->at[i] + count * RECORD[i], bytes - count * RECORD[i])) {
+        if (!is_zero_bits(s->at[i] + count * size_of_one, bytes - count * size_of_one)) {
             return ECT_SECTION;
         }
     }
@@ -443,6 +448,7 @@ static ect_error load_header(ect *e, const uint8_t *t)
 {
     e->slow_every = u32_at(t + 24);
     e->cycle = real_at(t + 32);
+    e->thermal = real_at(t + 40);
     e->ramp_time = real_at(t + 48);
     e->fade_time = real_at(t + 56);
     if (e->slow_every < 1 || e->slow_every > 1000000 || u32_at(t + 28) != 0) {
@@ -456,7 +462,7 @@ static ect_error load_header(ect *e, const uint8_t *t)
         return ECT_HEADER;
     }
 #else
-    if (!is_positive(real_at(t + 40))) {
+    if (!is_near(e->thermal / (e->cycle * (ect_real)e->slow_every), R(1))) {
         return ECT_HEADER;
     }
 #endif
@@ -474,7 +480,7 @@ static ect_error load_inputs(ect *e, const sections *s)
 {
     uint32_t i, k, used = 0;
     for (i = 0; i < s->count[INPUTS]; i++) {
-        const uint8_t *r = s->at[INPUTS] + i * RECORD[INPUTS];
+        const uint8_t *r = s->at[INPUTS] + i * s->input_size;
         ect_input *in = &e->inputs[i];
         e->where = i;
         in->flags = (uint16_t)u16_at(r + 58);
@@ -490,7 +496,9 @@ static ect_error load_inputs(ect *e, const sections *s)
         in->valid_low = real_at(r + 128);
         in->valid_high = real_at(r + 136);
         in->margin = real_at(r + 144);
-        if (!is_text(r, 32, 0, SIGNS_NAME) || !is_unique(s->at[INPUTS], RECORD[INPUTS], i, 32)
+        in->slow = s->rules > 1 && u16_at(r + 56) >= SLOW_KINDS;
+        in->noise = s->rules > 1 ? real_at(r + 152) : R(0);
+        if (!is_text(r, 32, 0, SIGNS_NAME) || !is_unique(s->at[INPUTS], s->input_size, i, 32)
             || !is_text(r + 32, 8, 1, SIGNS_AXIS) || !is_text(r + 40, 16, 1, SIGNS_NAME) || u16_at(r + 56) > 9
             || in->flags > 63 || u32_at(r + 68) != 0) {
             return ECT_INPUT;
@@ -501,6 +509,10 @@ static ect_error load_inputs(ect *e, const sections *s)
         }
         if (!is_optional(r + 88, in->flags & HAS_MAX_RATE) || !is_optional(r + 96, in->flags & HAS_STALE)
             || !is_optional(r + 144, in->flags & HAS_VALID)) {
+            return ECT_INPUT;
+        }
+        if (s->rules > 1 && (in->flags & HAS_MAX_RATE ? !(in->noise >= R(0) && in->noise <= R(1e15))
+                                                      : !is_zero_bits(r + 152, 8))) {
             return ECT_INPUT;
         }
         if (in->flags & HAS_HOLD ? !(in->hold >= R(0) && in->hold <= R(1e15)) : !is_zero_bits(r + 104, 8)) {
@@ -542,7 +554,6 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
     static const uint32_t most[13] = {0, 0, 0, 64, 1, 1, 16, 1, 1, 1, 2, 2, 1};
     static const uint32_t zero_from[13] = {0, 32, 24, 32, 24, 56, 24, 32, 40, 40, 40, 32, 48};
     ect_real dt = n->flags & SLOW ? e->cycle * (ect_real)e->slow_every : e->cycle;
-    (void)dt;
     if (n->op < CONSTANT || n->op > LOOKUP || n->count < fewest[n->op] || n->count > most[n->op]) {
         return 0;
     }
@@ -566,7 +577,8 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
             return 0;
         }
 #ifdef ECT_SINGLE
-        return is_within(r + 40, R(1)) && is_within(r + 48, R(1));
+        return is_within(r + 40, R(1)) && is_within(r + 48, R(1)) && is_near(n->c, exp_of(-(dt / n->a)))
+            && is_near(n->d, exp_of(-(dt / n->b)));
 #else
         return is_stored(r + 40, exp_of(-(dt / n->a))) && is_stored(r + 48, exp_of(-(dt / n->b)));
 #endif
@@ -585,7 +597,7 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
             return 0;
         }
 #ifdef ECT_SINGLE
-        return is_within(r + 40, R(1.1e15)) && n->c > R(0);
+        return is_within(r + 40, R(1.1e15)) && is_near(n->c * n->b, R(1));
 #else
         return is_stored(r + 40, R(1) / n->b);
 #endif
@@ -696,8 +708,8 @@ static ect_error load_profiles(ect *e, const sections *s)
             return ECT_PROFILE;
         }
 #ifdef ECT_SINGLE
-        if (!(p->inverse_step > R(0)) || !is_within(r + 32, R(1.1e15)) || (p->periodic && !(p->inverse_turn > R(0)))
-            || !is_within(r + 40, R(1))) {
+        if (!is_within(r + 32, R(1.1e15)) || !is_near(p->inverse_step * step, R(1)) || !is_within(r + 40, R(1))
+            || (p->periodic && !is_near(p->inverse_turn * (ect_real)p->last, R(1)))) {
             return ECT_PROFILE;
         }
 #else
@@ -879,6 +891,7 @@ ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t wo
     }
     e->table = t;
     e->where = 0;
+    e->rules = 1; /* for this reset, which clears the corrections too */
     e->input_count = s.count[INPUTS];
     e->node_count = s.count[NODES];
     e->profile_count = s.count[PROFILES];
@@ -886,7 +899,13 @@ ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t wo
     e->pair_count = s.count[PAIRS];
     e->output_count = s.count[OUTPUTS];
     ect_reset(e);
+    e->rules = s.rules;
     return ECT_OK;
+}
+
+static const uint8_t *output_at(const ect *e, uint32_t number)
+{
+    return e->table + u32_at(e->table + 320 + 16 * OUTPUTS + 12) + number * RECORD[OUTPUTS];
 }
 
 void ect_reset(ect *e)
@@ -894,8 +913,10 @@ void ect_reset(ect *e)
     uint32_t i;
     for (i = 0; i < e->input_count; i++) {
         ect_input *in = &e->inputs[i];
-        in->raw = in->wait = in->good = in->age = in->value = R(0);
-        in->raw = BIG * R(10); /* not sane: nothing was read yet */
+        in->wait = in->good = in->age = in->now = in->value = R(0);
+        in->raw = in->anchor = BIG * R(10); /* not sane: nothing was read yet */
+        in->left = R(1);
+        in->rejected = 0;
         in->seen = in->fault = in->source = 0;
         in->usable = in->flags & OPTIONAL ? 1 : 0;
     }
@@ -905,9 +926,13 @@ void ect_reset(ect *e)
     }
     for (i = 0; i < e->output_count; i++) {
         ect_output *o = &e->outputs[i];
-        o->limited = o->rate = o->goal = o->deviation = o->correction = R(0);
+        if (e->rules == 1) {
+            o->limited = e->ramp = R(0);
+        }
+        o->rate = o->deviation = R(0);
+        o->goal = o->limited;
+        o->correction = o->limited * o->factor;
     }
-    e->ramp = R(0);
     e->fade = R(-1);
     e->until_slow = 0;
     e->unready = e->node_count;
@@ -915,11 +940,60 @@ void ect_reset(ect *e)
     e->heartbeat = 0;
 }
 
+int ect_take_over(ect *e, const ect *before)
+{
+    uint32_t i;
+    if (e->table == NULL || before->table == NULL || e->output_count != before->output_count) {
+        return 0;
+    }
+    for (i = 0; i < e->output_count; i++) {
+        const uint8_t *ours = output_at(e, i), *theirs = output_at(before, i);
+        if (!same_bytes(ours, theirs, 32) || u32_at(ours + 40) != u32_at(theirs + 40)) {
+            return 0;
+        }
+    }
+    for (i = 0; i < e->output_count; i++) {
+        e->outputs[i].limited = e->outputs[i].goal = before->outputs[i].limited;
+        e->outputs[i].correction = before->outputs[i].correction;
+    }
+    e->ramp = before->ramp;
+    return 1;
+}
+
 /* readings (5) ----------------------------------------------------------------------------------- */
 
-static uint8_t judge(ect_input *in)
+/* Does a reading lie where its rate and noise let it be? The anchor follows it at that rate. */
+static int follows(const ect *e, ect_input *in, int fresh)
 {
-    ect_real moved;
+    ect_real reach = in->max_rate * in->age, moved = in->raw - in->anchor;
+    if (in->seen || e->rules > 1) {
+        if (moved > reach + in->noise || -moved > reach + in->noise) {
+            if (!in->seen) {
+                in->anchor = in->raw;
+                in->age = R(0);
+            } else if (fresh) {
+                in->rejected += 1;
+            }
+            return 0;
+        }
+        if (!in->seen && in->age < R(0.5) * e->thermal) {
+            return 0;
+        }
+        if (moved > reach) {
+            in->anchor = in->anchor + reach;
+            return 1;
+        }
+        if (-moved > reach) {
+            in->anchor = in->anchor - reach;
+            return 1;
+        }
+    }
+    in->anchor = in->raw;
+    return 1;
+}
+
+static uint8_t judge(const ect *e, ect_input *in, int fresh)
+{
     if (!is_sane(in->raw)) {
         return 1;
     }
@@ -929,16 +1003,7 @@ static uint8_t judge(ect_input *in)
     if (in->raw < in->low || in->raw > in->high) {
         return 3;
     }
-    if ((in->flags & HAS_MAX_RATE) && in->seen) {
-        moved = in->raw - in->good;
-        if (moved < R(0)) {
-            moved = -moved;
-        }
-        if (moved > in->max_rate * in->age) {
-            return 4;
-        }
-    }
-    return 0;
+    return (in->flags & HAS_MAX_RATE) && !follows(e, in, fresh) ? 4 : 0;
 }
 
 static uint32_t stand_in(ect *e, ect_input *in)
@@ -947,7 +1012,7 @@ static uint32_t stand_in(ect *e, ect_input *in)
     int whole = in->count > 0;
     in->source = 3;
     if (in->flags & OPTIONAL) {
-        in->value = in->fallback;
+        in->now = in->fallback;
         return 0;
     }
     for (k = in->first; k < in->first + in->count; k++) {
@@ -966,35 +1031,37 @@ static uint32_t stand_in(ect *e, ect_input *in)
         if (v > in->high) {
             v = in->high;
         }
-        in->value = v;
+        in->now = v;
         in->usable = 1;
         in->source = 1;
         return ECT_SUBSTITUTED;
     }
     if (in->seen && (!(in->flags & HAS_HOLD) || in->age < in->hold)) {
-        in->value = in->good;
+        in->now = in->good;
         in->source = 2;
         return ECT_HELD;
     }
-    in->value = in->fallback;
+    in->now = in->fallback;
     return ECT_DEFAULTED | (in->flags & FADE_ON_DEFAULT ? LOST : 0u);
 }
 
 static uint32_t condition(ect *e, const ect_real *readings, const uint8_t *fresh)
 {
     uint32_t i, status = 0, doubtful = 0;
+    int is_new;
     for (i = 0; i < e->input_count; i++) {
         ect_input *in = &e->inputs[i];
         in->age = in->age + e->cycle;
         in->wait = in->wait + e->cycle;
-        if (fresh == NULL || fresh[i]) {
+        is_new = fresh == NULL || fresh[i];
+        if (is_new) {
             in->raw = readings[i];
             in->wait = R(0);
         }
-        in->fault = judge(in);
+        in->fault = judge(e, in, is_new);
         in->source = 0;
         if (in->fault == 0) {
-            in->good = in->value = in->raw;
+            in->good = in->now = in->raw;
             in->age = R(0);
             in->seen = in->usable = 1;
         } else {
@@ -1007,6 +1074,30 @@ static uint32_t condition(ect *e, const ect_real *readings, const uint8_t *fresh
         }
     }
     return status;
+}
+
+/* What the table sees of the inputs, and what their validity leaves of it. */
+static void show(ect *e, int thermal)
+{
+    uint32_t i;
+    for (i = 0; i < e->input_count; i++) {
+        ect_input *in = &e->inputs[i];
+        ect_real v = in->now, o;
+        if (in->slow && !thermal) {
+            continue;
+        }
+        if (in->flags & HAS_VALID) {
+            in->left = R(1);
+            o = v < in->valid_low ? in->valid_low - v : v - in->valid_high;
+            if (o > R(0)) {
+                in->left = R(1) - o / in->margin;
+                if (e->rules > 1) {
+                    v = v < in->valid_low ? in->valid_low : in->valid_high;
+                }
+            }
+        }
+        in->value = v;
+    }
 }
 
 /* nodes (6) -------------------------------------------------------------------------------------- */
@@ -1161,15 +1252,8 @@ static uint32_t run_fade(ect *e, int lost)
     ect_real target = lost ? R(0) : R(1);
     uint32_t i;
     for (i = 0; !lost && i < e->input_count; i++) {
-        const ect_input *in = &e->inputs[i];
-        if (in->flags & HAS_VALID) {
-            ect_real o = in->value < in->valid_low ? in->valid_low - in->value : in->value - in->valid_high;
-            if (o > R(0)) {
-                ect_real left = R(1) - o / in->margin;
-                if (left < target) {
-                    target = left;
-                }
-            }
+        if (e->inputs[i].left < target) {
+            target = e->inputs[i].left;
         }
     }
     if (!(target > R(0))) {
@@ -1283,7 +1367,7 @@ static ect_real closing(ect_real keep, ect_real way, ect_real drift, ect_real lo
 
 static uint32_t approach_goal(const ect *e, ect_output *o, ect_real goal)
 {
-    ect_real way = goal - o->limited, drift = goal - o->goal, lo = -BIG, hi = BIG, a = R(0);
+    ect_real way = goal - o->limited, drift = goal - o->goal, lo = -BIG, hi = BIG, a = R(0), before;
     int arrives;
     o->goal = goal;
     if (o->flags & HAS_SLEW) {
@@ -1308,12 +1392,18 @@ static uint32_t approach_goal(const ect *e, ect_output *o, ect_real goal)
         o->limited = goal;
         return 0;
     }
+    before = o->limited;
     o->rate = closing(o->rate, way, drift, lo, hi, a);
-    o->limited = o->limited + o->rate;
+    o->limited = before + o->rate;
+    if (e->rules > 1 && (o->flags & HAS_MAGNITUDE) && (o->limited > o->magnitude || o->limited < -o->magnitude)) {
+        o->limited = o->limited > R(0) ? o->magnitude : -o->magnitude;
+        o->rate = o->limited - before;
+        return ECT_AT_RATE | ECT_AT_MAGNITUDE;
+    }
     return ECT_AT_RATE;
 }
 
-static uint32_t run_limits(ect *e)
+static uint32_t run_limits(ect *e, int hold)
 {
     uint32_t i, status = e->ramp >= R(1) ? ECT_ACTIVE : e->ramp > R(0) ? ECT_RAMPING : 0u;
     for (i = 0; i < e->output_count; i++) {
@@ -1329,7 +1419,10 @@ static uint32_t run_limits(ect *e)
                 status |= ECT_AT_MAGNITUDE;
             }
         }
-        if (o->flags & (HAS_SLEW | HAS_ACCELERATION)) {
+        if (hold) {
+            o->rate = R(0);
+            o->goal = goal;
+        } else if (o->flags & (HAS_SLEW | HAS_ACCELERATION)) {
             status |= approach_goal(e, o, goal);
         } else {
             o->limited = goal;
@@ -1339,7 +1432,7 @@ static uint32_t run_limits(ect *e)
     return status;
 }
 
-void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int enable)
+void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int mode)
 {
     uint32_t status;
     int slow;
@@ -1349,12 +1442,17 @@ void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int enabl
     slow = e->until_slow == 0;
     e->until_slow = (slow ? e->slow_every : e->until_slow) - 1;
     status = ECT_RUNNING | condition(e, readings, fresh);
+    show(e, slow);
     status |= run_nodes(e, slow);
     status |= run_fade(e, (status & LOST) != 0);
     status |= run_profiles(e);
     status |= run_sums(e);
-    e->ramp = move(e, e->ramp, enable ? R(1) : R(0), e->ramp_time);
-    status |= run_limits(e);
+    if (mode == ECT_HOLD) {
+        status |= ECT_HOLDING;
+    } else {
+        e->ramp = move(e, e->ramp, mode == ECT_OFF ? R(0) : R(1), e->ramp_time);
+    }
+    status |= run_limits(e, mode == ECT_HOLD);
     e->status = status & ~LOST;
     e->heartbeat += 1;
 }
@@ -1377,7 +1475,7 @@ static int32_t find(const uint8_t *records, uint32_t record, uint32_t count, con
 
 int32_t ect_find_input(const ect *e, const char *name)
 {
-    return e->table == NULL ? -1 : find(e->table + HEADER, RECORD[INPUTS], e->input_count, name);
+    return e->table == NULL ? -1 : find(e->table + HEADER, e->rules == 1 ? (uint32_t)RECORD_INPUT_1 : RECORD[INPUTS], e->input_count, name);
 }
 
 int32_t ect_find_output(const ect *e, const char *name)
@@ -1385,7 +1483,7 @@ int32_t ect_find_output(const ect *e, const char *name)
     if (e->table == NULL) {
         return -1;
     }
-    return find(e->table + u32_at(e->table + 320 + 16 * OUTPUTS + 12), RECORD[OUTPUTS], e->output_count, name);
+    return find(output_at(e, 0), RECORD[OUTPUTS], e->output_count, name);
 }
 
 const char *ect_says(ect_error error)

@@ -1,13 +1,16 @@
 /* Compensation tables on a controller: check a table in place, then evaluate it once per cycle.
  *
- * Format and arithmetic: ect-1.md, version 1. C99, one source file, no allocation, freestanding: nothing from the C
+ * Format and arithmetic: ect-2.md (versions 2 and 1). C99, one source file, no allocation, freestanding: nothing from the C
  * library but memcpy, and memset where a compiler turns clearing into it. Compile with -ffp-contract=off: with fused multiply-adds results differ in their last bits
  * (ect_arithmetic_is_exact() tells). -DECT_SINGLE computes in float and needs no double anywhere.
  *
  *     static uint64_t work[4096];
  *     ect e;
  *     if (ect_load(&e, table, size, work, sizeof work) != ECT_OK) { leave the corrections at 0; }
- *     each position cycle:  ect_cycle(&e, readings, NULL, 1);  command_x += e.outputs[0].correction;
+ *     each position cycle:  ect_cycle(&e, readings, NULL, ECT_ON);  command_x += e.outputs[0].correction;
+ *
+ * A table is changed while the machine runs by loading the new one into a second `ect` (in a slower task), then, between
+ * two cycles, ect_take_over(&second, &first): corrections go on from where they stand, within their limits.
  *
  * The bytes of the table must stay where they are, unchanged, as long as it is used (read-only memory is fine).
  */
@@ -53,16 +56,24 @@ typedef enum {
 enum { /* status bits */
     ECT_RUNNING = 1, ECT_ACTIVE = 2, ECT_RAMPING = 4, ECT_SUBSTITUTED = 8, ECT_HELD = 16, ECT_DEFAULTED = 32,
     ECT_FADING = 64, ECT_FADED = 128, ECT_AT_MAGNITUDE = 256, ECT_AT_RATE = 512, ECT_BEYOND_PROFILE = 1024,
-    ECT_WAITING = 2048, ECT_NOT_FINITE = 4096
+    ECT_WAITING = 2048, ECT_NOT_FINITE = 4096, ECT_HOLDING = 8192
 };
+
+typedef enum {
+    ECT_OFF = 0,  /* corrections go to 0: before homing, or where none is wanted */
+    ECT_ON = 1,
+    ECT_HOLD = 2  /* corrections stay as they are: emergency stop, drives without power */
+} ect_mode;
 
 typedef struct {
     ect_real low, high, max_rate, stale_after, hold, fallback, offset, valid_low, valid_high, margin;
-    ect_real raw, wait, good, age;
+    ect_real noise, raw, wait, good, age, anchor, now, left;
     ect_real value;         /* what the table computes with */
     uint32_t first, count;
+    uint32_t rejected;      /* readings refused because they moved too fast */
     uint16_t flags;
     uint8_t seen, usable;
+    uint8_t slow;           /* shown to the table in thermal cycles only */
     uint8_t fault;          /* 0 none, 1 missing, 2 stale, 3 range, 4 rate */
     uint8_t source;         /* 0 reading, 1 substitute, 2 held, 3 default */
 } ect_input;
@@ -118,7 +129,8 @@ typedef struct {
     uint32_t *fast;         /* numbers of the nodes that are not slow */
     uint32_t input_count, node_count, fast_count, profile_count, component_count, pair_count, output_count;
     uint32_t slow_every, until_slow, unready;
-    ect_real cycle, ramp_time, fade_time;
+    uint32_t rules;         /* format version by whose rules the table runs */
+    ect_real cycle, thermal, ramp_time, fade_time;
     ect_real ramp, fade;
     uint32_t status, heartbeat;
     uint32_t crc;           /* the table's name */
@@ -131,12 +143,16 @@ size_t ect_work_size(const void *table, size_t size);
 /* Check everything and prepare. On any error the table is not used: ect_cycle then gives corrections of 0. */
 ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t work_size);
 
-/* The next cycle is the first of a run: states and references start anew, the ramp starts at 0. */
+/* The next cycle is the first of a run: states and references start anew; corrections go on from where they stand. */
 void ect_reset(ect *e);
 
+/* Before the first cycle of e: go on with the corrections and the ramp of `before`, which may be dropped then. Returns 0,
+ * and changes nothing, unless both have outputs of the same names and units in the same order. */
+int ect_take_over(ect *e, const ect *before);
+
 /* One position cycle. readings: one per input, in the order of the table; fresh: non-zero where the reading is new
- * since the last cycle (NULL: all are). Results: e->outputs[], e->status, e->heartbeat. */
-void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int enable);
+ * since the last cycle (NULL: all are); mode: an ect_mode. Results: e->outputs[], e->status, e->heartbeat. */
+void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int mode);
 
 /* Number of the input or output of a name, -1 if there is none. */
 int32_t ect_find_input(const ect *e, const char *name);

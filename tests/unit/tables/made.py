@@ -9,6 +9,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
+from errpipe.kernels.table_cycle import HOLD, OFF, ON
 from errpipe.tables import ComponentSource, compile_table
 
 
@@ -26,11 +27,13 @@ def ten_um_too_long(**more):
     return compile_table([source], inputs=[position()], travel={"X": (0.0, 1000.0)}, ramp_s=0.0, **more)
 
 
-def everything(seed: int) -> t.CompensationTable:
-    """A random table with every kind of input, node, profile, pair and limit."""
+def everything(seed: int, version: int = 2) -> t.CompensationTable:
+    """A random table with every kind of input, node, profile, pair and limit, of a format version."""
     r = random.Random(seed)
     inputs = tuple(_input(r, n) for n in range(r.randint(1, 7)))
     inputs = tuple(_with_substitute(r, i, inputs) for i in inputs)
+    if version > 1:
+        inputs = tuple(_with_noise(i, n) for n, i in enumerate(inputs))
     nodes: list[t.Node] = []
     for _ in range(r.randint(1, 30)):
         nodes.append(_node(r, nodes, inputs))
@@ -46,6 +49,7 @@ def everything(seed: int) -> t.CompensationTable:
         for _ in range(r.randint(1, 12))
     )
     return t.CompensationTable(
+        table=version,
         machine=f"machine {seed} ü",
         title="everything",
         version="0",
@@ -64,7 +68,7 @@ def everything(seed: int) -> t.CompensationTable:
 
 
 def stimulus(table: t.CompensationTable, cycles: int, seed: int):
-    """(readings, fresh, enable): smooth motion with jumps, failed readings, frozen and missing ones."""
+    """(readings, fresh, mode): smooth motion with jumps, failed readings, frozen and missing ones."""
     rng = np.random.default_rng(seed)
     n = len(table.inputs)
     low = np.array([i.low for i in table.inputs])
@@ -84,9 +88,23 @@ def stimulus(table: t.CompensationTable, cycles: int, seed: int):
         if rng.random() < 0.2:
             readings[: cycles // 10, column] = np.nan
     fresh = (rng.random((cycles, n)) > rng.choice([0.0, 0.02, 0.6], n)).astype(np.uint8)
-    enable = np.ones(cycles, dtype=np.uint8)
-    enable[cycles // 2 : cycles // 2 + cycles // 10] = 0
-    return readings, fresh, enable
+    mode = np.ones(cycles, dtype=np.uint8)
+    mode[cycles // 2 : cycles // 2 + cycles // 10] = OFF
+    mode[cycles // 3 : cycles // 3 + cycles // 12] = mode[-cycles // 7 : -cycles // 9] = HOLD
+    return readings, fresh, mode
+
+
+def modes(mode: int) -> dict[str, bool]:
+    """A mode as the reference evaluator takes it."""
+    return {"enable": mode == ON, "hold": mode == HOLD}
+
+
+def _with_noise(i: t.TableInput, n: int) -> t.TableInput:
+    """Every other input that has a rate has a noise too, slower rates among them."""
+    if i.max_rate is None or n % 3 == 0:
+        return i
+    slower = 0.01 if n % 3 == 1 else 1.0
+    return i.model_copy(update={"max_rate": i.max_rate * slower, "noise": 0.02 * (i.high - i.low)})
 
 
 def _input(r: random.Random, n: int) -> t.TableInput:

@@ -71,7 +71,7 @@ def test_a_substitute_stays_within_the_plausible_range():
 def test_outside_validity_it_fades_over_the_margin_and_never_jumps():
     e = thermal(sensor("T", valid=(15.0, 40.0), margin=10.0))
     seen = [z(e, T=T) for T in (40.0, 42.5, 45.0, 50.0, 60.0, 45.0)]
-    assert seen == [40.0, 45.0 * 0.75, 50.0 * 0.5, 0.0, 0.0, 25.0]
+    assert seen == [40.0, 40.0 * 0.75, 40.0 * 0.5, 0.0, 0.0, 20.0]  # its driver stays within validity too
     assert e.cycle({"T": 60.0}).says()[-2:] == ("fading", "faded")
 
 
@@ -79,7 +79,7 @@ def test_a_fade_takes_its_time():
     e = thermal(sensor("T", valid=(15.0, 40.0), margin=10.0), fade_s=1.0)
     assert z(e, T=40.0) == 40.0
     seen = [z(e, T=90.0) for _ in range(11)]
-    assert seen == pytest.approx([140.0 * max(0.0, 1.0 - 0.1 * k) for k in range(1, 12)])
+    assert seen == pytest.approx([40.0 * max(0.0, 1.0 - 0.1 * k) for k in range(1, 12)])
 
 
 def test_when_only_the_default_is_left_the_thermal_part_fades_and_the_geometric_part_stays():

@@ -51,12 +51,12 @@ def test_fields_lie_where_the_format_page_says():
     table = ten_um_too_long(machine="vmc-1", title="X", version="0.1", position_cycle_s=0.002, thermal_cycle_s=0.5)
     data = ect.dumps(table)
     assert data[:8] == bytes.fromhex("45435400 0D0A1A0A")
-    assert struct.unpack_from("<IIII", data, 8) == (1, 512, len(data), zlib.crc32(data[24:]))
+    assert struct.unpack_from("<IIII", data, 8) == (2, 512, len(data), zlib.crc32(data[24:]))
     assert struct.unpack_from("<I4xdddd", data, 24) == (250, 0.002, 0.5, 0.0, 1.0)
     assert data[64:70] == b"vmc-1\0" and data[128:130] == b"X\0" and data[256:260] == b"0.1\0"
     sections = [struct.unpack_from("<IIII", data, 320 + 16 * n) for n in range(11)]
     assert [s[:2] for s in sections] == [
-        (1, 152),
+        (1, 160),
         (2, 16),
         (3, 56),
         (4, 16),

@@ -14,7 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.kernels import table_cycle, table_position
 from errpipe.tables import ComponentSource, arithmetic, batch, compile_table, ect, pack
 from errpipe.tables.reference import Evaluator
-from tests.unit.tables.made import everything, position, sensor, stimulus, ten_um_too_long
+from tests.unit.tables.made import everything, modes, position, sensor, stimulus, ten_um_too_long
 
 pytest.importorskip("numba")
 
@@ -45,7 +45,7 @@ def test_numba_cycle_is_the_reference_to_the_bit(seed):
     evaluator = Evaluator(table)
     for k in range(len(readings)):
         given = {i.name: readings[k, n] for n, i in enumerate(table.inputs) if fresh[k, n]}
-        assert same(evaluator.cycle(given, enable=bool(enable[k])), *(r[k] for r in results)), k
+        assert same(evaluator.cycle(given, **modes(enable[k])), *(r[k] for r in results)), k
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_numba_cycle_is_the_reference_over_many_cycles(seed):
     evaluator = Evaluator(table)
     for k in range(len(readings)):
         given = {i.name: readings[k, n] for n, i in enumerate(table.inputs) if fresh[k, n]}
-        assert same(evaluator.cycle(given, enable=bool(enable[k])), *(r[k] for r in results)), k
+        assert same(evaluator.cycle(given, **modes(enable[k])), *(r[k] for r in results)), k
 
 
 @pytest.mark.parametrize("seed", range(25, 40))

@@ -16,7 +16,7 @@ int load(const void *table, size_t size, uint32_t *where)
 }
 
 int stream(const void *table, size_t size, size_t cycles, const ect_real *readings, const uint8_t *fresh,
-           const uint8_t *enable, ect_real *deviation, ect_real *correction, uint32_t *status)
+           const uint8_t *mode, ect_real *deviation, ect_real *correction, uint32_t *status)
 {
     size_t need = ect_work_size(table, size), k;
     void *work = malloc(need + 8);
@@ -25,7 +25,7 @@ int stream(const void *table, size_t size, size_t cycles, const ect_real *readin
     for (k = 0; error == ECT_OK && k < cycles; k++) {
         uint32_t o;
         ect_cycle(&e, readings + k * e.input_count, fresh == NULL ? NULL : fresh + k * e.input_count,
-                  enable == NULL || enable[k]);
+                  mode == NULL ? ECT_ON : mode[k]);
         for (o = 0; o < e.output_count; o++) {
             deviation[k * e.output_count + o] = e.outputs[o].deviation;
             correction[k * e.output_count + o] = e.outputs[o].correction;
@@ -73,7 +73,7 @@ static void run_some(const void *table, size_t size)
                 const ect_input *in = &e.inputs[i];
                 readings[i] = k % 2 ? (ect_real)odd[(i + (uint32_t)k) % 8] : k == 2 ? in->high : in->low;
             }
-            ect_cycle(&e, readings, NULL, k != 3);
+            ect_cycle(&e, readings, NULL, k % 3);
         }
     }
     free(work);

@@ -132,14 +132,14 @@ def frame(unit: Unit, body: list[str]) -> str:
         start = f"{unit.result} result = 0;\n{own}"
         return f"static {unit.result} {unit.name}({given}) {{ {start}{lines}\nreturn result; }}"
     inside = [v for s in ("VAR_INPUT", "VAR_OUTPUT", "VAR") for v in unit.sections.get(s, [])]
-    given = ", ".join(f"{v[3]} *{v[0]}" for v in unit.sections["VAR_IN_OUT"])
+    given = "".join(f", {v[3]} *{v[0]}" for v in unit.sections.get("VAR_IN_OUT", []))
     struct = f"typedef struct {{ {'; '.join(map(field, inside))}; }} {unit.name};"
     start = "".join(
         f"static const DINT {v[0]}[] = {{{v[4].strip('[]')}}}; __builtin_memcpy(self->{v[0]}, {v[0]}, sizeof {v[0]});"
         for v in inside
         if v[4]
     )
-    return f"{struct}\nstatic void {unit.name}_run({unit.name} *self, {given}) {{ {start}\n{lines}\n}}"
+    return f"{struct}\nstatic void {unit.name}_run({unit.name} *self{given}) {{ {start}\n{lines}\n}}"
 
 
 HARNESS = """
@@ -156,7 +156,7 @@ int load(const uint8_t *data, size_t size, DINT *where)
     return loader.nError;
 }
 int stream(const uint8_t *data, size_t size, size_t cycles, const double *given, const uint8_t *news,
-           const uint8_t *enable, double *d, double *c, uint32_t *status)
+           const uint8_t *mode, double *d, double *c, uint32_t *status)
 {
     DINT where;
     size_t k;
@@ -167,7 +167,8 @@ int stream(const uint8_t *data, size_t size, size_t cycles, const double *given,
             readings[i] = given[k * (size_t)table.nInputs + (size_t)i];
             fresh[i] = news[k * (size_t)table.nInputs + (size_t)i];
         }
-        block.bEnable = enable[k];
+        block.bEnable = mode[k] == 1;
+        block.bHold = mode[k] == 2;
         FB_EctCycle_run(&block, &table, &readings, &fresh, &deviation, &correction);
         for (i = 0; i < table.nOutputs; i++) {
             d[k * (size_t)table.nOutputs + (size_t)i] = deviation[i];
