@@ -37,6 +37,7 @@ VERBS = (
     "compare-targets",
     "correct",
     "measure",
+    "retrain",
     "schema",
     "reference",
 )

@@ -1,0 +1,70 @@
+"""`errpipe retrain`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json, PipelineFile, Sets
+
+
+def command(
+    pipeline: Path = PipelineFile,
+    champion: Path = typer.Option(..., "--champion", metavar="DIR", help="Run folder of the champion."),
+    out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder of the challenger and of the decision."),
+    alpha: float = typer.Option(
+        0.05, "--alpha", min=1e-9, max=0.5, help="Chance of ever promoting a challenger that is no better."
+    ),
+    max_change_um: float | None = typer.Option(
+        None, "--max-change-um", min=0.0, help="Largest change of the correction, um.", show_default=False
+    ),
+    max_change_um_per_k: float | None = typer.Option(
+        None, "--max-change-um-per-k", min=0.0, help="Largest change of it per kelvin, um/K.", show_default=False
+    ),
+    allow_sensor: list[str] = typer.Option(
+        [], "--allow-sensor", metavar="COLUMN", help="Input that the challenger may newly require.", show_default=False
+    ),
+    annotations: str = typer.Option("none", "--annotations", help="github: failed gates as workflow commands."),
+    sets: list[str] = Sets,
+    json: bool = Json,
+) -> None:
+    """Fit on the data there is now; gate it against the champion.
+
+    Exit code 0: promote; 4: keep the champion. Every new run counts once, so it may be run as often as there is data.
+
+    \b
+    Example:
+      errpipe retrain pipelines/axis.yaml --champion out/champion --out out/retrain
+    """
+    from errpipe.cli._arguments import load_pipeline_file
+    from errpipe.cli.output import print_result, stage_module
+    from errpipe.cli.progress import ProgressReporter
+    from errpipe.errors import UsageError
+
+    if annotations not in ("none", "github"):
+        raise UsageError(f"--annotations: {annotations!r} is not known (allowed: none, github)")
+    spec = load_pipeline_file(pipeline, sets)
+    reporter = ProgressReporter(str(out))
+    try:
+        document = stage_module("retrain").retrain(
+            spec,
+            champion,
+            out,
+            alpha=alpha,
+            max_change_um=max_change_um,
+            max_change_um_per_k=max_change_um_per_k,
+            allowed_sensors=allow_sensor,
+            talk=reporter.callbacks(),
+        )
+    finally:
+        reporter.clear()
+    promoted = document["decision"] == "promote"
+    lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
+    lines += [f"sensor {d['column']} drifts since run {d['since']}" for d in document["drift"]["inputs"] if d["blamed"]]
+    lines.append(str(out / "retrain.md"))
+    if annotations == "github":
+        lines = [*stage_module("retrain").github_annotations(document), *lines]
+    print_result("retrain", document, lines, as_json=json, code=0 if promoted else 4)
+    if not promoted:
+        raise typer.Exit(4)

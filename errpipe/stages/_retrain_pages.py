@@ -1,0 +1,131 @@
+"""What a retraining says, for people and for CI: Markdown for a pull request, JUnit XML, annotations, a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+from errpipe import jsonfile
+
+MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
+
+
+def write_pages(document: Mapping[str, Any], out: Path) -> None:
+    """Write every page of a retraining into its folder, whole."""
+    jsonfile.write_text(out / MARKDOWN, markdown(document))
+    jsonfile.write_text(out / JUNIT, junit(document))
+    jsonfile.write(out / GITLAB, code_quality(document))
+    if document["runs"]:
+        jsonfile.write_text(out / FIGURE, figure(document))
+
+
+def _plain(text: object) -> str:
+    """Text that no Markdown renderer takes for markup: labels come from the recording."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|!" else c for c in " ".join(str(text).split()))
+
+
+def markdown(document: Mapping[str, Any]) -> str:
+    """The page for a pull request."""
+    promoted = document["decision"] == "promote"
+    lines = [
+        f"# {_plain(document['title'] or 'Retraining')}: {document['decision']}",
+        "",
+        f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
+        + ("Every gate holds." if promoted else "What failed is listed first."),
+        "",
+        "| gate | holds | why |",
+        "| --- | --- | --- |",
+    ]
+    ordered = sorted(document["gates"], key=lambda g: g["passed"])
+    lines += [f"| {_plain(g['name'])} | {'yes' if g['passed'] else '**no**'} | {_plain(g['says'])} |" for g in ordered]
+    lines += ["", *_drift_lines(document["drift"])]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
+    lines = ["## Drift", ""]
+    if not drift["inputs"] and not drift["residuals"]:
+        return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
+    for d in drift["inputs"]:
+        word = "drifts" if d["blamed"] else "disagrees with the others"
+        lines.append(f"- Sensor {_plain(d['column'])} {word} since run {_plain(d['since'])}: {d['size']:+.2g} K.")
+    for d in drift["residuals"]:
+        lines.append(
+            f"- The champion's residual of {_plain(d['component'])} moved since run {_plain(d['since'])}: "
+            f"{d['size_um']:+.3g} um on average."
+        )
+    return lines
+
+
+def junit(document: Mapping[str, Any]) -> str:
+    """One test case per gate, as CI systems read them."""
+    gates = document["gates"]
+    failed = sum(not g["passed"] for g in gates)
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<testsuite name="errpipe retrain" tests="{len(gates)}" failures="{failed}" errors="0" skipped="0">',
+    ]
+    for gate in gates:
+        lines.append(f'  <testcase classname="retrain" name={quoteattr(gate["name"])}>')
+        if not gate["passed"]:
+            lines.append(f"    <failure message={quoteattr(gate['says'])}>{escape(gate['says'])}</failure>")
+        lines.append("  </testcase>")
+    return "\n".join([*lines, "</testsuite>"]) + "\n"
+
+
+def code_quality(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Failed gates as GitLab's code quality report."""
+    return [
+        {
+            "description": f"{g['name']}: {g['says']}",
+            "check_name": "errpipe retrain",
+            "fingerprint": jsonfile.fingerprint([g["name"], g["says"]])[:32],
+            "severity": "major",
+            "location": {"path": "retrain.md", "lines": {"begin": 1}},
+        }
+        for g in document["gates"]
+        if not g["passed"]
+    ]
+
+
+def github_annotations(document: Mapping[str, Any]) -> list[str]:
+    """Workflow commands, one line per failed gate and drift; data are escaped as the runner asks."""
+    out = []
+    for gate in document["gates"]:
+        if not gate["passed"]:
+            out.append(f"::error title={_property(gate['name'])}::{_data(gate['says'])}")
+    for d in document["drift"]["inputs"]:
+        out.append(f"::warning title=sensor drift::{_data(d['column'])} since run {_data(d['since'])}")
+    return out
+
+
+def _data(text: object) -> str:
+    return str(text).replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: object) -> str:
+    return _data(text).replace(":", "%3A").replace(",", "%2C")
+
+
+def figure(document: Mapping[str, Any]) -> str:
+    """rms per new run: uncompensated, champion, challenger."""
+    import numpy as np
+
+    from errpipe.reporting import svg
+
+    runs = document["runs"]
+    at = np.arange(len(runs))
+    with svg.figure(7.2, 3.0) as (canvas, axes):
+        for name, colour, label in (
+            ("nothing", svg.BEFORE, "uncompensated"),
+            ("champion", svg.FLOOR, "champion"),
+            ("challenger", svg.AFTER, "challenger, fitted before the run"),
+        ):
+            axes.plot(at, np.sqrt([r[name] for r in runs]), "o-", color=colour, label=label, markersize=3)
+        axes.set_xlabel("new run")
+        axes.set_ylabel("rms, um")
+        axes.set_ylim(bottom=0)
+        axes.legend(fontsize=8)
+        return svg.to_svg(canvas, "Residual of each new run")

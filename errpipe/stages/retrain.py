@@ -1,0 +1,269 @@
+"""A challenger fitted on the data there is now, gated against the champion; what was decided, and why, as files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe import jsonfile
+from errpipe.errors import DataError, GateError, VerifyError
+from errpipe.stages import _artefacts
+from errpipe.stages._retrain_pages import github_annotations, write_pages
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.pipeline.runner import Talk
+    from errpipe.pipeline.spec import Pipeline
+    from errpipe.validation.retraining import Gate, RunScore
+
+__all__ = ["github_annotations", "retrain"]
+
+VERSION = 1
+RUN = "run"  # folder of the challenger's pipeline run, below OUT
+DOCUMENT = "retrain.json"
+
+
+def retrain(
+    pipeline: Pipeline,
+    champion: Path,
+    out: Path,
+    *,
+    alpha: float = 0.05,
+    max_change_um: float | None = None,
+    max_change_um_per_k: float | None = None,
+    allowed_sensors: Sequence[str] = (),
+    talk: Talk | None = None,
+) -> dict[str, Any]:
+    """Run the pipeline into OUT/run and decide whether its model replaces the champion's.
+
+    champion: folder of the earlier run that made the champion (of the same pipeline). Returns the document of
+    `retrain.json`: decision, evidence, gates, runs, drift. Raises DataError where the champion's folder lacks its
+    model or recording, VerifyError where they are damaged.
+    """
+    from errpipe.pipeline import runner
+
+    old_model, old_recording, fingerprint = _champion(pipeline, champion)
+    earlier = _earlier_scores(out / DOCUMENT, fingerprint)
+    refused = ""
+    try:
+        runner.run(pipeline, out / RUN, talk=talk or runner.Talk())
+    except GateError as err:
+        refused = str(err)
+    folder = out / RUN / _giving(pipeline, "recording")
+    recording = _artefacts.recording_in(folder)
+    document = _judged(
+        pipeline,
+        out,
+        recording,
+        (old_model, old_recording, fingerprint),
+        earlier,
+        refused,
+        alpha=alpha,
+        limits=(max_change_um, max_change_um_per_k),
+        allowed=allowed_sensors,
+    )
+    jsonfile.write(out / DOCUMENT, document)
+    write_pages(document, out)
+    return document
+
+
+def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
+    from errpipe.validation import retraining
+
+    old_model, old_recording, fingerprint = champion
+    known = frozenset(retraining.run_keys(old_recording))
+    prediction = _predictions(old_model, recording)
+    gates: list[Gate] = []
+    scores = list(earlier)
+    if refused:
+        gates.append(retraining.Gate("pipeline", False, refused))
+    else:
+        model_folder = out / RUN / _giving(pipeline, "error_model")
+        model = _artefacts.read_model(model_folder / _artefacts.MODEL)
+        family = _artefacts.family_in(model_folder)
+        done = frozenset(s.key for s in scores)
+        scores += retraining.score_new_runs(recording, family, prediction, known, done)
+        change = _change(old_model, model, recording)
+        gates += _table_gates(change, limits)
+        gates += [_sensor_gate(old_model, model, allowed), *_coverage_gates(pipeline, out / RUN)]
+    decision = retraining.decide(scores, gates, alpha=alpha)
+    return {
+        "retrain": VERSION,
+        "title": pipeline.title,
+        "champion": fingerprint,
+        "decision": "promote" if decision.promote else "keep the champion",
+        "e_value": decision.e_value,
+        "e_value_needed": decision.needed,
+        "gates": [asdict(g) for g in decision.gates],
+        "runs": [asdict(s) for s in scores],
+        "drift": _drift(old_model, old_recording, recording, known),
+        "change": {} if refused else change,
+    }
+
+
+def _giving(pipeline: Pipeline, artefact: str) -> str:
+    """Name of the last stage that gives an artefact of a type. Raises DataError where none does."""
+    names = [stage.label for stage in pipeline.stages if artefact in stage.gives]
+    if not names:
+        raise DataError(f"{pipeline.file}: no stage gives {artefact.replace('_', ' ')}, so nothing can be retrained")
+    return names[-1]
+
+
+def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
+    model = Path(folder) / _giving(pipeline, "error_model") / _artefacts.MODEL
+    if not model.is_file():
+        raise DataError(f"{folder}: no champion here ({model.relative_to(folder)} is missing; run the pipeline first)")
+    recording = _artefacts.recording_in(Path(folder) / _giving(pipeline, "recording"))
+    return _artefacts.read_model(model), recording, jsonfile.fingerprint_bytes(model.read_bytes())
+
+
+def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
+    """Scores of earlier looks against the same champion; a new champion begins with none."""
+    from errpipe.validation.retraining import RunScore
+
+    if not path.is_file():
+        return []
+    document = jsonfile.read(path)
+    if document.get("retrain") != VERSION:
+        raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
+    if document.get("champion") != champion:
+        return []
+    try:
+        return [RunScore(**run) for run in document["runs"]]
+    except TypeError as err:
+        raise VerifyError(f"{path}: runs: {err}") from None
+
+
+def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
+    """Component -> the model's prediction on every row, um."""
+    from errpipe.validation.predict import predict
+
+    frame = predict(model, recording)
+    names = {c.component: recording.name("error", component=c.component) or c.component for c in model.components}
+    return {component: frame[f"{name}_predicted"].to_numpy() for component, name in names.items()}
+
+
+def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:
+    """Component -> how far the two models differ over the recording's rows, um, and per kelvin of any one sensor."""
+    import numpy as np
+
+    before, after = _predictions(old, recording), _predictions(new, recording)
+    out = {}
+    for component in (c for c in after if c in before):
+        difference = after[component] - before[component]
+        out[component] = {"largest_um": float(np.max(np.abs(difference))), "rms_um": float(np.std(difference))}
+        out[component]["largest_um_per_k"] = 0.0
+    for name in recording.names("temperature"):
+        warmer = recording.with_columns({name: recording.array(name) + 1.0}, {})
+        old_warm, new_warm = _predictions(old, warmer), _predictions(new, warmer)
+        for component, figures in out.items():
+            slope = (new_warm[component] - after[component]) - (old_warm[component] - before[component])
+            figures["largest_um_per_k"] = max(figures["largest_um_per_k"], float(np.max(np.abs(slope))))
+    return out
+
+
+def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate]:
+    from errpipe.validation.retraining import Gate
+
+    out = []
+    for component, figures in change.items():
+        for key, unit, limit in zip(("largest_um", "largest_um_per_k"), ("um", "um/K"), limits, strict=True):
+            within = limit is None or figures[key] <= limit
+            allowed = "" if limit is None else f" ({limit:g} {unit} allowed)"
+            out.append(Gate(f"change of {component}", within, f"at most {figures[key]:.3g} {unit}{allowed}"))
+    return out
+
+
+def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Gate:
+    from errpipe.validation.retraining import Gate
+
+    added = sorted(set(new.columns) - set(old.columns) - set(allowed))
+    says = f"newly required: {', '.join(added)}" if added else "no column is newly required"
+    return Gate("inputs", not added, says)
+
+
+def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
+    from errpipe.validation.retraining import LEAST_COVERAGE, Gate
+
+    names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
+    if not names:
+        return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
+    out = []
+    for component in jsonfile.read(folder / names[-1] / "validation.json")["components"]:
+        covered = component["coverage90"]
+        name = f"coverage of {component['component']}"
+        if covered is None:
+            out.append(Gate(name, True, "unknown: one group only"))
+        else:
+            says = f"{covered:.2f} of held-out rows in the 90 % interval, {LEAST_COVERAGE:g} needed"
+            out.append(Gate(name, covered >= LEAST_COVERAGE, says))
+    return out
+
+
+def _drift(model: ErrorModel, old: Recording, recording: Recording, known: frozenset[str]) -> dict[str, Any]:
+    """Drift of inputs (which sensor, since when) and of the champion's residual (which component, since when).
+
+    The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
+    """
+    import numpy as np
+
+    from errpipe.validation import input_drift, retraining
+
+    keys = retraining.run_keys(recording)
+    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
+    both = _joined(old, recording.take(new))
+    if both is None:
+        return {"inputs": [], "residuals": []}
+    reference = np.arange(len(both)) < len(old)
+    prediction = _predictions(model, both)
+    residuals = (_residual_drift(both, component, reference, prediction[component]) for component in prediction)
+    return {
+        "inputs": [asdict(d) for d in input_drift.sensor_drift(both, reference)],
+        "residuals": [found for found in residuals if found],
+    }
+
+
+def _joined(old: Recording, new: Recording) -> Recording | None:
+    """Two recordings as one, the runs of the second marked apart; None where they share no columns."""
+    import pandas as pd
+
+    from errpipe.domain.recording import Recording
+
+    run = old.name("run")
+    names = [n for n in old.frame.columns if n in new.frame.columns]
+    if run is None or run not in names or len(new) == 0:
+        return None
+    frame = pd.concat([old.frame[names], new.frame[names]], ignore_index=True)
+    label = [f"{label} (champion)" for label in old.frame[run]] + list(new.frame[run])
+    kept = {name: column for name, column in old.manifest.columns.items() if name in names}
+    manifest = old.manifest.model_copy(update={"columns": kept})
+    return Recording(manifest, frame.assign(**{run: label}))
+
+
+def _residual_drift(recording, component: str, reference, prediction) -> dict[str, Any] | None:
+    import numpy as np
+
+    from errpipe.validation import input_drift
+
+    name = recording.name("error", component=component)
+    if name is None:
+        return None
+    left, run = recording.array(name) - prediction, recording.run_codes()
+    codes = [c for c in dict.fromkeys(run.tolist()) if np.isfinite(left[run == c]).any()]
+    means = {c: float(np.nanmean(left[run == c])) for c in codes}
+    old = [means[c] for c in codes if reference[run == c].any()]
+    new = [c for c in codes if not reference[run == c].any()]
+    if len(old) < input_drift.FEWEST_RUNS or not new:
+        return None
+    middle, scale = float(np.mean(old)), float(np.std(old, ddof=1))
+    statistic, begin = input_drift.residual_drift([means[c] - middle for c in new], scale)
+    if statistic < input_drift.THRESHOLD:
+        return None
+    since = recording.run_labels()[new[begin]]
+    size = float(np.mean([means[c] - middle for c in new[begin:]]))
+    return {"component": component, "since": since, "size_um": size, "statistic": float(statistic)}

@@ -1,0 +1,136 @@
+"""`errpipe retrain` from the command line: a machine that changes is followed, one that does not is left alone."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.cli.app import main
+
+MANIFEST = """recording: 1
+title: X axis, one run a day
+tables: [recording.csv]
+constants:
+  X: {role: axis, kind: linear, travel: [0, 600], screw_lead: 10, unit: mm}
+columns:
+  run: {role: run}
+  t: {role: time, unit: s}
+  x: {role: position, axis: X, unit: mm}
+  dir: {role: direction, axis: X}
+  T_nut: {role: temperature, unit: degC, location: nut}
+  T_bed: {role: temperature, unit: degC, location: bed}
+  T_air: {role: temperature, unit: degC, location: air}
+  EXX: {role: error, component: EXX, unit: um}
+"""
+PIPELINE = """pipeline: 1
+title: X axis
+stages:
+  - {kind: ingest, recording: recording}
+  - kind: fit
+    components:
+      - component: EXX
+        terms:
+          - {term: offset}
+          - {term: chebyshev, axis: X, degree: 2}
+          - {term: scale_expansion, axis: X, sensor: T_nut}
+    holdout: {scheme: batches, blocks: 4}
+  - {kind: validate}
+"""
+
+
+def record(
+    folder: Path, days: int, first: int = 0, changed_from: int | None = None, sensor_drift_from: int | None = None
+) -> None:
+    """Days of a machine that is 10 um too long at x = 600 and expands by 11 um/m/K; later perhaps by 17.
+
+    Rows of days before `first` are not kept.
+    """
+    rng = np.random.default_rng(4)
+    rows = []
+    for day in range(days):
+        air = 20 + 3 * np.sin(day / 5)
+        nut = air + 4 * rng.random()
+        bed = air + 0.3 * (nut - air)
+        drift = 0.0 if sensor_drift_from is None else 0.5 * max(0, day - sensor_drift_from)
+        alpha = 17.0 if changed_from is not None and day >= changed_from else 11.0
+        for k, (x, side) in enumerate([(x, 1) for x in range(0, 601, 60)] + [(x, -1) for x in range(600, -1, -60)]):
+            error = 10.0 * x / 600 + alpha * 1e-3 * x * (nut - 20) + rng.normal(0, 0.8)
+            show = [round(v + rng.normal(0, 0.05), 2) for v in (nut + drift, bed, air)]
+            rows.append([f"day {day}", 86400 * day + 5 * k, x, side, *show, round(error, 3)])
+    rows = [row for row in rows if row[1] >= 86400 * first]
+    folder.mkdir(parents=True, exist_ok=True)
+    columns = ["run", "t", "x", "dir", "T_nut", "T_bed", "T_air", "EXX"]
+    pd.DataFrame(rows, columns=columns).to_csv(folder / "recording.csv", index=False)
+    (folder / "recording.yaml").write_text(MANIFEST, encoding="utf-8")
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    """A pipeline, and a champion fitted on the first twelve days."""
+    (tmp_path / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    record(tmp_path / "recording", 12)
+    assert main(["run", str(tmp_path / "axis.yaml"), "--out", str(tmp_path / "champion")]) == 0
+    return tmp_path
+
+
+def retrain(site: Path, *more: str) -> tuple[int, dict]:
+    arguments = ["--champion", str(site / "champion"), "--out", str(site / "out"), *more]
+    code = main(["retrain", str(site / "axis.yaml"), *arguments])
+    return code, json.loads((site / "out" / "retrain.json").read_text(encoding="utf-8"))
+
+
+def failed(document: dict) -> list[str]:
+    return [g["name"] for g in document["gates"] if not g["passed"]]
+
+
+def test_a_machine_that_did_not_change_keeps_its_champion(site: Path) -> None:
+    record(site / "recording", 40)
+    code, document = retrain(site)
+    assert code == 4 and document["decision"] == "keep the champion"
+    assert failed(document) == ["evidence"]
+    assert document["drift"] == {"inputs": [], "residuals": []}
+
+
+def test_a_machine_that_changed_gets_the_challenger_and_the_residual_drift_is_dated(site: Path) -> None:
+    record(site / "recording", 44, first=12, changed_from=12)
+    code, document = retrain(site)
+    assert code == 0 and document["decision"] == "promote" and failed(document) == []
+    assert document["drift"]["residuals"][0]["component"] == "EXX"
+    assert int(document["drift"]["residuals"][0]["since"].split()[1]) in range(12, 17)
+    tree = ElementTree.fromstring((site / "out" / "retrain.junit.xml").read_text(encoding="utf-8"))
+    assert tree.get("failures") == "0" and int(tree.get("tests", 0)) == len(document["gates"])
+    assert "promote" in (site / "out" / "retrain.md").read_text(encoding="utf-8").splitlines()[0]
+    assert (site / "out" / "retrain.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+def test_nightly_looks_score_each_run_once_and_end_where_one_look_ends(site: Path) -> None:
+    for days in (16, 22, 30):
+        record(site / "recording", days, changed_from=14)
+        _, document = retrain(site)
+    keys = [run["key"] for run in document["runs"]]
+    assert len(keys) == len(set(keys)) == 18
+
+
+def test_a_limit_on_the_change_keeps_the_champion(site: Path) -> None:
+    record(site / "recording", 44, first=12, changed_from=12)
+    code, document = retrain(site, "--max-change-um-per-k", "1")
+    assert code == 4 and failed(document) == ["change of EXX"]
+
+
+def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: pytest.CaptureFixture) -> None:
+    record(site / "recording", 40, sensor_drift_from=14)
+    _, document = retrain(site, "--annotations", "github")
+    blamed = [d["column"] for d in document["drift"]["inputs"] if d["blamed"]]
+    assert blamed == ["T_nut"]
+    assert "::warning title=sensor drift::T_nut" in capsys.readouterr().out
+
+
+def test_a_folder_without_a_champion_is_refused(site: Path, capsys: pytest.CaptureFixture) -> None:
+    arguments = ["--champion", str(site / "nowhere"), "--out", str(site / "out")]
+    assert main(["retrain", str(site / "axis.yaml"), *arguments]) == 3
+    assert "no champion here" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""Champion against challenger: the evidence is valid however often it is looked at, and drift has a name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.validation.input_drift import cusum, sensor_drift
+from errpipe.validation.retraining import Gate, RunScore, decide, e_value
+
+
+def score(run: int, champion: float, challenger: float, nothing: float = 100.0, season: str = "winter") -> RunScore:
+    return RunScore(f"{run}", f"{run}", "EXX", {"season": season}, nothing, champion, challenger, rows=50)
+
+
+def test_no_run_is_no_evidence() -> None:
+    assert e_value([]) == pytest.approx(1.0)
+    assert e_value([0.0] * 50) == pytest.approx(1.0)
+
+
+def test_looking_after_every_run_promotes_a_challenger_that_is_no_better_in_at_most_5_percent() -> None:
+    rng = np.random.default_rng(11)
+    ever = 0
+    for _ in range(1000):  # of 100 nights each
+        a, b = rng.chisquare(20, 100), rng.chisquare(20, 100)
+        scores = ((a - b) / (a + b)).tolist()
+        ever += any(e_value(scores[:n]) >= 20.0 for n in range(1, 101))
+    assert ever <= 50 + 3 * np.sqrt(50)
+
+
+def test_a_challenger_that_halves_the_residual_is_promoted_within_two_weeks_of_nightly_runs() -> None:
+    rng = np.random.default_rng(12)
+    scores = [score(k, 4.0 * rng.chisquare(20) / 20, rng.chisquare(20) / 20) for k in range(14)]
+    assert decide(scores).promote
+
+
+def test_a_challenger_worse_than_nothing_in_one_season_is_kept_out_however_good_elsewhere() -> None:
+    good = [score(k, 16.0, 1.0) for k in range(40)]
+    bad = [score(100 + k, 90.0, 130.0, season="summer") for k in range(2)]
+    decision = decide(good + bad)
+    assert decision.e_value > decision.needed and not decision.promote
+    assert [g.name for g in decision.gates if not g.passed] == ["EXX, season summer"]
+
+
+def test_a_season_in_which_the_champion_is_better_keeps_the_champion() -> None:
+    rng = np.random.default_rng(13)
+    good = [score(k, 16.0, 1.0) for k in range(40)]
+    bad = [
+        score(100 + k, 4.0 * rng.chisquare(20) / 20, 9.0 * rng.chisquare(20) / 20, season="summer") for k in range(8)
+    ]
+    assert not decide(good + bad).promote
+
+
+def test_any_other_gate_keeps_the_champion() -> None:
+    good = [score(k, 16.0, 1.0) for k in range(40)]
+    assert decide(good).promote
+    assert not decide(good, [Gate("inputs", False, "newly required: T_9")]).promote
+
+
+def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Recording, np.ndarray]:
+    """Forty daily runs of four temperatures that move alike; from run 20 on, one of them drifts, K/day."""
+    rng = np.random.default_rng(seed)
+    day = np.repeat(np.arange(40), 24)
+    hour = np.tile(np.arange(24.0), 40)
+    room = 20 + 3 * np.sin(day / 6.0) + 2 * np.sin(hour / 24 * 2 * np.pi)
+    heat = 6 * (hour > 8) * (day % 3 > 0)
+    columns = [room, room + 0.6 * heat, room + 0.3 * heat, 0.8 * room + 0.5 * heat + 4]
+    columns = [c + rng.normal(0, 0.1, c.size) + rng.normal(0, 0.05, 40)[day] for c in columns]
+    if drifting is not None:
+        columns[drifting] = columns[drifting] + per_day * np.maximum(day - 20, 0)
+    names = [f"T_{k}" for k in range(4)]
+    kinds = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    kinds |= {n: Column(role="temperature", unit="degC") for n in names}
+    frame = pd.DataFrame({"run": [f"day {d}" for d in day], "t": (24 * day + hour) * 3600.0})
+    frame = frame.assign(**dict(zip(names, columns, strict=True)))
+    return Recording(Manifest(recording=1, tables=("x.csv",), columns=kinds), frame), day < 20
+
+
+@pytest.mark.parametrize("drifting", range(4))
+def test_the_sensor_that_drifts_is_blamed_and_the_day_is_right(drifting: int) -> None:
+    recording, reference = sensors(drifting, 0.3)
+    first = sensor_drift(recording, reference)[0]
+    assert first.blamed and first.column == f"T_{drifting}"
+    assert 20 <= int(first.since.split()[1]) <= 24 and first.size > 0
+
+
+def test_sensors_that_do_not_drift_raise_no_alarm() -> None:
+    quiet = [sensor_drift(*sensors(None, 0.0, seed)) for seed in range(20)]
+    assert sum(bool(found) for found in quiet) <= 1
+
+
+def test_cusum_finds_the_begin_of_a_shift_and_ignores_noise() -> None:
+    rng = np.random.default_rng(1)
+    noise = rng.normal(size=200)
+    assert cusum(noise)[0] < 8.0
+    statistic, begin = cusum(np.r_[noise[:100], noise[100:] - 2.0])
+    assert statistic > 50 and abs(begin - 100) <= 5
