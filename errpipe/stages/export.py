@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe import yamlfile
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.validation.codes import Code
@@ -18,6 +19,21 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.drivers.lowered import Lowered
     from errpipe.guard.description import SensorGuard
+
+
+class ActsOn(yamlfile.Options):
+    """The axis that corrects a component without an axis of its own."""
+
+    axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
+    factor: float | None = Field(
+        None,
+        ge=-10,
+        le=10,
+        description="Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
+        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
+        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class Export(Stage):
@@ -41,6 +57,9 @@ class Export(Stage):
     )
     acceleration: float | None = Field(
         None, gt=0, description="Largest change of that rate.", json_schema_extra={"unit": "um/s2"}
+    )
+    acts_on: dict[str, ActsOn] = Field(
+        {}, description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves."
     )
     guard: bool = Field(
         False, description="Watch the temperatures against each other in the table, and stand in for one that fails."
@@ -148,6 +167,7 @@ def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None 
     }
     return tables.compile_table(
         sources,
+        outputs=tables.outputs_of(sources, _acts_on(options.acts_on, [s.name for s in sources])),
         inputs=_inputs.table_inputs(model, guard),
         travel=_inputs.travel(model),
         limits=limits,
@@ -159,6 +179,26 @@ def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None 
         version=__version__,
         fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
     )
+
+
+def _acts_on(stated: Mapping[str, ActsOn], known: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0."""
+    from errpipe.domain import components
+    from errpipe.errors import UsageError, did_you_mean
+
+    out = {}
+    for name, on in stated.items():
+        if name not in known:
+            raise UsageError(
+                f"export: acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
+            )
+        factor = on.factor
+        if factor is None:
+            factor = 0.5 if components.parse(name).kind == "diameter" else 1.0
+        if factor == 0.0:
+            raise UsageError(f"export: acts_on: {name}: a factor of 0 corrects nothing")
+        out[name] = (on.axis, factor)
+    return out
 
 
 def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
@@ -196,7 +236,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, targets: Sequence[str]) -> list[dict]:
-    from errpipe.errors import VerifyError
+    from errpipe.errors import GateError, VerifyError
     from errpipe.tables import ect
 
     ect.write(table, context.folder / _artefacts.TABLE)
@@ -210,6 +250,13 @@ def _write(context: Context, table: CompensationTable, model: ErrorModel, target
     ]
     if targets:
         from errpipe.stages.targets import write_targets
+
+        if not any(o.axis for o in table.outputs):
+            named = " and ".join(o.name for o in table.outputs)
+            raise GateError(
+                f"export: no axis corrects {named}: state which one it acts on, such as "
+                f"acts_on: {{{table.outputs[0].name}: {{axis: X, factor: 0.5}}}}"
+            )
 
         files += write_targets(table, targets, context.folder)
     return files

@@ -64,10 +64,10 @@ def table_values(table: CompensationTable, model: ErrorModel, recording: Recordi
     """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
     from errpipe.drivers.sessions import sessions
     from errpipe.fitting.components import from_run_start
-    from errpipe.tables import batch
+    from errpipe.tables import batch, by_component
 
     columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
-    replay = batch.evaluate(table, columns, recording.time(), sessions(recording))
+    replay = batch.evaluate(by_component(table), columns, recording.time(), sessions(recording))
     if model.datum == "run_start":
         return {name: from_run_start(recording, values) for name, values in replay.deviation.items()}
     return replay.deviation

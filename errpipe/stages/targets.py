@@ -227,7 +227,7 @@ def checklist(target: Any, read: Any, lost: list[dict[str, Any]], table: Compens
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
     read = _within_travel(read, table)
-    lines += [f"- {says}." for says in _plausible.of_files(read)] + ["", "## Switch it on", ""]
+    lines += [f"- {says}." for says in (*_plausible.of_files(read), *_at_the_axis(table))] + ["", "## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
     lines += ["", "## Three-point check", ""]
     if moves := _moves(read):
@@ -248,6 +248,27 @@ def checklist(target: Any, read: Any, lost: list[dict[str, Any]], table: Compens
         seen = lost[0]["states"]
         lines += ["", f"Seen on {seen} random settled states inside validity and at its ends; not a bound."]
     return "\n".join([*lines, ""])
+
+
+def _at_the_axis(table: CompensationTable) -> list[str]:
+    """How a component that has no axis of its own, such as a diameter, moves the axis that corrects it."""
+    from errpipe.domain import components
+
+    says = []
+    for output in table.outputs:
+        for term in output.terms:
+            try:
+                parsed = components.parse(term.component)
+            except ValueError:
+                continue
+            if output.axis and parsed.kind in ("diameter", "circular") and not term.factors:
+                along, less = 10.0 * term.weight, "less" if term.weight > 0 else "more"
+                says.append(
+                    f"a {components.describe(parsed.name)} of +10 um stands for {along:+g} um along {output.axis}, so "
+                    f"{output.axis} is told to go {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
+                    "the export; turn one piece before trusting its sign)"
+                )
+    return says
 
 
 def _within_travel(read: Any, table: CompensationTable) -> Any:

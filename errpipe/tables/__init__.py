@@ -8,6 +8,24 @@ bounds            what a table can reach and what a cycle costs, before it runs;
 
 from __future__ import annotations
 
-from errpipe.tables.compile import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, with_limits
+from errpipe.tables.compile import (
+    ComponentSource,
+    Limits,
+    MonomialSource,
+    OutputSource,
+    by_component,
+    compile_table,
+    outputs_of,
+    with_limits,
+)
 
-__all__ = ["ComponentSource", "Limits", "MonomialSource", "OutputSource", "compile_table", "with_limits"]
+__all__ = [
+    "ComponentSource",
+    "Limits",
+    "MonomialSource",
+    "OutputSource",
+    "by_component",
+    "compile_table",
+    "outputs_of",
+    "with_limits",
+]

@@ -92,7 +92,7 @@ def compile_table(
     slow_every = max(1, round(thermal_cycle_s / position_cycle_s))
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
     groups = [_groups(build, c) for c in components]
-    monomials = [_monomials(build, o) for o in (_plain_outputs(components) if outputs is None else outputs)]
+    monomials = [_monomials(build, o) for o in (outputs_of(components) if outputs is None else outputs)]
     spans = bounds.node_spans(build.nodes, inputs)
     flat = [g for found in groups for g in found]
     made = [g.profile(build, spans, travel or {}, error_bound, most_intervals) for g in flat]
@@ -220,15 +220,34 @@ def _unit(largest: float) -> float:
     return float(f"1e{exponent}")
 
 
-def _plain_outputs(components: Sequence[ComponentSource]) -> list[OutputSource]:
-    """One output per component; those along a direction are corrected in mm along it."""
+def outputs_of(
+    components: Sequence[ComponentSource], acts_on: Mapping[str, tuple[str, float]] | None = None
+) -> list[OutputSource]:
+    """One output per component; those along a direction are corrected in mm along it.
+
+    acts_on: component -> (axis that corrects it, deviation of that axis per deviation of the component), for those
+    that have no axis of their own, such as a diameter. Raises GateError for an angle, which moves no linear axis.
+    """
     out = []
     for c in components:
         direction = iso.parse(c.name).direction
-        axis = direction if c.unit == "um" and direction not in "RD" else ""
+        axis, factor = direction if c.unit == "um" and direction not in "RD" else "", 1.0
+        if acts_on and c.name in acts_on:
+            axis, factor = acts_on[c.name]
+            if c.unit != "um":
+                raise GateError(f"{c.name} is in {c.unit}: it cannot act on axis {axis} in mm")
         unit = "mm" if c.unit == "um" else "urad"
-        out.append(OutputSource(c.name, (MonomialSource(1.0, c.name),), axis, c.unit, unit))
+        out.append(OutputSource(c.name, (MonomialSource(factor, c.name),), axis, c.unit, unit))
     return out
+
+
+def by_component(table: t.CompensationTable) -> t.CompensationTable:
+    """The table with one output per component, as it is, without limits: what it says rather than what it does."""
+    outputs = tuple(
+        t.Output(name=c.name, unit=c.unit, correction_unit=c.unit, terms=(t.Monomial(weight=1.0, component=c.name),))
+        for c in table.components
+    )
+    return table.model_copy(update={"outputs": outputs})
 
 
 def _monomials(build: Nodes, output: OutputSource) -> t.Output:

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain import components as iso
-from errpipe.domain.table import CompensationTable, Monomial, Output
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
-from errpipe.tables import batch
+from errpipe.tables import batch, by_component
 from errpipe.targets import _sample
 from errpipe.targets._base import Curve, ReadBack, Target, expect
 
@@ -84,11 +84,7 @@ def _block(table: CompensationTable, axis: str, name: str, own: list) -> str:
 
 def component_values(table: CompensationTable, name: str, x: np.ndarray) -> dict[str, np.ndarray]:
     """Components along one position input, others in the middle, in um or urad: mean of both directions."""
-    outputs = tuple(
-        Output(name=c.name, unit=c.unit, correction_unit=c.unit, terms=(Monomial(weight=1.0, component=c.name),))
-        for c in table.components
-    )
-    bare = table.model_copy(update={"outputs": outputs})
+    bare = by_component(table)
     start = {i.name: i.default for i in bare.inputs if not i.optional} | _sample.middle(table)
     total: dict[str, np.ndarray] = {}
     for side in (1.0, -1.0):

@@ -56,7 +56,7 @@ def switch_on():
         command.state(state)
         command.wait_complete(10)
     command.home(-1)
-    wait("homing", lambda: all(status.homed[:3]), 20)
+    wait("homing", lambda: all(status.homed[: PLAN.get("joints", 3)]), 20)
     command.mode(linuxcnc.MODE_AUTO)
     command.wait_complete(10)
     time.sleep(PLAN["settle_s"])

@@ -1,0 +1,63 @@
+"""A component without an axis of its own, such as a diameter, says which axis corrects it and by what factor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.domain.table import TableInput
+from errpipe.drivers.lowered import Lowered
+from errpipe.errors import GateError, UsageError
+from errpipe.stages import targets as stage
+from errpipe.stages.export import ActsOn, _acts_on
+from errpipe.targets import TARGETS, _sample
+
+SENSOR = TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, default=20, valid=(15, 35), margin=5)
+
+
+def diameter(**acts_on):
+    """2 um of diameter per kelvin above 20 degC: at 25 degC pieces are 10 um too large."""
+    source = tables.ComponentSource("E_D", "um", (Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 20.0),))),))
+    stated = _acts_on({name: ActsOn(**on) for name, on in acts_on.items()}, ["E_D"])
+    return tables.compile_table([source], inputs=[SENSOR], outputs=tables.outputs_of([source], stated))
+
+
+@pytest.mark.parametrize(("factor", "along"), [(None, -5.0), (0.5, -5.0), (1.0, -10.0), (-0.5, 5.0)])
+def test_a_diameter_too_large_moves_x_inwards(factor, along):
+    """Ten too large: X, in radius, goes five less; counted in diameter ten less; from behind the spindle five more."""
+    table = diameter(E_D={"axis": "X", "factor": factor})
+    moved = _sample.corrections(table, "X", {"T": np.array([25.0])}, np.ones(1))
+    assert 1e3 * float(moved[0]) == pytest.approx(along, abs=1e-6)
+
+
+def test_a_control_that_holds_the_whole_table_takes_it_and_its_checklist_says_the_sign(tmp_path):
+    (target,) = [t for t in TARGETS if t.controller == "LinuxCNC" and "temperature" in t.holds]
+    with pytest.raises(GateError, match="moves an axis"):
+        target.write(diameter())
+    stage.write_targets(diameter(E_D={"axis": "X"}), [target.name], tmp_path)
+    told = (tmp_path / target.name / stage.CHECKLIST).read_text()
+    assert "+10 um stands for +5 um along X, so X is told to go 5 um less" in told
+
+
+def test_what_is_stated_of_nothing_or_by_nothing_is_refused():
+    with pytest.raises(UsageError, match="'E_B' is not exported"):
+        diameter(E_B={"axis": "X"})
+    with pytest.raises(UsageError, match="corrects nothing"):
+        diameter(E_D={"axis": "X", "factor": 0.0})
+    with pytest.raises(ValueError, match="pattern"):
+        ActsOn(axis="../x")
+    angle = tables.ComponentSource("EBX", "urad", (Lowered(d.Constant(value=1.0)),))
+    with pytest.raises(GateError, match="urad"):
+        tables.outputs_of([angle], {"EBX": ("X", 1.0)})
+
+
+def test_what_the_table_says_of_the_diameter_stays_the_diameter():
+    """Proofs and predictions compare components: the factor belongs to the axis, not to the model."""
+    from errpipe.tables import batch
+
+    table = diameter(E_D={"axis": "X"})
+    columns, time = {"T": np.array([20.0, 25.0])}, np.array([0.0, 1.0])
+    said = batch.evaluate(tables.by_component(table), columns, time, np.zeros(2, dtype=int)).deviation
+    assert said["E_D"][1] == pytest.approx(10.0, abs=1e-6)
