@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.errors import VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages.identify import IDENTIFICATION, MACHINE
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
 
 STATES = 500
+ROUNDING = 1e-6  # um: of sums in binary64, for a table whose profiles are exact
 LATTICE = "lattice.csv"
 BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
 
@@ -55,10 +57,11 @@ class ExportVolumetric(Stage):
         errors = summary.errors(chain, document)
         turning = reversals(document)
         table = compile_machine(chain, errors, jsonfile.fingerprint(document), context.title, self.error_bound, turning)
+        worst, allowed = largest_difference(chain, errors, table, turning), bound(chain, table)
+        prove(worst, allowed)
         ect.write(table, context.folder / _artefacts.TABLE)
         ect.write_json(table, context.folder / _artefacts.TWIN)
-        worst = largest_difference(chain, errors, table, turning)
-        proof = [{"component": "tool point", "largest_difference_um": worst, "bound_um": bound(chain, table)}]
+        proof = [{"component": "tool point", "largest_difference_um": worst, "bound_um": allowed}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         files += write_targets(table, self.targets, context.folder)
         facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": []}
@@ -176,7 +179,11 @@ def _inputs(chain: Any) -> list[TableInput]:
 def largest_difference(
     chain: Any, errors: Any, table: CompensationTable, turning: Mapping[str, tuple[float, float, float]] | None = None
 ) -> float:
-    """Table beside the identified machine at random poses, um: gridding and rounding. Every axis came from below."""
+    """Table beside the identified machine at random poses, um: gridding and rounding. Every axis came from below.
+
+    Both as a displacement of the tool point in the workpiece's frame: the directions in which the linear axes move it
+    are taken at each pose, as rotary axes turn them.
+    """
     import numpy as np
 
     from errpipe.kinematics import synthesis
@@ -189,13 +196,25 @@ def largest_difference(
         c = chain.index(name)
         values[:, c] += 0.5 * (value + slope * (q[:, chain.drives[c]] - middle) * 1e-3)
     want = synthesis.first_order(chain, q, values, tip)[:, :3]
-    axes = {a: np.asarray(chain.machine.direction(a)) for a in chain.axes if chain.machine.axes[a].kind == "linear"}
     known = {i.name for i in table.inputs}  # an axis or a tool that nothing depends on is no input
     moving = [n for n, a in enumerate(chain.axes) if a in known]
     readings = {"tool_length": 100.0} if "tool_length" in known else {}
     found = batch.position(table, np.ascontiguousarray(q[:, moving]), tuple(chain.axes[n] for n in moving), readings)
-    worst = 0.0
-    for n, output in enumerate(table.outputs):
-        if output.axis in axes:
-            worst = max(worst, float(np.abs(found[:, n] - want @ axes[output.axis]).max()))
-    return worst
+    linear = [n for n, o in enumerate(table.outputs) if o.axis and chain.machine.axes[o.axis].kind == "linear"]
+    if not linear:
+        return 0.0
+    here = synthesis.ideal_pose(chain, q, tip)[:, 0]
+    steps = [np.eye(len(chain.axes))[chain.axes.index(table.outputs[n].axis)] for n in linear]
+    ways = np.stack([synthesis.ideal_pose(chain, q + step, tip)[:, 0] - here for step in steps], axis=2)
+    reachable = ways @ (np.linalg.pinv(ways) @ want[:, :, None])  # the part that these axes can move
+    gap = reachable[:, :, 0] - np.einsum("nij,nj->ni", ways, found[:, linear])
+    return float(np.linalg.norm(gap, axis=1).max())
+
+
+def prove(worst: float, allowed: float) -> None:
+    """Raises VerifyError where a proof is larger than its bound: the table is not the machine that was identified."""
+    if not worst <= allowed + ROUNDING:
+        raise VerifyError(
+            f"export: the table differs from the identified machine by {worst:.4g} um, its bound is {allowed:.4g} um. "
+            "Nothing was exported."
+        )
