@@ -28,10 +28,19 @@ _KINDS = {
 }
 
 
-def open_regular(path: Path) -> IO[bytes]:
-    """A regular file, opened for reading. Raises OSError with a plain text for anything else; never waits."""
+def open_regular(path: Path, follow: bool = True) -> IO[bytes]:
+    """A regular file, opened for reading. Raises OSError with a plain text for anything else; never waits.
+
+    follow: whether its last part may be a link.
+    """
     # without O_NONBLOCK the opening of a named pipe waits for somebody to write
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
+    handle = os.open(
+        path,
+        os.O_RDONLY
+        | getattr(os, "O_NONBLOCK", 0)
+        | getattr(os, "O_CLOEXEC", 0)
+        | (0 if follow else getattr(os, "O_NOFOLLOW", 0)),
+    )
     mode = os.fstat(handle).st_mode
     if stat.S_ISREG(mode):
         return os.fdopen(handle, "rb")
@@ -39,10 +48,10 @@ def open_regular(path: Path) -> IO[bytes]:
     raise OSError(0, f"{_KINDS.get(stat.S_IFMT(mode), 'is no file')} (a regular file is needed)", str(path))
 
 
-def read(path: Path, most: int, error: type[ErrpipeError]) -> bytes:
+def read(path: Path, most: int, error: type[ErrpipeError], follow: bool = True) -> bytes:
     """All bytes of a regular file of at most `most` bytes. Raises `error`, naming the file, where it is not one."""
     try:
-        with open_regular(path) as stream:
+        with open_regular(path, follow) as stream:
             data = stream.read(most + 1)
             if len(data) > most:
                 raise error(f"{path}: has {os.fstat(stream.fileno()).st_size} bytes (at most {most} are read)")

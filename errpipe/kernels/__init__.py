@@ -11,25 +11,44 @@ from __future__ import annotations
 
 import functools
 import os
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 
-def _cache_folder() -> str:
-    """A writable cache folder: the user's, else one below the temporary folder (containers without a home)."""
+def _cache_folder() -> str | None:
+    """A folder for compiled code that nobody else can write, or None: what lies there is loaded as machine code.
+
+    The user's cache folder, else one below the temporary folder (containers without a home).
+    """
     from platformdirs import user_cache_dir
 
     own = Path(tempfile.gettempdir()) / f"errpipe-numba-{os.getuid()}"
     for folder in (Path(user_cache_dir("errpipe")) / "numba", own):
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            if _is_own(folder):
                 return str(folder)
         except OSError:
             continue
-    return tempfile.gettempdir()
+    return None
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a folder is ours alone (made private where others could read) and no folder above can be swapped."""
+    here = folder.lstat()
+    if not stat.S_ISDIR(here.st_mode) or here.st_uid != os.getuid() or here.st_mode & 0o022:
+        return False
+    for above in folder.absolute().parents:
+        facts = above.stat()
+        if facts.st_uid not in (0, os.getuid()) or (facts.st_mode & 0o022 and not facts.st_mode & stat.S_ISVTX):
+            return False
+    if here.st_mode & 0o077:
+        folder.chmod(0o700)
+    return os.access(folder, os.W_OK)
 
 
 class Kernel:
@@ -49,11 +68,13 @@ class Kernel:
 
     @functools.cached_property
     def _dispatcher(self) -> Any:
-        if "NUMBA_CACHE_DIR" not in os.environ:
-            os.environ["NUMBA_CACHE_DIR"] = _cache_folder()
+        if "NUMBA_CACHE_DIR" not in os.environ and (folder := _cache_folder()) is not None:
+            os.environ["NUMBA_CACHE_DIR"] = folder
         import numba
 
-        return numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(self.py_func)
+        return numba.njit(cache="NUMBA_CACHE_DIR" in os.environ, fastmath=False, error_model="numpy", nogil=True)(
+            self.py_func
+        )
 
     def __call__(self, *arguments: Any) -> Any:
         return self.compiled(*arguments)

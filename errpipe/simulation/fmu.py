@@ -1,7 +1,8 @@
 """A Functional Mock-up Unit (FMI 2 or 3, scalar variables) run over a recording's inputs, where it can do no harm.
 
 FMPy runs the FMU in a process of its own with a time and a memory limit (`fmu_worker`): it may crash or hang, and what
-comes of it is a message. That process has the rights of the user: run no FMU that you would not run as a program.
+comes of it is a message. On Linux it can write in its own folder only; it can still read what the user can read and use
+the network: run no FMU that you would not run as a program.
 
 Rows that follow in time share a state; a new session (see `drivers.sessions`) starts the FMU anew, at its time 0.
 Inputs are handed over in the FMU's own units, outputs come back as deviations in the response's unit. A few tunable

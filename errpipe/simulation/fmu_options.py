@@ -65,4 +65,5 @@ class FmuOptions(Options):
     time_limit: float = Field(
         60.0, gt=0, description="Longest time that a session may take to simulate.", json_schema_extra={"unit": "s"}
     )
+    disk_mb: int = Field(512, ge=1, description="Most disk that the FMU, unpacked, and its files may take, MB.")
     memory_mb: int = Field(2048, ge=256, description="Most memory that the FMU's process may take, MB.")

@@ -150,13 +150,13 @@ class Plan:
         return own, unit, -1.0 if wanted.means == "correction" else 1.0
 
     def _write_inputs(self, t: np.ndarray) -> None:
-        self.stretches: list[tuple[np.ndarray, np.ndarray, dict[str, Any]]] = []
-        for k, s in enumerate(np.unique(self.session)):
+        self.stretches: list[tuple[np.ndarray, np.ndarray, float, np.ndarray | None]] = []
+        for s in np.unique(self.session):
             rows = np.flatnonzero(self.session == s)
             at = t[rows] - t[rows[0]]
             if at[-1] / self.step > MAX_STEPS:
                 raise DataError(f"{self.name}: {at[-1]:g} s in steps of {self.step:g} s are too many (say `step`)")
-            order: dict[str, Any] = {"stop": float(max(at[-1], self.step)), "inputs": "", "output": f"out{k}.npy"}
+            stop, signals = float(max(at[-1], self.step)), None
             if self.inputs:
                 new = np.r_[True, np.diff(at) > 0]
                 types = [("time", float), *((name, float) for name in self.inputs)]
@@ -164,9 +164,7 @@ class Plan:
                 signals["time"] = at[new]
                 for name, values in self.inputs.items():
                     signals[name] = values[rows][new]
-                order["inputs"] = f"in{k}.npy"
-                np.save(self.worker.folder / order["inputs"], signals, allow_pickle=False)
-            self.stretches.append((rows, at, order))
+            self.stretches.append((rows, at, stop, signals))
 
     def simulate(self, parameters: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Deviations of every response on all rows with these parameters; NaN where the FMU gave no number."""
@@ -174,9 +172,9 @@ class Plan:
         names = list(dict.fromkeys(v for v, *_ in self.outputs.values()))
         kind = self.facts["kinds"][0]
         start = {**self.how.parameters, **parameters}
-        for rows, at, order in self.stretches:
-            self.worker.simulate({**order, "outputs": names, "start_values": start, "step": self.step, "kind": kind})
-            table = np.load(self.worker.folder / order["output"], allow_pickle=False)
+        order = {"outputs": names, "start_values": start, "step": self.step, "kind": kind}
+        for rows, at, stop, signals in self.stretches:
+            table = self.worker.simulate(order | {"stop": stop}, signals)
             if table[-1, 0] < at[-1] - self.step:
                 raise DataError(f"{self.name}: it stopped at {table[-1, 0]:g} s of {at[-1]:g} s")
             for component, (variable, own, unit, sign) in self.outputs.items():

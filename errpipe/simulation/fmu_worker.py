@@ -1,5 +1,10 @@
 """Runs one FMU in a process of its own: started as a script, never imported. What crashes here, crashes here alone.
 
+Two processes: a supervisor that knows no FMU, and the one that runs it. When the supervisor's control pipe closes, when
+the FMU ends or when it has filled the disk that it is given, all its processes are killed, also those in a session
+of their own (the supervisor is the parent of every orphan). Started as root, the FMU runs as nobody where that user
+can read the Python in use. On Linux (Landlock) it can write below its working folder only, and signal only itself.
+
 Orders come as lines of JSON on standard input, answers go out as lines of JSON on what was standard output; the FMU's
 own prints go to standard error. Arrays travel as .npy files in the folder that the process was started in.
 
@@ -12,12 +17,22 @@ from __future__ import annotations
 
 import json
 import os
+import select
+import signal
+import stat
 import sys
+import time
+import zipfile
+from pathlib import PurePosixPath
 from typing import Any
 
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS = 1, 36, 38  # of linux/prctl.h
+MAX_ENTRIES = 20_000  # of the archive; FMUs with their sources and documentation have some hundred
+POLL = 0.2  # s between two looks at the FMU and its disk
 
-def limit(memory_mb: int) -> None:
-    """No more address space than this, and no core dumps."""
+
+def limit(memory_mb: int, disk_mb: int) -> None:
+    """No more address space than this, no larger files, no core dumps."""
     try:
         import resource
     except ImportError:  # Windows: the time limit has to do
@@ -25,6 +40,27 @@ def limit(memory_mb: int) -> None:
     size = memory_mb * 1024 * 1024
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (disk_mb << 20, disk_mb << 20))
+
+
+def unpack(archive: str, folder: str, disk_mb: int) -> str:
+    """Unpack an FMU. Raises ValueError for an archive that is too large or names files outside the folder."""
+    with zipfile.ZipFile(archive) as source:
+        entries = source.infolist()
+        total = sum(entry.file_size for entry in entries)
+        if len(entries) > MAX_ENTRIES or total > disk_mb << 20:
+            raise ValueError(f"{len(entries)} files of {total >> 20} MB in all (at most {MAX_ENTRIES} of {disk_mb} MB)")
+        for entry in entries:
+            path = PurePosixPath(entry.filename.replace("\\", "/"))
+            if (
+                path.is_absolute()
+                or ".." in path.parts
+                or ":" in entry.filename
+                or stat.S_ISLNK(entry.external_attr >> 16)
+            ):
+                raise ValueError(f"{entry.filename!r} leads out of the archive's folder")
+        source.extractall(folder)
+    return folder
 
 
 def unit_of(variable: Any) -> str | None:
@@ -62,10 +98,10 @@ class Work:
     """The loaded FMU, unpacked in the process' own folder."""
 
     def load(self, order: dict[str, Any]) -> dict[str, Any]:
-        limit(order["memory_mb"])
+        limit(order["memory_mb"], order["disk_mb"])
         import fmpy
 
-        self.folder = fmpy.extract(order["fmu"], unzipdir=os.path.abspath("unpacked"))
+        self.folder = unpack(order["fmu"], os.path.abspath("unpacked"), order["disk_mb"])
         self.model = fmpy.read_model_description(self.folder)
         return describe(self.model)
 
@@ -103,7 +139,8 @@ def _dtype(kind: str) -> type:
     return {"Real": float, "Float64": float, "Float32": float, "Boolean": bool}.get(kind, int)
 
 
-def main() -> None:
+def serve() -> None:
+    """Answer orders until there are no more."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever the FMU prints must not be taken for an answer
     work = Work()
@@ -119,5 +156,134 @@ def main() -> None:
         answers.flush()
 
 
+# ---------------------------------------------------------------- the supervisor
+
+
+def prctl(option: int, value: int) -> None:
+    """Ask the kernel; where there is no such call (not Linux) nothing happens."""
+    import contextlib
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0)
+
+
+def become(user: int) -> None:
+    """Give up root's rights for good, and the right to gain any."""
+    prctl(PR_SET_NO_NEW_PRIVS, 1)
+    if user:
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
+
+
+def confine(folder: str) -> None:
+    """Let this process and all below it write under one folder only (Linux' Landlock; elsewhere nothing happens)."""
+    import ctypes
+
+    kernel = ctypes.CDLL(None, use_errno=True)
+    create, add, restrict = 444, 445, 446  # system calls, the same on all architectures
+    version = kernel.syscall(create, None, 0, 1) if sys.platform == "linux" else -1
+    if version < 1:
+        return
+    # linux/landlock.h: write, remove, make of every kind; moving between folders since version 2, truncating since 3
+    writing = sum(
+        1 << bit
+        for bit in (1, 4, 5, 6, 7, 8, 9, 10, 11, 12, *([13] if version > 1 else []), *([14] if version > 2 else []))
+    )
+    scopes = 0b11 if version >= 6 else 0  # signals and abstract sockets to processes outside
+    fields = (writing, 0, scopes)[: 1 if version < 4 else 2 if version < 6 else 3]
+    rules = b"".join(value.to_bytes(8, sys.byteorder) for value in fields)
+    ruleset = kernel.syscall(create, rules, len(rules), 0)
+    if ruleset < 0:
+        return
+    for path, allowed in ((folder, writing), ("/dev/null", 1 << 1)):
+        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        rule = allowed.to_bytes(8, sys.byteorder) + handle.to_bytes(4, sys.byteorder)
+        kernel.syscall(add, ruleset, 1, rule, 0)
+        os.close(handle)
+    kernel.syscall(restrict, ruleset, 0)
+    os.close(ruleset)
+
+
+def descendants(of: int) -> list[int]:
+    """All processes below one, from /proc; [] where there is no /proc."""
+    parents: dict[int, int] = {}
+    for name in os.listdir("/proc") if os.path.isdir("/proc") else []:
+        if name.isdigit():
+            try:
+                with open(f"/proc/{name}/stat", "rb") as stream:
+                    parents[int(name)] = int(stream.read().rpartition(b")")[2].split()[1])
+            except (OSError, IndexError, ValueError):
+                continue
+    found, waiting = [], [of]
+    while waiting:
+        here = waiting.pop()
+        below = [child for child, parent in parents.items() if parent == here]
+        found += below
+        waiting += below
+    return found
+
+
+def end_all(patience: float = 5.0) -> None:
+    """Kill every process below this one, again and again until none is left (a dying one may have started another)."""
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        for process in descendants(os.getpid()):
+            try:
+                os.kill(process, signal.SIGKILL)
+            except OSError:
+                continue
+        try:
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+        except ChildProcessError:
+            return
+        time.sleep(0.01)
+
+
+def size_mb(folder: str) -> int:
+    """Size of all files below a folder, links not followed, MB."""
+    total = 0
+    for here, _, names in os.walk(folder):
+        for name in names:
+            try:
+                total += os.lstat(os.path.join(here, name)).st_blocks * 512
+            except OSError:
+                continue
+    return total >> 20
+
+
+def supervise(control: int, user: int, disk_mb: int) -> None:
+    """Start the process that runs the FMU; end all of it when told to, and pass its end on as this process' own."""
+    prctl(PR_SET_CHILD_SUBREAPER, 1)
+    child = os.fork()
+    if child == 0:
+        os.close(control)
+        become(user)
+        confine(".")
+        serve()
+        os._exit(0)
+    for handle in (0, 1):
+        os.close(handle)  # the child's, so that its closing them is seen
+    status = None
+    while status is None:
+        if select.select([control], [], [], POLL)[0]:
+            break
+        pid, code = os.waitpid(child, os.WNOHANG)
+        status = code if pid == child else None
+        if status is None and size_mb(".") > disk_mb:
+            sys.stderr.write(f"it wrote more than {disk_mb} MB and was ended\n")
+            sys.stderr.flush()
+            break
+    end_all()
+    if status is None:
+        os._exit(1)
+    if os.WIFSIGNALED(status):
+        signal.signal(os.WTERMSIG(status), signal.SIG_DFL) if os.WTERMSIG(status) != signal.SIGKILL else None
+        os.kill(os.getpid(), os.WTERMSIG(status))
+    os._exit(os.waitstatus_to_exitcode(status) if not os.WIFSIGNALED(status) else 1)
+
+
 if __name__ == "__main__":
-    main()
+    supervise(*map(int, sys.argv[1:]))

@@ -1,0 +1,63 @@
+"""Compiled code is loaded from a folder only where nobody else could have put it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from errpipe import kernels
+
+
+@pytest.fixture
+def where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """No home to write in: only the temporary folder, which is everybody's."""
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
+    monkeypatch.setattr(kernels.tempfile, "gettempdir", lambda: str(tmp_path))
+    return tmp_path / f"errpipe-numba-{os.getuid()}"
+
+
+def test_a_fresh_folder_is_private(where: Path) -> None:
+    assert kernels._cache_folder() == str(where)
+    assert where.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_folder_that_others_could_read_is_made_private(where: Path) -> None:
+    where.mkdir(mode=0o755)
+    assert kernels._cache_folder() == str(where)
+    assert where.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o1777])
+def test_a_folder_that_others_could_write_is_not_used(where: Path, mode: int) -> None:
+    where.mkdir()
+    where.chmod(mode)
+    assert kernels._cache_folder() is None
+
+
+def test_a_link_is_not_used(where: Path, tmp_path: Path) -> None:
+    (tmp_path / "planted").mkdir(mode=0o700)
+    where.symlink_to(tmp_path / "planted")
+    assert kernels._cache_folder() is None
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can make a folder of somebody else's")
+def test_a_folder_of_somebody_else_is_not_used(where: Path) -> None:
+    where.mkdir(mode=0o700)
+    os.chown(where, 12345, 12345)
+    assert kernels._cache_folder() is None
+
+
+def test_a_folder_that_others_could_swap_is_not_used(where: Path, tmp_path: Path) -> None:
+    tmp_path.chmod(0o777)
+    assert kernels._cache_folder() is None
+    tmp_path.chmod(0o1777)  # as /tmp is: others can add, not rename
+    assert kernels._cache_folder() == str(where)
+
+
+def test_without_a_folder_kernels_compile_without_a_cache(where: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(kernels, "_cache_folder", lambda: None)
+    double = kernels.kernel(lambda x: 2 * x)
+    assert double(21) == 42 and "NUMBA_CACHE_DIR" not in os.environ
