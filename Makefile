@@ -47,7 +47,7 @@ lint: $(SETUP) ## style and layout
 types: $(SETUP) ## static types
 	@$(BIN)/mypy errpipe
 
-check: lint test ## what to run before a change is offered
+check: lint types test ## what to run before a change is offered
 	@$(BIN)/errpipe check --no-data pipelines/*.yaml
 
 generated: $(SETUP) ## write schemas/, docs/ (reference pages) and tests/errors/ again from the code
