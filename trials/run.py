@@ -1,6 +1,6 @@
 """Draw cases, diagnose them with errpipe, judge the answers.
 
-python -m trials.run --seed 7 --cases 130 --jobs 2 [--second] [--keep DIR] [--json FILE] [--markdown FILE]
+python -m trials.run --seed 7 --cases 130 --jobs 2 [--second | --third] [--keep DIR] [--json FILE] [--markdown FILE]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from time import perf_counter
 
 from .first.generate import generate, split
 from .score import document, figures, markdown, score, wrong_ones
+from .third.generate import generate as generate_third
 
 
 def diagnose(case: str, out: str) -> tuple[str, float, str]:
@@ -67,6 +68,7 @@ def main() -> None:
     parser.add_argument("--effects", help="comma-separated effect ids")
     parser.add_argument("--protocols", help="comma-separated")
     parser.add_argument("--second", action="store_true", help="cases of the second generator")
+    parser.add_argument("--third", action="store_true", help="cases of the third generator (real noise, every scale)")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     a = parser.parse_args()
@@ -74,11 +76,13 @@ def main() -> None:
         out = a.keep or Path(temporary) / "trials"
         if a.second:
             generate_second(out, a.seed, a.cases, a.tiers, a.effects, a.protocols)
+        elif a.third:
+            generate_third(out, a.seed, a.cases, split(a.tiers), split(a.effects))
         else:
             generate(out, a.seed, a.cases, split(a.tiers), split(a.effects), split(a.protocols))
         done = diagnose_all(out / "cases", out / "diagnoses", a.jobs)
         judged = score(out, out / "diagnoses")
-    by = " by the second generator" if a.second else ""
+    by = " by the second generator" if a.second else " by the third generator" if a.third else ""
     text = markdown(judged, f"{len(judged)} cases drawn with seed {a.seed}{by}")
     print(text)
     print(wrong_ones(judged))

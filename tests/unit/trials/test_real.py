@@ -11,8 +11,9 @@ import pytest
 
 from errpipe.formats import manifest_folder
 from trials.folder import Sheet
-from trials.real.__main__ import figures, judge_all, markdown, sources
+from trials.real.__main__ import figures, judge_all, markdown
 from trials.real.draw import additions, generate
+from trials.real.recordings import sources
 from trials.real.repetitions import Twin, trajectory_period, twins, window
 
 SHARED = Path(__file__).parents[4] / "shared" / "real-data"
