@@ -40,7 +40,7 @@ class FittedTerm(Frozen):
 
 
 class ComponentModel(Frozen):
-    """The model of one response: deviation = sum of its terms."""
+    """The model of one response: deviation = gain times the sum of its terms."""
 
     component: str = Field(description="The response, such as EXX or E_Z.")
     unit: str = Field("um", description="Unit of the deviation.")
@@ -68,6 +68,13 @@ class ComponentModel(Frozen):
         None,
         description="RMS of what no model of these columns can explain.",
         json_schema_extra={"unit": "of the deviation"},
+    )
+    gain: float = Field(
+        1.0,
+        ge=0.0,
+        le=1.0,
+        description="Share of the sum of the terms that is applied: what held-out runs were best with.",
+        json_schema_extra={"unit": "1"},
     )
     half_width90: float | None = Field(
         None,

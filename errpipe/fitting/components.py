@@ -17,7 +17,7 @@ from errpipe.fitting.noise_floor import noise_floor
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.uncertainty import half_width
-from errpipe.fitting.validity import box
+from errpipe.fitting.validity import box, few_rows_outside
 from errpipe.terms import TERMS, Term, plain
 from errpipe.terms.run_offset import RunOffset
 
@@ -34,6 +34,8 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
         total = np.zeros(len(recording))
         for fitted in component.terms:
             total = total + term_of(fitted).value(recording, fitted.values())
+        if component.gain != 1.0:
+            total = component.gain * total
         if model.datum == "run_start":
             total = from_run_start(recording, total)
         out[component.component] = (
@@ -253,6 +255,7 @@ def _whole(recording: Recording, spec: ModelSpec, mask, models: Sequence[Compone
     names = list(dict.fromkeys(used))
     axes = {recording.manifest.columns[n].axis for n in names} - {None}
     kept = {k: c for k, c in recording.manifest.constants.items() if k in axes or c.role != "axis"}
+    validity = box(recording, names, mask)
     return ErrorModel(
         machine=recording.manifest.machine,
         title=recording.manifest.title,
@@ -260,6 +263,7 @@ def _whole(recording: Recording, spec: ModelSpec, mask, models: Sequence[Compone
         columns={n: recording.manifest.columns[n].model_dump(exclude_none=True) for n in names},
         constants={k: c.model_dump(mode="json", exclude_none=True) for k, c in kept.items()},
         components=tuple(models),
-        validity=box(recording, names, mask),
+        validity=validity,
         datum=spec.datum,
+        notes=tuple(few_rows_outside(recording, validity, mask)),
     )

@@ -6,6 +6,7 @@ Nouns only: what is made of the pairs (grids, integers, files) is the business o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +25,13 @@ def lower(model: ErrorModel) -> dict[str, list[Lowered]]:
     return {c.component: merge(_pairs(c)) for c in model.components}
 
 
+def _scaled(pair: Lowered, gain: float) -> Lowered:
+    """The pair times a gain."""
+    if gain == 1.0:
+        return pair
+    return replace(pair, driver=d.Affine(weights=(gain,), of=(pair.driver,)))
+
+
 def left_behind(model: ErrorModel) -> dict[str, list[str]]:
     """Component -> ids of fitted terms that a controller cannot or must not compensate, and that `lower` leaves out."""
     return {c.component: [f.term["term"] for f in c.terms if not _lowered(f)] for c in model.components}
@@ -35,7 +43,7 @@ def _lowered(fitted) -> tuple[Lowered, ...]:
 
 
 def _pairs(component: ComponentModel) -> list[Lowered]:
-    return [pair for fitted in component.terms for pair in _lowered(fitted)]
+    return [_scaled(pair, component.gain) for fitted in component.terms for pair in _lowered(fitted)]
 
 
 def merge(pairs: Sequence[Lowered]) -> list[Lowered]:

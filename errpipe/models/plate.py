@@ -10,6 +10,8 @@ from pydantic import Field
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
@@ -28,7 +30,9 @@ class Plate(Family):
     plate: str = Field(
         "last", description="Plate that speaks for the machine: the last one, all of them, or the label of a run."
     )
-    every: int = Field(10, ge=2, description="Every so many holes sit out when a single plate is validated.")
+    every: int = Field(
+        10, ge=2, description="Where there is one plate only: every so many of its holes sit out in turn."
+    )
     measured_twice: tuple[str, str] | None = Field(
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
     )
@@ -71,20 +75,16 @@ class Plate(Family):
         return Fitted(_error_model(found, recording), {FIGURES: document}, summary)
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme: every so many holes of each plate sit out while its other holes are fitted."""
+        """Without a scheme whole plates sit out; where there is only one plate, its holes do in turn."""
         import numpy as np
 
         from errpipe.fitting.holdout import Fold
 
-        if scheme is not None:
+        if scheme is not None or len(recording.run_labels()) > 1:
             return super().folds(recording, scheme)
-        run, out = recording.run_codes(), []
-        for code, label in enumerate(recording.run_labels()):
-            own = np.flatnonzero(run == code)
-            test = np.zeros(run.size, dtype=bool)
-            test[own[:: self.every]] = True
-            out.append(Fold(label, (run == code) & ~test, test))
-        return f"each plate by itself, every {self.every}th hole", out
+        number = np.arange(len(recording)) % self.every
+        out = [Fold(f"hole {k + 1}, {k + 1 + self.every} ...", number != k, number == k) for k in range(self.every)]
+        return f"one plate, every {self.every}th hole in turn", out
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """A plate's shift and rotation come from its fitted holes, else (a plate never seen) from the judged ones."""
@@ -93,7 +93,7 @@ class Plate(Family):
         from errpipe.fitting.design import response_name
         from errpipe.kinematics import planar
 
-        model = planar.fit_plate(recording, rows=fold.train, modes=self.modes)
+        model = planar.fit_plate(recording, rows=fold.train & self._speaks(recording, fold.train), modes=self.modes)
         x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
         deviation = np.column_stack([recording.array(response_name(recording, c)) for c in DIRECTIONS])
         left = deviation - model.predict(x, y)
@@ -109,6 +109,17 @@ class Plate(Family):
         box = model.functions.box
         outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
         return {c: held_out(fold, before[:, k], after[:, k], outside, used=taken) for k, c in enumerate(DIRECTIONS)}
+
+    def _speaks(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
+        """Rows of the plate that speaks for the machine, of those in a mask; the last one where it sits out itself."""
+        import numpy as np
+
+        run = recording.run_codes()
+        if self.plate == "all":
+            return np.ones(run.size, dtype=bool)
+        labels, there = recording.run_labels(), set(np.unique(run[rows]).tolist())
+        named = labels.index(self.plate) if self.plate in labels else -1
+        return run == (named if named in there else max(there))
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """Scale and squareness with intervals; the residual beside what measuring a plate twice leaves."""

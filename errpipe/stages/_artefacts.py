@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 MODEL = "error_model.json"
 PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the fit without a held-out group
+VALIDATION = "validation.json"
+UNGATED = "Ungated, not shown to be better than no compensation"  # what its title says of a table
 TABLE = "table.ect"
 TWIN = "table.json"
 
@@ -45,6 +48,17 @@ def read_model(path: Path) -> ErrorModel:
 def model_json(model: ErrorModel) -> dict[str, Any]:
     """The canonical JSON value of an error model, without what is at its default."""
     return model.model_dump(mode="json", exclude_defaults=True) | {"error_model": 1}
+
+
+def fingerprint_of(model: ErrorModel) -> str:
+    """What tells a model from every other one: the hash of its canonical JSON."""
+    return jsonfile.fingerprint(model_json(model))
+
+
+def validations_of(model: ErrorModel, folders: Iterable[Path]) -> list[dict[str, Any]]:
+    """The validations among those in some stages' folders that judged this very model."""
+    documents = [jsonfile.read(folder / VALIDATION) for folder in folders]
+    return [v for v in documents if v["model"] == fingerprint_of(model)]
 
 
 def write_model(context: Context, recording: Recording, model: ErrorModel, family: Family) -> ErrorModel:

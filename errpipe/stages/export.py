@@ -3,64 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe import yamlfile
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.validation.codes import Code
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
-    from errpipe.drivers.lowered import Lowered
     from errpipe.guard.description import SensorGuard
+    from errpipe.validation.gate import Passed
 
 
-class ActsOn(yamlfile.Options):
-    """The axis that corrects a component without an axis of its own."""
-
-    axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
-    factor: float | None = Field(
-        None,
-        ge=-10,
-        le=10,
-        description="Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
-        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
-        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
-        json_schema_extra={"unit": "1"},
-    )
+TITLE_LENGTH = 127  # characters of a table's title
 
 
-class Export(Stage):
+class Export(CompileOptions, Stage):
     """Compile the model into a compensation table and the files of controllers."""
 
     kind: Literal["export"]
-    error_bound: float = Field(
-        0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
-    )
-    position_cycle: float = Field(
-        0.001, gt=0, description="Time between two corrections.", json_schema_extra={"unit": "s"}
-    )
-    thermal_cycle: float = Field(
-        1.0, gt=0, description="Time between two updates of slow drivers.", json_schema_extra={"unit": "s"}
-    )
-    magnitude: float | None = Field(
-        None, gt=0, description="Largest correction; default: what it can reach.", json_schema_extra={"unit": "um"}
-    )
-    slew: float | None = Field(
-        None, gt=0, description="Largest rate of a correction.", json_schema_extra={"unit": "um/s"}
-    )
-    acceleration: float | None = Field(
-        None, gt=0, description="Largest change of that rate.", json_schema_extra={"unit": "um/s2"}
-    )
-    acts_on: dict[str, ActsOn] = Field(
-        {}, description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves."
-    )
     guard: bool = Field(
         False, description="Watch the temperatures against each other in the table, and stand in for one that fails."
     )
@@ -72,13 +38,13 @@ class Export(Stage):
         json_schema_extra={"unit": "um"},
     )
     allow: tuple[Code, ...] = Field((), description="Implausible declarations that are true, by name.")
-    gate: Literal["better-than-nothing", "none"] = Field(
-        "better-than-nothing", description="Refuse a model that is not better than nothing on held-out rows."
+    ungated: bool = Field(
+        False, description="Export although nothing was judged, or what was judged is not better than nothing."
     )
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
         "error_model": Need("error_model"),
-        "validation": Need("validation", optional=True),
+        "validation": Need("validation", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("table",)
 
@@ -91,10 +57,8 @@ class Export(Stage):
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
         recording = _artefacts.recording_in(context.needed("recording"))
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
-        validation = context.maybe("validation")
-        left_out: list[str] = []
-        if self.gate != "none" and validation is not None:
-            model, left_out = better_than_nothing(model, validation / "validation.json")
+        passed = _gate(model, self, context)
+        model = passed.model
         guard = _guard(context, recording, model) if self.guard else None
         context.progress(0.2, "compiling")
         table = compile_model(model, self, guard)
@@ -103,7 +67,8 @@ class Export(Stage):
         from errpipe.stages.targets import checksums
 
         files = _write(context, table, model, self.targets)
-        document = {"proof": proof, "files": files, "left_out": left_out}
+        document = {"proof": proof, "files": files, "left_out": list(passed.left_out), "judged": list(passed.judged)}
+        document |= {"ungated": _artefacts.UNGATED} if self.ungated else {}
         document |= {"checks": checks, "consequences": _plausible.of_table(table)}
         document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
@@ -111,20 +76,14 @@ class Export(Stage):
         return {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
 
 
-def better_than_nothing(model: ErrorModel, path: Path) -> tuple[ErrorModel, list[str]]:
-    """The model with only those components that earned it on the rows that sat out, and the names of the others.
+def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
+    """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated."""
+    from errpipe.validation.gate import Passed, pass_gate
 
-    Doing nothing wins ties. Raises GateError where no component is left.
-    """
-    from errpipe import jsonfile
-    from errpipe.errors import GateError
-
-    worse = {c["component"]: c for c in jsonfile.read(path)["components"] if c["verdict"] == "do nothing"}
-    kept = tuple(c for c in model.components if c.component not in worse)
-    if not kept:
-        told = "; ".join(f"{n} {c['rms_before']:.3g} -> {c['rms_after']:.3g} {c['unit']}" for n, c in worse.items())
-        raise GateError(f"export: not better than nothing on held-out rows ({told}). Nothing was exported.")
-    return model.model_copy(update={"components": kept}), sorted(worse)
+    if options.ungated:
+        title = f"{_artefacts.UNGATED}: {model.title}"[:TITLE_LENGTH]
+        return Passed(model.model_copy(update={"title": title}), (), ())
+    return pass_gate(model, _artefacts.validations_of(model, context.every("validation").values()))
 
 
 def _guard(context: Context, recording: Recording, model: ErrorModel) -> SensorGuard:
@@ -137,76 +96,6 @@ def _guard(context: Context, recording: Recording, model: ErrorModel) -> SensorG
     guard = learn.hold(learn.learn(recording), recording, drivers)
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
-
-
-def compile_model(model: ErrorModel, options: Export, guard: SensorGuard | None = None) -> CompensationTable:
-    """The table of a model. Raises GateError for what a controller cannot be given."""
-    from errpipe import __version__, jsonfile, tables
-    from errpipe.errors import GateError
-    from errpipe.fitting.lowering import left_behind, lower
-    from errpipe.stages import _inputs
-
-    lowered = lower(model)
-    empty = [name for name, pairs in lowered.items() if not pairs]
-    if len(empty) == len(lowered):
-        behind = ", ".join(sorted({t for terms in left_behind(model).values() for t in terms})) or "no term"
-        raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
-    _inputs.unknown_inputs(_inputs.read_by([p.driver for pairs in lowered.values() for p in pairs]), model)
-    if guard is not None:
-        lowered = {name: [_guarded(p, guard) for p in pairs] for name, pairs in lowered.items()}
-    keep = None if model.validity.fades else False  # no box in the table, but it still fades where a sensor is lost
-    sources = [
-        tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]), keep)
-        for c in model.components
-        if lowered[c.component]
-    ]
-    limits = {
-        s.name: tables.Limits(options.magnitude, options.slew, options.acceleration)
-        for s in sources
-        if any(v is not None for v in (options.magnitude, options.slew, options.acceleration))
-    }
-    return tables.compile_table(
-        sources,
-        outputs=tables.outputs_of(sources, _acts_on(options.acts_on, [s.name for s in sources])),
-        inputs=_inputs.table_inputs(model, guard),
-        travel=_inputs.travel(model),
-        limits=limits,
-        error_bound=options.error_bound,
-        position_cycle_s=options.position_cycle,
-        thermal_cycle_s=options.thermal_cycle,
-        machine=model.machine,
-        title=model.title,
-        version=__version__,
-        fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
-    )
-
-
-def _acts_on(stated: Mapping[str, ActsOn], known: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0."""
-    from errpipe.domain import components
-    from errpipe.errors import UsageError, did_you_mean
-
-    out = {}
-    for name, on in stated.items():
-        if name not in known:
-            raise UsageError(
-                f"export: acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
-            )
-        factor = on.factor
-        if factor is None:
-            factor = 0.5 if components.parse(name).kind == "diameter" else 1.0
-        if factor == 0.0:
-            raise UsageError(f"export: acts_on: {name}: a factor of 0 corrects nothing")
-        out[name] = (on.axis, factor)
-    return out
-
-
-def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
-    from dataclasses import replace
-
-    from errpipe.guard.replace import guarded
-
-    return replace(pair, driver=guarded(pair.driver, guard))
 
 
 def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ def predict(source: Path, recording: Path, out: Path) -> dict[str, Any]:
 
     found = _artefacts.model_or_table(source)
     read = _artefacts.recording_in(Path(recording))
-    source_of = rows.of_model(found) if isinstance(found, ErrorModel) else _of_table(found, Path(source))
+    source_of = _of_model(found) if isinstance(found, ErrorModel) else _of_table(found, Path(source))
     frame = rows.predict(source_of, read)
     jsonfile.write_text(Path(out), frame.to_csv(index=False, lineterminator="\n"))
     told = {"written": str(out), "rows": len(frame), "columns": list(frame.columns)}
@@ -41,6 +41,31 @@ def _why_empty(found: ErrorModel | CompensationTable, without: list[str]) -> str
         f"empty for {names}: a table carries the deviation alone; its interval stands in the error model that it was "
         f"compiled from, which `{_artefacts.MODEL}` beside it would be (none there has the table's fingerprint)"
     )
+
+
+def _of_model(model: ErrorModel):
+    """The predictor of the table that a model compiles to, as a controller would run it.
+
+    Outside validity it fades as the table does. A model that no controller can be given predicts by its own terms.
+    """
+    from functools import cache
+
+    from errpipe.errors import GateError
+    from errpipe.fitting.components import evaluate
+    from errpipe.stages._compile import CompileOptions, compile_model
+    from errpipe.validation.predict import of_evaluator
+
+    @cache
+    def table() -> CompensationTable | None:
+        try:
+            return compile_model(model, CompileOptions())
+        except GateError:
+            return None
+
+    def values(recording: Recording) -> Mapping[str, np.ndarray]:
+        return evaluate(model, recording) if table() is None else table_values(table(), model, recording)
+
+    return of_evaluator(values, model)
 
 
 def _of_table(table: CompensationTable, path: Path):

@@ -204,8 +204,21 @@ def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]
 
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    names = [name for document in exported.values() for name in document["left_out"]]
-    return [f"{name} was left out of the table: on held-out rows it was not better than nothing." for name in names]
+    """What the gate left out, cut down, or never saw."""
+    out = []
+    for document in exported.values():
+        out += [
+            f"{name} was left out of the table: on held-out rows it was not better than nothing."
+            for name in document["left_out"]
+        ]
+        out += [
+            f"{j['component']} is applied at {100 * j['gain']:.0f} %: held-out rows were best with that share "
+            f"({j['rms_before']:.3g} -> {j['rms_at_gain']:.3g} {j['unit']})."
+            for j in document.get("judged", ())
+            if 0.0 < j["gain"] < 1.0
+        ]
+        out += [f"{document['ungated']}."] if document.get("ungated") else []
+    return out
 
 
 def _iso230(validation: Mapping[str, Any]) -> list[dict[str, Any]]:

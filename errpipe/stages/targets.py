@@ -225,6 +225,12 @@ def told(lost: list[dict[str, Any]]) -> str:
 def checklist(target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable) -> str:
     """What a person at the machine does: sign, activation, moves with expected values, what is lost."""
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
+    if table.title.startswith(_artefacts.UNGATED):
+        lines += [
+            "",
+            f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
+            "",
+        ]
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
     read = _within_travel(read, table)
     lines += [f"- {says}." for says in (*_plausible.of_files(read), *_at_the_axis(table))] + ["", "## Switch it on", ""]

@@ -31,12 +31,14 @@ class Validate(Stage):
         from errpipe.validation import held_out
 
         recording = _artefacts.recording_in(context.needed("recording"))
-        family = _artefacts.family_in(context.needed("error_model"))
+        folder = context.needed("error_model")
+        family, model = _artefacts.family_in(folder), _artefacts.read_model(folder / _artefacts.MODEL)
         document, rows = held_out.judged(recording, family, self.holdout, progress=context.progress)
         if self.iso230_2:
             from errpipe.validation import iso230_2
 
             document["iso230_2"] = iso230_2.figures(recording).model_dump(mode="json")
+        document["model"] = _artefacts.fingerprint_of(model)
         context.write_json("validation.json", {**document, "inputs": context.fingerprint})
         _write_rows(context.folder / HELD_OUT, rows)
         return {c["component"]: headline(c) for c in document["components"]}

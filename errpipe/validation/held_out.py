@@ -1,12 +1,14 @@
 """Figures from rows that had no say: every one beside doing nothing and the noise floor.
 
 "Do nothing" and partial gains compete with the full model on the same rows; the least of them within 1 % of the best
-wins. The 90 % interval that covers a group comes from the other groups alone.
+wins, if runs agree on it by more than chance (`significance`). The 90 % interval that covers a group comes from the
+other groups alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from errpipe.fitting import holdout
 from errpipe.fitting.judging import HeldOut, half_width90, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
-from errpipe.validation import seasons
+from errpipe.validation import seasons, significance
 
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)
 TIE = 0.01
@@ -89,7 +91,9 @@ def component_figures(recording: Recording, component: str, folds: Sequence[Held
     rows = np.concatenate([f.rows for f in folds])
     after = np.concatenate([f.after for f in folds])
     floor = noise_floor(recording, rows[np.argsort(rows)], after[np.argsort(rows)])
-    chosen = _least_that_ties(gains)
+    best = _least_that_ties(gains)
+    chance = significance.p_value(recording, folds, best) if best > 0.0 else 1.0
+    chosen = best if chance <= significance.LEVEL else 0.0
     return {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
@@ -104,6 +108,10 @@ def component_figures(recording: Recording, component: str, folds: Sequence[Held
         "coverage90": _coverage(folds),
         "rms_by_gain": gains,
         "gain": chosen,
+        "rms_at_gain": gains[f"{chosen:g}"],
+        "half_width90_at_gain": half_width90([replace(f, after=_at_gain(f, chosen)) for f in folds]),
+        "p_value": chance,
+        "runs": significance.independent_runs(recording, folds),
         "verdict": "do nothing" if chosen == 0.0 else ("model" if chosen == 1.0 else "partial gain"),
         "groups": [_group(f, k, folds) for k, f in enumerate(folds)],
     }

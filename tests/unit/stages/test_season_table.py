@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.fitting import thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.stages import _artefacts
-from errpipe.stages.export import Export, compile_model
+from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import predict, table_values
 from errpipe.tables import ect
 from tests.unit.fitting.test_thermal_season import machine
@@ -32,7 +32,7 @@ def model(fitted):
 
 @pytest.fixture(scope="module")
 def table(model):
-    return compile_model(model, Export(kind="export"))
+    return compile_model(model, CompileOptions())
 
 
 def test_outside_the_box_the_table_says_what_the_model_says(fitted, model, table):

@@ -1,0 +1,128 @@
+"""An error model as the table that a controller runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from errpipe.stages import _artefacts
+from errpipe.yamlfile import Options
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.table import CompensationTable
+    from errpipe.drivers.lowered import Lowered
+    from errpipe.guard.description import SensorGuard
+
+
+class ActsOn(Options):
+    """The axis that corrects a component without an axis of its own."""
+
+    axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
+    factor: float | None = Field(
+        None,
+        ge=-10,
+        le=10,
+        description="Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
+        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
+        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
+        json_schema_extra={"unit": "1"},
+    )
+
+
+class CompileOptions(Options):
+    """How a model becomes a table."""
+
+    error_bound: float = Field(
+        0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
+    )
+    position_cycle: float = Field(
+        0.001, gt=0, description="Time between two corrections.", json_schema_extra={"unit": "s"}
+    )
+    thermal_cycle: float = Field(
+        1.0, gt=0, description="Time between two updates of slow drivers.", json_schema_extra={"unit": "s"}
+    )
+    magnitude: float | None = Field(
+        None, gt=0, description="Largest correction; default: what it can reach.", json_schema_extra={"unit": "um"}
+    )
+    slew: float | None = Field(
+        None, gt=0, description="Largest rate of a correction.", json_schema_extra={"unit": "um/s"}
+    )
+    acceleration: float | None = Field(
+        None, gt=0, description="Largest change of that rate.", json_schema_extra={"unit": "um/s2"}
+    )
+    acts_on: dict[str, ActsOn] = Field(
+        {}, description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves."
+    )
+
+
+def compile_model(model: ErrorModel, options: CompileOptions, guard: SensorGuard | None = None) -> CompensationTable:
+    """The table of a model. Raises GateError for what a controller cannot be given."""
+    from errpipe import __version__, jsonfile, tables
+    from errpipe.errors import GateError
+    from errpipe.fitting.lowering import left_behind, lower
+    from errpipe.stages import _inputs
+
+    lowered = lower(model)
+    empty = [name for name, pairs in lowered.items() if not pairs]
+    if len(empty) == len(lowered):
+        behind = ", ".join(sorted({t for terms in left_behind(model).values() for t in terms})) or "no term"
+        raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
+    _inputs.unknown_inputs(_inputs.read_by([p.driver for pairs in lowered.values() for p in pairs]), model)
+    if guard is not None:
+        lowered = {name: [_guarded(p, guard) for p in pairs] for name, pairs in lowered.items()}
+    keep = None if model.validity.fades else False  # no box in the table, but it still fades where a sensor is lost
+    sources = [
+        tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]), keep)
+        for c in model.components
+        if lowered[c.component]
+    ]
+    limits = {
+        s.name: tables.Limits(options.magnitude, options.slew, options.acceleration)
+        for s in sources
+        if any(v is not None for v in (options.magnitude, options.slew, options.acceleration))
+    }
+    return tables.compile_table(
+        sources,
+        outputs=tables.outputs_of(sources, _acts_on(options.acts_on, [s.name for s in sources])),
+        inputs=_inputs.table_inputs(model, guard),
+        travel=_inputs.travel(model),
+        limits=limits,
+        error_bound=options.error_bound,
+        position_cycle_s=options.position_cycle,
+        thermal_cycle_s=options.thermal_cycle,
+        machine=model.machine,
+        title=model.title,
+        version=__version__,
+        fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
+    )
+
+
+def _acts_on(stated: Mapping[str, ActsOn], known: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0."""
+    from errpipe.domain import components
+    from errpipe.errors import UsageError, did_you_mean
+
+    out = {}
+    for name, on in stated.items():
+        if name not in known:
+            raise UsageError(
+                f"export: acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
+            )
+        factor = on.factor
+        if factor is None:
+            factor = 0.5 if components.parse(name).kind == "diameter" else 1.0
+        if factor == 0.0:
+            raise UsageError(f"export: acts_on: {name}: a factor of 0 corrects nothing")
+        out[name] = (on.axis, factor)
+    return out
+
+
+def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
+    from dataclasses import replace
+
+    from errpipe.guard.replace import guarded
+
+    return replace(pair, driver=guarded(pair.driver, guard))

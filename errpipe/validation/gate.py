@@ -1,0 +1,64 @@
+"""What may be exported: the components that held-out runs were better with, at the gain that was judged there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from errpipe.domain.error_model import ComponentModel, ErrorModel
+from errpipe.errors import GateError
+
+
+@dataclass(frozen=True)
+class Passed:
+    """model: components with the gain that was judged; left_out: those without one; judged: figures for the reader."""
+
+    model: ErrorModel
+    left_out: tuple[str, ...]
+    judged: tuple[dict[str, Any], ...]
+
+
+def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Passed:
+    """The part of a model that every validation of it found better than nothing, each component at its least gain.
+
+    validations: documents of `validation.json` of this very model. Doing nothing wins ties. Raises GateError where no
+    validation judged the model, or no component is left.
+    """
+    if not validations:
+        raise GateError(
+            "export: nothing has judged this model on rows that sat out (add a `validate` stage after the fit, or say "
+            "`ungated: true` to export it all the same)"
+        )
+    kept, left_out, judged = [], [], []
+    for component in model.components:
+        figures = [c for v in validations for c in v["components"] if c["component"] == component.component]
+        gain = min((c["gain"] for c in figures), default=0.0)
+        judged += [_brief(c) for c in figures]
+        if gain > 0.0:
+            kept.append(_at_gain(component, gain, figures))
+        else:
+            left_out.append(component.component)
+    if not kept:
+        told = "; ".join(map(_reason, judged)) or "no component was judged"
+        raise GateError(f"export: not better than nothing on held-out rows ({told}). Nothing was exported.")
+    return Passed(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
+
+
+def _at_gain(component: ComponentModel, gain: float, figures: Sequence[Mapping[str, Any]]) -> ComponentModel:
+    if gain == 1.0:
+        return component
+    update: dict[str, Any] = {"gain": component.gain * gain}
+    if component.factor90 is None:  # an interval that follows the inputs keeps its own calibration
+        update["half_width90"] = max(c["half_width90_at_gain"] for c in figures)
+    return component.model_copy(update=update)
+
+
+def _brief(figures: Mapping[str, Any]) -> dict[str, Any]:
+    names = ("component", "unit", "gain", "rms_before", "rms_after", "rms_at_gain", "p_value", "runs")
+    return {name: figures[name] for name in names}
+
+
+def _reason(judged: Mapping[str, Any]) -> str:
+    told = f"{judged['component']} {judged['rms_before']:.3g} -> {judged['rms_after']:.3g} {judged['unit']}"
+    return f"{told}, p = {judged['p_value']:.2g} over {judged['runs']} runs"
