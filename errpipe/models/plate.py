@@ -63,11 +63,8 @@ class Plate(Family):
         twice = planar.repeated(recording, *self.measured_twice) if self.measured_twice else None
         recording = chosen_plates(recording, self.plate)
         found = planar.fit_plate(recording, modes=self.modes)
-        figures = {
-            name: {"value": f["value"], "ci95": list(f["ci95"]), "unit": f["unit"]}
-            for name, f in found.figures().items()
-        }
-        document = {"plate": 1, "figures": figures, "noise_um": found.noise, "setup": found.setup}
+        figures: dict[str, dict[str, Any]] = {name: _plain(f) for name, f in found.figures().items()}
+        document: dict[str, Any] = {"plate": 1, "figures": figures, "noise_um": found.noise, "setup": found.setup}
         document["parts"] = _parts(found)
         if twice is not None:
             document["measured_twice"] = {"runs": list(self.measured_twice or ()), **twice}
@@ -133,6 +130,10 @@ class Plate(Family):
         )
         twice = document.get("measured_twice")
         return [*out, _floor(twice, validation)] if twice else out
+
+
+def _plain(figure: Mapping[str, Any]) -> dict[str, Any]:
+    return {"value": figure["value"], "ci95": list(figure["ci95"]), "unit": figure["unit"]}
 
 
 def chosen_plates(recording: Recording, chosen: str) -> Recording:

@@ -63,7 +63,8 @@ def _of_model(model: ErrorModel):
             return None
 
     def values(recording: Recording) -> Mapping[str, np.ndarray]:
-        return evaluate(model, recording) if table() is None else table_values(table(), model, recording)
+        compiled = table()
+        return evaluate(model, recording) if compiled is None else table_values(compiled, model, recording)
 
     return of_evaluator(values, model)
 

@@ -133,7 +133,7 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
     from errpipe import jsonfile
 
     out = []
-    targets = with_something_to_add(table, chosen(dict.fromkeys(names)))
+    targets = with_something_to_add(table, chosen(list(dict.fromkeys(names))))
     for target in targets:
         others = _beside(target, targets)
         files = target.write_beside(table, others)

@@ -11,7 +11,7 @@ from errpipe.domain.table import TableInput
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, UsageError
 from errpipe.stages import targets as stage
-from errpipe.stages.export import ActsOn, _acts_on
+from errpipe.stages._compile import ActsOn, _acts_on
 from errpipe.targets import TARGETS, _sample
 
 SENSOR = TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, default=20, valid=(15, 35), margin=5)
