@@ -24,6 +24,7 @@ from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 VERBS = (
     "check",
     "import",
+    "init",
     "plan",
     "run",
     "demo",

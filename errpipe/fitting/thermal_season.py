@@ -28,6 +28,7 @@ import numpy as np
 
 from errpipe import __version__
 from errpipe.domain import driver as d
+from errpipe.domain.driver import inputs
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
@@ -121,7 +122,9 @@ class SeasonModel:
     def error_model(self, recording: Recording) -> ErrorModel:
         """As an error model of one component; `recording` gives machine, title and the columns' entries."""
         manifest = recording.manifest
-        columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in self.validity.ranges}
+        read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed, say
+        names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
+        columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names}
         notes = (
             "counts from the start of each run: temperatures do not tell where the probe was zeroed "
             f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",

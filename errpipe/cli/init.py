@@ -1,0 +1,34 @@
+"""`errpipe init`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+NAMES = "laser-iso230, dial-gauge, diagnose-log, spindle-drift, gantry, drilled-plate, five-axis"
+
+
+def command(
+    folder: Path = typer.Argument(..., metavar="DIR", help="The folder to write.", show_default=False),
+    template: str = typer.Option("laser-iso230", "--template", metavar="NAME", help=f"One of: {NAMES}."),
+    recording: Path | None = typer.Option(
+        None, "--recording", metavar="FOLDER", help="A recording of your own instead of the sample.", show_default=False
+    ),
+    target: list[str] = typer.Option(
+        [], "--target", metavar="NAME", help="A controller format instead of the usual ones. Repeatable."
+    ),
+    json: bool = Json,
+) -> None:
+    """Write a working folder from a template; it runs at once.
+
+    \b
+    Example:
+      errpipe init --template laser-iso230 axis
+      errpipe init --template dial-gauge mill --recording recording --target linuxcnc_screw
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("init", stage_module("init").init(folder, template, recording, target), as_json=json)

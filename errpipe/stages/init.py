@@ -1,0 +1,136 @@
+"""`errpipe init`: a working folder that runs at once, from a template, with a recording of its own or the user's."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from errpipe.errors import UsageError, did_you_mean
+
+PIPELINE = "pipeline.yaml"
+
+
+@dataclass(frozen=True)
+class Template:
+    """sample: function of `simulation.sample_recordings` that makes the recording; None: the pipeline simulates it."""
+
+    about: str
+    sample: str | None
+    targets: tuple[str, ...] = ()
+    machine: str | None = None
+
+
+TEMPLATES = {
+    "laser-iso230": Template(
+        "one axis by laser after ISO 230-2", "laser", ("sinumerik_lec", "linuxcnc_screw", "heidenhain_com")
+    ),
+    "dial-gauge": Template("a hobby machine's axis by dial gauge", "dial_gauge", ("linuxcnc_screw",)),
+    "diagnose-log": Template("a log of the control, diagnosed", "axis_log"),
+    "spindle-drift": Template("spindle drift over seasons", None, ("c_runtime",)),
+    "gantry": Template("a gantry's Z reference, warming up", "gantry", ("linuxcnc_hal",)),
+    "drilled-plate": Template("a planar map from drilled plates", "drilled_plate", ("linuxcnc_hal",)),
+    "five-axis": Template("a five-axis machine, identified", None, (), "five-axis.machine.yaml"),
+}
+
+
+def init(folder: Path, name: str, recording: Path | None = None, targets: Sequence[str] = ()) -> dict[str, Any]:
+    """Write the template's files into a folder. Raises UsageError where one is there already.
+
+    recording: a recording folder of the user's own, for which the pipeline is written; targets: instead of the usual.
+    """
+    from errpipe import jsonfile
+
+    if name not in TEMPLATES:
+        raise UsageError(f"no template {name!r} (templates: {', '.join(TEMPLATES)}).{did_you_mean(name, TEMPLATES)}")
+    template, folder = TEMPLATES[name], Path(folder)
+    if recording is not None and template.sample is None:
+        raise UsageError(f"template {name} simulates its recording; replace that stage in {PIPELINE} (no --recording)")
+    texts = _texts(name, template, folder, recording, targets)
+    there = [n for n in texts if (folder / n).exists()]
+    if there:
+        raise UsageError(f"{folder}: {', '.join(there)} is there already; nothing was written")
+    if recording is None and template.sample is not None:
+        from errpipe.simulation import folder as recording_folder
+        from errpipe.simulation import sample_recordings
+
+        recording_folder.write(folder / "recording", getattr(sample_recordings, template.sample)())
+    for file, text in texts.items():
+        jsonfile.write_text(folder / file, text)
+    says = [f"{folder / file}" for file in texts]
+    return {
+        "template": name,
+        "files": sorted(texts),
+        "says": [*says, f"next    errpipe run {folder / PIPELINE} --out {folder / 'out'}"],
+    }
+
+
+def _texts(
+    name: str, template: Template, folder: Path, recording: Path | None, targets: Sequence[str]
+) -> dict[str, str]:
+    from errpipe import jsonfile
+    from errpipe.pipeline.schema import json_schema
+    from errpipe.pipeline.spec import pipeline_model
+    from errpipe.stages import STAGES
+
+    texts = {
+        PIPELINE: _filled(_data(f"{name}.txt"), template, folder, recording, targets),
+        "Makefile": _data("Makefile.txt"),
+        ".gitignore": _data("gitignore.txt"),
+        ".github/workflows/errpipe.yml": _data("workflow.txt"),
+        "pipeline.schema.json": jsonfile.dumps(
+            json_schema(pipeline_model(tuple(STAGES)), "errpipe pipeline, version 1", written=True)
+        ),
+    }
+    if template.machine is not None:
+        texts["machine.yaml"] = _data(template.machine)
+    return texts
+
+
+def _data(file: str) -> str:
+    return (resources.files("errpipe.stages") / "templates" / file).read_text(encoding="utf-8")
+
+
+def _filled(text: str, template: Template, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
+    """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@."""
+    words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "6", "ISO": "true"}
+    words["HOLDOUT"] = "{scheme: leave-one-run-out}"
+    words["TARGETS"] = f"[{', '.join(targets or template.targets)}]"
+    backlash = True
+    if recording is not None:
+        facts = _facts(Path(recording))
+        words |= facts["words"]
+        backlash = facts["both_directions"]
+        words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
+    for word, value in words.items():
+        text = text.replace(f"@{word}@", value)
+    kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
+    return "\n".join([*kept, ""])
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    """What the recording says: axis, component, how many targets and runs there are, whether both directions are."""
+    import numpy as np
+
+    from errpipe.domain import components
+    from errpipe.formats import manifest_folder
+
+    recording = manifest_folder.read(folder)
+    found = recording.components()
+    if not found:
+        raise UsageError(f"{folder}: no column of role error; there is nothing to fit")
+    component = next((c for c in found if components.parse(c).kind in ("positioning", "angular positioning")), found[0])
+    axis = components.parse(component).axis or "X"
+    place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+    targets = np.unique(np.round(recording.array(place), 3)).size if place is not None else 3
+    side = recording.name("direction", axis=axis)
+    both = side is not None and np.unique(recording.array(side)).size > 1
+    runs = len(recording.run_labels())
+    words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(6, targets // 2)))}
+    words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
+    words["ISO"] = "true" if both and runs >= 2 else "false"
+    return {"words": words, "both_directions": both}

@@ -1,0 +1,46 @@
+"""Every template of `errpipe init` runs at once, from an empty folder, and its files are proved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from errpipe import jsonfile
+from errpipe.cli import init as verb
+from errpipe.cli.app import main
+from errpipe.stages.init import TEMPLATES
+
+
+def test_the_help_lists_every_template() -> None:
+    assert ", ".join(TEMPLATES) == verb.NAMES
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_a_template_is_checked(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "--template", name, "work ä"]) == 0
+    assert main(["check", "work ä/pipeline.yaml"]) == 0
+    assert (
+        (tmp_path / "work ä/pipeline.yaml").read_text(encoding="utf-8").startswith("# yaml-language-server: $schema=")
+    )
+    assert "@" not in (tmp_path / "work ä/pipeline.yaml").read_text(encoding="utf-8")
+    assert main(["init", "--template", name, "work ä"]) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_a_template_runs_end_to_end(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "--template", name, "work"]) == 0
+    assert main(["run", "work/pipeline.yaml", "--out", "out"]) == 0
+    if name == "diagnose-log":
+        (found,) = jsonfile.read(tmp_path / "out/diagnose/diagnosis.json")["responses"]
+        assert "following_error" in {f["effect"] for f in found["findings"]}
+        return
+    folder = next(tmp_path.glob("out/export*"))
+    assert main(["verify", str(folder)]) == 0
+    if (tmp_path / "out/validate").is_dir():
+        for c in jsonfile.read(tmp_path / "out/validate/validation.json")["components"]:
+            assert c["rms_after"] < 0.5 * c["rms_before"], c["component"]
+    assert main(["plan", "work/pipeline.yaml", "--out", "out", "--exit-code"]) == 0
