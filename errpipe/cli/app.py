@@ -56,7 +56,7 @@ Exit codes:
 _OUTSIDE_CAUSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE, errno.ENFILE)
 
 # click's own errors, whichever copy of click this typer carries
-_CLICK_USAGE: type[Exception] = typer.BadParameter.__mro__[1]  # type: ignore[assignment]
+_CLICK_USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 class _Verbs(TyperGroup):
