@@ -11,8 +11,8 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.sessions import sessions
-from errpipe.guard import blame, replace
 from errpipe.guard import description as g
+from errpipe.guard import detect, replace
 
 
 @dataclass(frozen=True)
@@ -27,20 +27,18 @@ class Watch:
 def watch(guard: g.SensorGuard, recording: Recording) -> Watch:
     """Faults (bool) and guarded readings, row by row and causal: as the compiled drivers do it."""
     conditioned, impossible = _conditioned(guard, recording)
-    names = guard.names()
-    found = _drive_all(
-        [*(blame.fault(guard, n) for n in names), *(replace.reading(guard, n) for n in names)], conditioned
-    )
-    return Watch(names, (found[:, : len(names)] > 0.5) | impossible, found[:, len(names) :])
+    count = len(guard.sensors)
+    values = evaluate([*detect.faults(guard), *replace.readings(guard)], conditioned)
+    return Watch(guard.names(), (values[:, :count] > 0.5) | impossible, values[:, count:])
 
 
 def faults(guard: g.SensorGuard, recording: Recording) -> np.ndarray:
     """Which readings are not believed, shape (rows, sensors): `watch` without the readings that stand in."""
     conditioned, impossible = _conditioned(guard, recording)
-    return (_drive_all([blame.fault(guard, n) for n in guard.names()], conditioned) > 0.5) | impossible
+    return (evaluate(detect.faults(guard), conditioned) > 0.5) | impossible
 
 
-def _drive_all(drivers: Sequence[d.Driver], recording: Recording) -> np.ndarray:
+def evaluate(drivers: Sequence[d.Driver], recording: Recording) -> np.ndarray:
     """`drive` of several drivers with much in common, each part once; shape (rows, drivers)."""
     values = _Values(recording)
     walked: dict[int, str] = {}  # by identity: the drivers are alive as long as this function runs

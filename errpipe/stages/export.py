@@ -59,7 +59,7 @@ class Export(CompileOptions, Stage):
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
         passed = _gate(model, self, context)
         model = passed.model
-        guard = _guard(context, recording, model) if self.guard else None
+        guard = _guard(context, recording) if self.guard else None
         context.progress(0.2, "compiling")
         table = compile_model(model, self, guard)
         context.progress(0.5, "comparing table and model")
@@ -86,14 +86,12 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
     return pass_gate(model, _artefacts.validations_of(model, context.every("validation").values()))
 
 
-def _guard(context: Context, recording: Recording, model: ErrorModel) -> SensorGuard:
+def _guard(context: Context, recording: Recording) -> SensorGuard:
     """What the sensors say of each other, learnt on the recording; kept beside the table."""
-    from errpipe.fitting.lowering import lower
     from errpipe.guard import learn
 
     context.progress(0.1, "learning what the sensors say of each other")
-    drivers = [pair.driver for pairs in lower(model).values() for pair in pairs]
-    guard = learn.hold(learn.learn(recording), recording, drivers)
+    guard = learn.learn(recording)
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
 

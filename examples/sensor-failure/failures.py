@@ -52,7 +52,7 @@ def judge(recording: Recording, component: str, scheme: str, how: dict[str, floa
     for train, test in folds(recording, scheme):
         model = thermal_season.fit(recording, component, rows=train)
         learnt_from = recording.take(train)
-        guard = learn.hold(learn.learn(learnt_from), learnt_from, [n for _, n in model.terms])
+        guard = learn.learn(learnt_from)
         rows = recording.take(test)
         truth = champion.target(rows, component)
         run = rows.run_codes()

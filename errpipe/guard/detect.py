@@ -1,0 +1,118 @@
+"""Which sensors a guard believes, as drivers. The letters are those of `errpipe.guard.description`.
+
+Every function returns one driver per sensor, in the guard's order, unless it says otherwise. The same part asked for
+again is the same object, so that a table holds it once.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+from errpipe.domain import driver as d
+from errpipe.guard import composed as c
+from errpipe.guard.description import SensorGuard
+
+WARM_UP = 3.0  # freeze times after the start before stillness means anything: its lag has then settled to 5 %
+ALIVE = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be believed (taste)
+SUSPECT = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
+UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
+TIE = 1e-6  # relative: below single precision's rounding of a sum, above double's
+
+shared = lru_cache(maxsize=256)
+
+
+@shared
+def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """s: leave-one-sensor-out residuals of what the last hour brought, in thresholds."""
+    inputs = [d.Input(name=n) for n in guard.names()]
+    recent = tuple(d.Affine(weights=(1.0, -1.0), of=(x, c.lag(x, guard.horizon_s))) for x in inputs)
+    out = []
+    for i, sensor in enumerate(guard.sensors):
+        scale = guard.threshold * math.sqrt(sensor.precision[i])
+        out.append(d.Affine(weights=tuple(p / scale for p in sensor.precision), of=recent))
+    return tuple(out)
+
+
+@shared
+def _first(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
+    """Per sensor 1 where its squared residual is the largest; and the largest."""
+    return _largest(tuple(map(c.squared, residuals(guard))))
+
+
+@shared
+def _second(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
+    """The same once the sensor of the largest residual is left out (orthogonal matching pursuit)."""
+    top, s = _first(guard)[0], residuals(guard)
+    left_out = tuple(d.Product(of=pair) for pair in zip(top, s, strict=True))
+    squares = []
+    for j, row in enumerate(correlations(guard)):
+        shown = d.Affine(weights=(1.0, *(-r for r in row)), of=(s[j], *left_out))
+        share = tuple(0.0 if i == j else 1.0 / (1.0 - r * r) for i, r in enumerate(row))
+        squares.append(d.Product(of=(shown, shown, d.Affine(weights=share, of=top))))
+    return _largest(tuple(squares))
+
+
+def correlations(guard: SensorGuard) -> list[list[float]]:
+    """P_ij / sqrt(P_ii P_jj): the share of a fault of sensor j that shows in the residual of i; 1 on the diagonal."""
+    rows = [s.precision for s in guard.sensors]
+    size = [math.sqrt(row[i]) for i, row in enumerate(rows)]
+    return [[p / size[i] / size[j] if i != j else 1.0 for j, p in enumerate(row)] for i, row in enumerate(rows)]
+
+
+def _largest(values: tuple[d.Driver, ...]) -> tuple[tuple[d.Driver, ...], d.Driver]:
+    most = values[0]
+    for value in values[1:]:
+        most = c.larger(most, value)
+    below = [d.Affine(weights=(1.0, TIE - 1.0), of=(value, most)) for value in values]
+    return tuple(d.Switch(of=b, on=0.0, off=-1e-30) for b in below), most
+
+
+@shared
+def blamed(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """1 once a sensor's residual has been the largest and above the threshold, until the next start; else 0."""
+    (top, most), (second, left) = _first(guard), _second(guard)
+    over = d.Switch(of=most, on=1.0, off=1.0 - TIE)
+    ever = d.Switch(of=most, on=1.0, off=UNTIL_RESTART)
+    over_too = d.Product(of=(ever, d.Switch(of=left, on=1.0, off=1.0 - TIE)))
+    out = []
+    for one, other in zip(top, second, strict=True):
+        now = (d.Product(of=(over, one)), d.Product(of=(over_too, other)))
+        out.append(d.Switch(of=d.Affine(weights=(1.0, 1.0), of=now), on=0.5, off=UNTIL_RESTART))
+    return tuple(out)
+
+
+@shared
+def stillness(guard: SensorGuard, name: str) -> d.Driver:
+    """How much alive one reading is: the lagged square of its own quick part, K2."""
+    reading = d.Input(name=name)
+    moving = d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, guard.freeze_s)))
+    return c.lag(c.squared(moving), guard.freeze_s)
+
+
+@shared
+def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """1 while a reading stands still as it never does when healthy; else 0."""
+    age = d.Lag(of=d.ONE, tau_up=guard.freeze_s, tau_down=guard.freeze_s, start="zero")
+    settled = d.Switch(of=age, on=1.0 - math.exp(-WARM_UP), off=0.0)
+    out: list[d.Driver] = []
+    for s in guard.sensors:
+        if s.still is None:
+            out.append(d.Constant(value=0.0))
+            continue
+        alive = d.Affine(weights=(-1.0,), of=(stillness(guard, s.name),))
+        out.append(d.Product(of=(d.Switch(of=alive, on=-s.still, off=-ALIVE * s.still), settled)))
+    return tuple(out)
+
+
+@shared
+def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """1 while a reading is not believed; else 0."""
+    return tuple(c.any_of(*pair) for pair in zip(blamed(guard), frozen(guard), strict=True))
+
+
+@shared
+def calm(guard: SensorGuard) -> d.Driver:
+    """One driver: 1 while no sensor is at fault and no residual near the threshold; else 0."""
+    suspect = d.Switch(of=_first(guard)[1], on=SUSPECT, off=SUSPECT - TIE)
+    return c.none_of(*faults(guard), suspect)
