@@ -121,8 +121,10 @@ def _scores(
         mine = run[left.rows] == code
         first = int(left.rows[mine][0])
         groups = {name: str(recording.frame[name].iloc[first]) for name in recording.names("group")}
-        squares = (float(np.mean(v[mine] ** 2)) for v in (left.before, residual, left.after))
-        out.append(RunScore(keys[code], labels[code], component, groups, *squares, rows=int(mine.sum())))
+        nothing, champion, challenger = (float(np.mean(v[mine] ** 2)) for v in (left.before, residual, left.after))
+        out.append(
+            RunScore(keys[code], labels[code], component, groups, nothing, champion, challenger, int(mine.sum()))
+        )
     return out
 
 
