@@ -153,3 +153,27 @@ def test_real_recordings_have_the_repetitions_that_their_sources_tell_of() -> No
     assert ("damper-hysteresis", "periods") in kinds
     assert ("drilled-plates", "runs") in kinds and ("psi", "runs") in kinds
     assert ("turning-centre-thermal", "interleaved") in kinds
+
+
+def test_answers_are_hidden_from_the_diagnosis_and_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from trials.real import answers
+
+    folder = tmp_path / "motor"
+    folder.mkdir()
+    (folder / "recording.yaml").write_text("recording: 1\n")
+    (folder / "ANSWER.yaml").write_text("effect: torque_ripple\naccept: [torque_ripple]\ndriver: [c]\nsize: 2 N\n")
+
+    def diagnose(case: str, out: str) -> tuple[str, float, str]:
+        assert not (Path(case) / "ANSWER.yaml").exists()
+        finding = {"effect": said, "confidence": 0.9, "drivers": ["c"], "parameters": []}
+        response = {"component": "F_X", "verdict": "missing_physics", "findings": [finding]}
+        Path(out).mkdir()
+        (Path(out) / "diagnosis.json").write_text(json.dumps({"responses": [response]}))
+        return "motor", 0.0, ""
+
+    monkeypatch.setattr(answers, "diagnose", diagnose)
+    assert answers.answered([tmp_path]) == [folder]
+    said = "torque_ripple"
+    assert answers.judge_one(folder)["right"]
+    said = "unknown"
+    assert not answers.judge_one(folder)["right"]
