@@ -12,6 +12,7 @@ from errpipe.yamlfile import Options
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
     from errpipe.drivers.lowered import Lowered
     from errpipe.guard.description import SensorGuard
@@ -48,21 +49,33 @@ class CompileOptions(Options):
         None, gt=0, description="Largest correction; default: what it can reach.", json_schema_extra={"unit": "um"}
     )
     slew: float | None = Field(
-        None, gt=0, description="Largest rate of a correction.", json_schema_extra={"unit": "um/s"}
+        None,
+        gt=0,
+        description="Largest rate of a correction; default: what the axis' motion asks of it, at most 1 um/ms.",
+        json_schema_extra={"unit": "um/s"},
     )
     acceleration: float | None = Field(
-        None, gt=0, description="Largest change of that rate.", json_schema_extra={"unit": "um/s2"}
+        None,
+        gt=0,
+        description="Largest change of that rate; default: the whole rate within 10 ms.",
+        json_schema_extra={"unit": "um/s2"},
     )
     acts_on: dict[str, ActsOn] = Field(
         {}, description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves."
     )
 
 
-def compile_model(model: ErrorModel, options: CompileOptions, guard: SensorGuard | None = None) -> CompensationTable:
-    """The table of a model. Raises GateError for what a controller cannot be given."""
+def compile_model(
+    model: ErrorModel, options: CompileOptions, guard: SensorGuard | None = None, recording: Recording | None = None
+) -> CompensationTable:
+    """The table of a model. Raises GateError for what a controller cannot be given.
+
+    recording: how fast its sensors and axes moved limits readings and corrections.
+    """
     from errpipe import __version__, jsonfile, tables
     from errpipe.errors import GateError
     from errpipe.fitting.lowering import left_behind, lower
+    from errpipe.guard import rates
     from errpipe.stages import _inputs
 
     lowered = lower(model)
@@ -79,17 +92,12 @@ def compile_model(model: ErrorModel, options: CompileOptions, guard: SensorGuard
         for c in model.components
         if lowered[c.component]
     ]
-    limits = {
-        s.name: tables.Limits(options.magnitude, options.slew, options.acceleration)
-        for s in sources
-        if any(v is not None for v in (options.magnitude, options.slew, options.acceleration))
-    }
-    return tables.compile_table(
+    stated = tables.Limits(options.magnitude, options.slew, options.acceleration)
+    table = tables.compile_table(
         sources,
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, [s.name for s in sources])),
-        inputs=_inputs.table_inputs(model, guard),
+        inputs=_inputs.table_inputs(model, guard, rates.learn(recording) if recording is not None else None),
         travel=_inputs.travel(model),
-        limits=limits,
         error_bound=options.error_bound,
         position_cycle_s=options.position_cycle,
         thermal_cycle_s=options.thermal_cycle,
@@ -98,6 +106,23 @@ def compile_model(model: ErrorModel, options: CompileOptions, guard: SensorGuard
         version=__version__,
         fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
     )
+    speeds = travel_speeds(recording) if recording is not None else {}
+    return tables.limited(table, speeds, dict.fromkeys((s.name for s in sources), stated))
+
+
+def travel_speeds(recording: Recording) -> dict[str, float]:
+    """Axis -> its largest speed in the recording, mm/s or deg/s; axes whose speed it does not show are left out."""
+    import numpy as np
+
+    from errpipe.drivers.motion import axes
+
+    found = {}
+    for axis in (*axes(recording), *axes(recording, "rotary")):
+        name = recording.name("velocity", axis=axis)
+        speed = np.abs(recording.array(name)) if name is not None else np.empty(0)
+        if speed.size and np.nanmax(speed, initial=0.0) > 0:
+            found[axis] = float(np.nanmax(speed))
+    return found
 
 
 def _acts_on(stated: Mapping[str, ActsOn], known: Sequence[str]) -> dict[str, tuple[str, float]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.table import AXIS, NAME, Kind, TableInput, text_problem
 from errpipe.errors import GateError
 from errpipe.guard.description import GuardedSensor, SensorGuard
+from errpipe.guard.rates import ReadingRate
 
 # Role of a column -> kind of the controller's channel, lowest and highest believable reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
@@ -29,14 +32,20 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
 FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
 
 
-def table_inputs(model: ErrorModel, guard: SensorGuard | None = None) -> list[TableInput]:
-    """One channel per column of the model, in its order; a guard tells what a healthy sensor can read."""
+def table_inputs(
+    model: ErrorModel, guard: SensorGuard | None = None, rates: Mapping[str, ReadingRate] | None = None
+) -> list[TableInput]:
+    """One channel per column of the model, in its order.
+
+    guard: what a healthy sensor can read; rates: how fast the recording's sensors moved, by column.
+    """
     columns = dict(model.columns)
     _fitting_names(columns)
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
     for name in healthy:
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
     found = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
+    found = [_no_faster(channel, (rates or {}).get(channel.name)) for channel in found]
     return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in found]
 
 
@@ -55,6 +64,12 @@ def _fitting_names(columns: dict[str, dict]) -> None:
                     f"export: the {what} of column {name!r} does not fit a table: {problem}. "
                     "Rename it in the recording and its manifest."
                 )
+
+
+def _no_faster(channel: TableInput, rate: ReadingRate | None) -> TableInput:
+    if rate is None:
+        return channel
+    return channel.model_copy(update={"max_rate": rate.max_rate, "noise": rate.noise})
 
 
 def _believable(channel: TableInput, sensor: GuardedSensor) -> TableInput:

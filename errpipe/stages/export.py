@@ -61,7 +61,7 @@ class Export(CompileOptions, Stage):
         model = passed.model
         guard = _guard(context, recording) if self.guard else None
         context.progress(0.2, "compiling")
-        table = compile_model(model, self, guard)
+        table = compile_model(model, self, guard, recording)
         context.progress(0.5, "comparing table and model")
         proof = compare(table, model, recording)
         from errpipe.stages.targets import checksums

@@ -138,7 +138,7 @@ def compile_machine(
         )
         for o in compensation.outputs(chain, used=tuple(pairs))
     ]
-    return tables.compile_table(
+    table = tables.compile_table(
         [tables.ComponentSource(name, chain.unit(name), found) for name, found in pairs.items()],
         inputs=_inputs(chain),
         outputs=outputs,
@@ -149,6 +149,7 @@ def compile_machine(
         version=__version__,
         fingerprint=fingerprint,
     )
+    return tables.limited(table)
 
 
 def _inputs(chain: Any) -> list[TableInput]:

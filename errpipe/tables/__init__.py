@@ -3,6 +3,7 @@
 compile_table     components as profile x driver pairs -> CompensationTable (`compile`)
 ect               the binary file and its JSON twin: `ect.write`, `ect.read`
 reference         plain-Python evaluator, the definition; `batch`: Numba over recordings and over points
+limits            how fast corrections may move by default: `limited`
 bounds            what a table can reach and what a cycle costs, before it runs; `held`: what holding slow nodes costs
 """
 
@@ -18,6 +19,7 @@ from errpipe.tables.compile import (
     outputs_of,
     with_limits,
 )
+from errpipe.tables.limits import limited
 
 __all__ = [
     "ComponentSource",
@@ -26,6 +28,7 @@ __all__ = [
     "OutputSource",
     "by_component",
     "compile_table",
+    "limited",
     "outputs_of",
     "with_limits",
 ]

@@ -1,0 +1,92 @@
+"""How fast corrections may move by default: as fast as the axes' own motion asks of them, and never at a step.
+
+A correction that follows a profile moves with the slope of the profile times the speed of the axis; one that turns with
+the direction has to have turned soon after the axis has. What is slower than both cannot follow, what is faster only
+lets a failure through faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from errpipe.domain import table as t
+from errpipe.tables import bounds
+from errpipe.tables.compile import Limits, with_limits
+
+MOST_SLEW = 1000.0  # um/s (urad/s): 1 um/ms, below what a following-error alarm or a surface shows of a single step
+LEAST_SLEW = 100.0  # um/s (urad/s): a ramp of 100 um takes a second
+FASTER = 10.0  # times the fastest motion recorded: machines cut and position faster than they are measured
+TURNING_S = 0.01  # s in which a reversal has to be through: at 1 m/min the axis has moved 0.17 mm
+RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate either
+
+
+def limited(
+    table: t.CompensationTable, speeds: Mapping[str, float] | None = None, stated: Mapping[str, Limits] | None = None
+) -> t.CompensationTable:
+    """The table with magnitude, slew and acceleration for every output: what is stated, else defaults.
+
+    speeds: axis -> largest speed of the recording, mm/s or deg/s; an axis without one counts as fast. Without a
+    magnitude: what the table can reach, rounded up. Raises GateError for limits of outputs the table does not have.
+    """
+    stated = stated or {}
+    needed = slews(table, speeds or {})
+    found = {}
+    for output in table.outputs:
+        own = stated.get(output.name, Limits())
+        slew = own.slew or needed[output.name]
+        found[output.name] = Limits(own.magnitude, slew, own.acceleration or slew / RISE_S)
+    unknown = {name: own for name, own in stated.items() if name not in found}
+    return with_limits(table, found | unknown)
+
+
+def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, float]:
+    """Output -> default slew, um/s or urad/s."""
+    spans = bounds.node_spans(table.nodes, table.inputs, table.table)
+    reach = {c.name: c.deviation for c in bounds.components(table)}
+    rates = dict.fromkeys(reach, 0.0)
+    for pair in table.pairs:
+        profile = table.profiles[pair.profile]
+        largest = profile.scale * max(abs(v) for v in profile.values)
+        if _turns(table, pair.driver):
+            rates[pair.component] += 2.0 * largest * bounds.largest(spans[pair.driver]) / TURNING_S
+        rates[pair.component] += _slope(profile) * _speed(table, profile, speeds) * bounds.largest(spans[pair.driver])
+    out = {}
+    for output in table.outputs:
+        total = 0.0
+        for term in output.terms:
+            sizes = [bounds.largest(spans[n]) for n in term.factors]
+            rate = rates[term.component]
+            for size in sizes:
+                rate *= size
+            total += abs(term.weight) * rate
+            if sizes and reach[term.component] > 0:  # an arm moves too, at a speed the table does not know
+                total = MOST_SLEW
+        out[output.name] = min(max(total, LEAST_SLEW), MOST_SLEW)
+    return out
+
+
+def _slope(profile: t.Profile) -> float:
+    """Steepest part of a profile, its unit per unit of the position."""
+    steps = (abs(b - a) for a, b in zip(profile.values, profile.values[1:], strict=False))
+    return max(steps, default=0) * profile.scale / profile.step
+
+
+def _speed(table: t.CompensationTable, profile: t.Profile, speeds: Mapping[str, float]) -> float:
+    """Largest speed along a profile, as production may have it; infinite where nobody says."""
+    if profile.input is None:
+        return 0.0
+    channel = table.inputs[table.input_index(profile.input)]
+    if not channel.fast:
+        return channel.max_rate or 0.0
+    return FASTER * speeds[channel.axis] if channel.axis in speeds else MOST_SLEW / max(_slope(profile), 1e-12)
+
+
+def _turns(table: t.CompensationTable, number: int) -> bool:
+    """Whether a node follows the direction of travel."""
+    below = {number}
+    for n in range(number, -1, -1):
+        if n in below:
+            if isinstance(table.nodes[n], t.DirectionNode | t.ApproachNode):
+                return True
+            below.update(table.nodes[n].of)
+    return False
