@@ -13,6 +13,7 @@ from pydantic import Field
 
 from errpipe.cleaning._base import Action, Rule, resolution, sensors, stretches
 from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
 
 SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  # what loggers and converters write
 # for a broken sensor: 0, "no value" marks, a 1-wire chip's 85 and -127, a platinum resistor's open and short ends
@@ -23,6 +24,7 @@ ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can tell, only a
 MOST_STRETCHES = 5  # of one sensor; more standing still than that is its nature
 MOVED = 4.0  # display steps, or scatters of the estimate, by which the others say that it should have moved
 RELATED = 0.5  # share of a sensor's variance that the others must explain to be heard
+MAX_NAMED = 5  # sensors in a message
 DEAD_SHARE = 0.3  # of a sensor's cells stuck: the rest is not worth the risk
 
 
@@ -62,9 +64,12 @@ class StuckSensors(Rule):
             elif rows.size:
                 actions.append(Action("blank cells", reason, column=name, rows=rows))
         set_aside = [Action("set column aside", dead[n], column=n) for n in names if n in dead]
-        if names:
-            everything = np.arange(len(set_aside))
-            self.refuse_beyond(self.most, everything, len(names), "sensors", recording)
+        if len(set_aside) > self.most * len(names):
+            which = "; ".join(f"{action.column} {action.reason}" for action in set_aside[:MAX_NAMED])
+            raise DataError(
+                f"clean, {self.rule}: would set aside {len(set_aside)} of {len(names)} sensors, more than its share of"
+                f" {100 * self.most:g} % ({which}). Give their columns `role: ignore`, or raise `most`."
+            )
         return [*set_aside, *actions]
 
     def _dead(self, values: np.ndarray) -> str:

@@ -6,6 +6,7 @@ makes the whole recording worthless, and is refused.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -36,8 +37,10 @@ class UnitSlips(Rule):
         """Sensors to set aside. Raises DataError where a position, a speed or a response slips."""
         self._refuse_slipped(recording)
         actions = []
-        for name in recording.names("temperature"):
-            if name not in self.trust and (evidence := _temperature(recording, name)):
+        run, names = recording.run_codes(), recording.names("temperature")
+        starts = {n: float(np.median(c)) for n in names if (c := _cold(recording.array(n), run)).size}
+        for name in names:
+            if name not in self.trust and (evidence := _temperature(recording, name, starts)):
                 actions.append(Action("set column aside", evidence, column=name))
         for role, judge in (("pressure", _pressure), ("humidity", _humidity)):
             for name in recording.names(role):
@@ -58,27 +61,24 @@ class UnitSlips(Rule):
 
 def _cold(values: np.ndarray, run: np.ndarray) -> np.ndarray:
     """First finite reading of each run, shape (runs with one,)."""
-    firsts = []
-    for code in np.unique(run):
-        own = values[run == code]
-        own = own[np.isfinite(own)]
-        firsts += [own[0]] if own.size else []
-    return np.array(firsts)
+    finite = np.isfinite(values)
+    _, first = np.unique(run[finite], return_index=True)
+    return values[finite][first]
 
 
-def _temperature(recording: Recording, name: str) -> str:
-    values, run = recording.array(name), recording.run_codes()
+def _temperature(recording: Recording, name: str, starts: Mapping[str, float]) -> str:
+    """Why a temperature is not in degC, or ''. starts: sensor -> median of the first readings of its runs."""
+    values = recording.array(name)
     finite = values[np.isfinite(values)]
     if finite.size < FEWEST:
         return ""
     low, high = np.percentile(finite, [1, 99])
     if ROOM[0] < low - 273.15 and high - 273.15 < 200.0:
         return f"reads {low:.4g} to {high:.4g}: these are kelvin, not degC (write unit: K)"
-    fellows = [n for n in recording.names("temperature") if n != name]
+    fellows = [n for n in starts if n != name]
     if not fellows or np.ptp(finite) == 0.0:
         return ""
-    room = float(np.median([np.median(c) for n in fellows if (c := _cold(recording.array(n), run)).size]))
-    cold = float(np.median(_cold(values, run)))
+    room, cold = float(np.median([starts[n] for n in fellows])), starts[name]
     converted = (cold - 32.0) / 1.8
     if abs(cold - room) > APART and abs(converted - room) < NEAR and ROOM[0] < room < ROOM[1]:
         gain = _gain(values, [recording.array(n) for n in fellows])

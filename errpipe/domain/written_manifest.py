@@ -18,6 +18,7 @@ from errpipe.domain.recording import Column, Manifest
 from errpipe.errors import did_you_mean
 from errpipe.yamlfile import Misplaced
 
+MAX_COLUMNS = 1024  # that are used; cleaning compares each with the others, and 400 sensors take it ten seconds
 _AXIS = re.compile(r"[A-Z]\d?")
 
 
@@ -73,6 +74,13 @@ class WrittenManifest(Manifest):
 
     tables: tuple[Annotated[str, AfterValidator(_inside)], ...] = Field(min_length=1)
     columns: dict[str, WrittenColumn]  # type: ignore[assignment]  # narrower than a Manifest's, and frozen
+
+    @model_validator(mode="after")
+    def _so_many_columns(self) -> WrittenManifest:
+        used = sum(c.role != "ignore" for c in self.columns.values())
+        if used > MAX_COLUMNS:
+            raise Misplaced(("columns",), f"{used} columns (at most {MAX_COLUMNS}; give the others `role: ignore`)")
+        return self
 
     @model_validator(mode="after")
     def _one_of_each(self) -> WrittenManifest:

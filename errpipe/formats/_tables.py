@@ -31,6 +31,8 @@ from errpipe.errors import DataError, did_you_mean
 BLOCK_BYTES = 8 << 20  # 8 MB of text is about 150 000 rows; two threads hold 3 such blocks at a time
 MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header row
 MAX_LINE_BYTES = 4 << 20  # a row of a hundred thousand columns; a file without line feeds is not held in memory
+MAX_CELLS_PER_BYTE = 20  # of a Parquet table; recordings with one varying and ten constant columns have 8
+MIN_CELLS_JUDGED = 5_000_000  # 40 MB in memory: smaller tables may hold one value only
 MAX_PROBLEMS = 5  # a file with a wrong decimal mark is wrong in every line; five lines show it
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\xef\xbb\xbf": "a UTF-8 byte order mark"}
 
@@ -257,6 +259,10 @@ def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
         wanted = [n for n in kinds if kinds[n] != "ignore"]
         for name in wanted:
             _check_type(file.schema_arrow.field(name), kinds[name], label)
+        cells = file.metadata.num_rows * len(wanted)
+        if cells > max(MIN_CELLS_JUDGED, MAX_CELLS_PER_BYTE * path.stat().st_size):
+            size = f"{path.stat().st_size} bytes that unpack to {cells} cells"
+            raise DataError(f"{label}: {size} (measured readings take a byte or more each: is every row the same?)")
         start = 0
         for batch in file.iter_batches(batch_size=131072, columns=wanted):
             table = pa.table({n: _plain(batch.column(n), kinds[n]) for n in wanted})

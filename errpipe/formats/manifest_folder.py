@@ -9,6 +9,7 @@ decreases in a run, a direction that is not +1 or -1, a path outside the folder.
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ LABELS = ("run", "group")
 ALLOWED = {"direction": (-1.0, 1.0), "coolant": (0.0, 1.0)}
 CHUNK_ROWS = 131_072  # also the row group of what is written, so chunked and whole writing give equal bytes
 
+BYTES_PER_CELL = 100  # at the most that cleaning takes: 5.1 GB for 50 million cells
+MIN_MAX_CELLS = 10_000_000  # whatever the machine says of its memory
 _PLAIN = re.compile(r"[A-Za-z_][\w./-]*", re.ASCII)
 _NOT_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")  # to one YAML reader or another
 _AXIS_LENGTHS = ("travel", "screw_lead", "encoder_period", "drive_end")
@@ -61,10 +64,27 @@ def load_manifest(path: Path) -> Manifest:
 def read(path: Path, options: Any = None) -> Recording:
     """A recording folder, whole, in canonical units. Raises ConfigError (manifest) or DataError (tables)."""
     manifest = load_manifest(path)
-    parts = list(_blocks(_folder(path), manifest))
+    parts, left = [], max_cells()
+    for part in _blocks(_folder(path), manifest):
+        left -= len(part) * _length(part)
+        if left < 0:
+            raise DataError(
+                f"{path}: more than {max_cells()} cells do not fit into this machine's memory (give columns that are"
+                " not needed `role: ignore`, or record fewer rows)"
+            )
+        parts.append(part)
     names = [n for n, c in manifest.columns.items() if c.role != "ignore"]
     frame = pd.DataFrame({n: _join([p.pop(n) for p in parts], manifest.columns[n].role) for n in names}, copy=False)
     return Recording(canonical(manifest), frame)
+
+
+def max_cells() -> int:
+    """Cells (rows times columns) of a recording that may be in memory at once: half of the machine's."""
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, AttributeError):
+        return MIN_MAX_CELLS
+    return max(MIN_MAX_CELLS, memory // 2 // BYTES_PER_CELL)
 
 
 def iter_chunks(path: Path, rows: int = CHUNK_ROWS) -> Iterator[Recording]:

@@ -238,7 +238,7 @@ def test_a_workshop_in_winter_may_be_at_zero():
 def test_setting_most_sensors_aside_is_refused():
     source = warm_up()
     dead = {n: np.full(1200, 20.0) for n in ("T_bearing", "T_motor", "T_column")}
-    with pytest.raises(DataError, match="clean, stuck_sensors: would remove 3 of 4 sensors"):
+    with pytest.raises(DataError, match="clean, stuck_sensors: would set aside 3 of 4 sensors"):
         clean(changed(source, **dead), (StuckSensors(),))
 
 
