@@ -117,7 +117,8 @@ class WrittenManifest(Manifest):
         for name in c.derived.minus or ():
             if self.columns[name].role not in ("position", "command", "actual"):
                 raise Misplaced(place, f"{name!r} is no position (role {self.columns[name].role})")
-            if self.columns[name].derived is not None and self.columns[name].derived.minus is not None:
+            own = self.columns[name].derived
+            if own is not None and own.minus is not None:
                 raise Misplaced(place, f"{name!r} is a difference itself (allowed: a column of the table)")
         if c.derived.minus is not None and c.unit not in ("um", "urad"):
             where = ("columns", column_name, "unit")
