@@ -150,6 +150,9 @@ class Target:
     limits: ClassVar[str]  # of the format, in words
     holds: ClassVar[tuple[Holds, ...]]  # for the tests that every format goes through
     rounding_um: ClassVar[float] = 0.1  # largest error at a node
+    keeps_level: ClassVar[bool] = (
+        True  # whether a constant is kept: many formats are 0 at their reference by definition
+    )
     source: ClassVar[str]  # the manual or the program's source that says so
     activation: ClassVar[Sequence[str]] = ()  # what a person at the machine sets and reads back
     goes_with: ClassVar[Sequence[str]] = ()  # targets whose files the same controller adds to these (said by either)

@@ -18,6 +18,7 @@ STATES = 2000  # random states on which a loss is measured
 AT_ENDS = 0.3  # share of them at an end of each range
 PER_KELVIN = 2.0  # K on either side for a slope
 MOST_CURVE = 4000
+LEAST_REVERSAL = 1e-4  # mm (deg) of lost motion: a tenth of a micrometre
 # What controllers take, mm and deg, per correction unit of a table.
 MACHINE_UNITS = {"mm": 1.0, "um": 1e-3, "deg": 1.0, "urad": math.degrees(1e-6), "rad": math.degrees(1.0)}
 
@@ -181,6 +182,24 @@ def moves_with(table: CompensationTable, axis: str, over: str, least_um: float =
     low, high = span(table, over)
     found = curve(table, axis, over, np.linspace(low, high, 101))
     return float(max(np.ptp(found.up), np.ptp(found.down), np.abs(found.up - found.down).max())) * 1e3 > least_um
+
+
+def lost_motion(table: CompensationTable) -> dict[str, float]:
+    """Axis -> how much further it is pushed upwards than downwards, mm (deg), the mean over its travel.
+
+    Axes where this is below `LEAST_REVERSAL` are left out.
+    """
+    found = {}
+    for axis in outputs_by_axis(table):
+        if axis in positions_of(table):
+            c = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
+            found[axis] = float((c.up - c.down).mean())
+    return {axis: value for axis, value in found.items() if abs(value) >= LEAST_REVERSAL}
+
+
+def around_zero(low: float, high: float, step: float) -> np.ndarray:
+    """Whole multiples of a step from at most 0 and `low` to at least 0 and `high`, one below 0 in any case."""
+    return np.arange(min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9)) + 1)
 
 
 def line(table: CompensationTable, axis: str, sensor: str) -> Line:

@@ -12,7 +12,6 @@ Limits    -7..+7 per point (16i, 0i), 1024 points in all; direction needs parame
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 
@@ -39,6 +38,7 @@ class FanucPitch(ScrewMap):
     sign = "a running sum above zero moves the axis in plus (prove it on the machine)"
     limits = "whole micrometres; -7..+7 per point; 1024 points in all; the axis' own position; no temperature"
     holds = ("screw", "both directions")
+    keeps_level = False
     rounding_um = 1.0
     source = "B-63980EN, B-63950EN, A-77810E (parameters 3620 to 3627); pitch block from experience"
     activation = (
@@ -80,8 +80,8 @@ def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int,
     while True:
         step = np.ceil((high - low) / (count - 1) * 1e3) / 1e3  # the interval is a whole number of micrometres
         # A reference outside the travel is reached by points that change nothing; one point lies below it in any case.
-        below, above = min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9))
-        x = step * np.arange(below, above + 1)
+        numbers = _sample.around_zero(low, high, float(step))
+        below, x = int(numbers[0]), step * numbers
         curve = _sample.at_nodes(table, axis, axis, x)
         if max(np.abs(np.diff(_pulses(v, -below))).max() for v in (curve.up, curve.down)) <= LARGEST and x.size <= most:
             return curve

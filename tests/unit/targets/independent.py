@@ -134,6 +134,10 @@ READERS: dict[str, Callable[[str, str, Path], list[str]]] = {
     "spf": _lines(";"),
     "com": _lines(";"),
     "cma": _lines(";"),
+    "pmc": _lines(";"),
+    "cal": _lines(";"),
+    "gcode": _lines(";"),
+    "g": _lines(";"),
     "dat": _lines("#"),
     "md": _lines("<!--"),
 }

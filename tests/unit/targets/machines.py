@@ -57,6 +57,12 @@ def too_long_from_above():
     )
 
 
+def long_with_lost_motion():
+    """10 um too long at X = +500, and 6 um of lost motion."""
+    gap = Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -3.0))
+    return compile_(("EXX", [straight("X", 10.0), gap]))
+
+
 def sample(target):
     """A table of which a format can say something."""
     if {"screw", "cross", "bed"} & set(target.holds):

@@ -101,7 +101,7 @@ def masked(program: dict[str, list[str]]) -> dict[str, list[str]]:
 def test_no_text_becomes_a_part_of_the_program(target, tmp_path):
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="tree-sitter's grammar is not installed")
     written = 0
-    for number, table in enumerate((machines.bent(), machines.warm())):
+    for number, table in enumerate((machines.bent(), machines.warm(), machines.too_long_from_above())):
         benign = programs(target, rewritten(table, title="a", machine="b", version="c"), tmp_path / f"{number}")
         if benign is None:
             continue
@@ -117,7 +117,9 @@ def test_no_text_becomes_a_part_of_the_program(target, tmp_path):
 @pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
 def test_the_oddest_names_that_a_table_may_hold_are_read_back(target, tmp_path):
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="tree-sitter's grammar is not installed")
-    for number, (table, old) in enumerate(((machines.bent(), "x"), (machines.warm(), "T"))):
+    for number, (table, old) in enumerate(
+        ((machines.bent(), "x"), (machines.warm(), "T"), (machines.too_long_from_above(), "x"))
+    ):
         odd = renamed(table, old, WORST)
         if programs(target, odd, tmp_path / str(number)) is None:
             continue

@@ -1,0 +1,69 @@
+"""Haas lead screw compensation (classic controls): a list in inches every half inch from machine zero downwards.
+
+Value     inches with four decimals. That a value above zero moves the axis in plus is from experience: prove it.
+Order     the first entry belongs to machine zero, the next ones to positions half an inch further in minus each (VF
+          series manual 96-8000, Lead screw compensation). Machine zero is taken to be the upper end of the axis'
+          travel.
+Limits    +-127 encoder steps; the same in both directions; the control spreads the list over 256 entries (parameter
+          58).
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.targets import _sample
+from errpipe.targets._base import CAUTION, Curve, expect
+from errpipe.targets._screw_map import ScrewMap
+
+INCH = 25.4  # mm
+STEP = INCH / 2
+
+
+class HaasPitch(ScrewMap):
+    """Compensation values of each axis, the mean of both directions."""
+
+    name = "haas_pitch"
+    controller = "Haas VF, HS, SL (classic controls)"
+    confidence = "experimental"
+    sign = "a positive value moves the axis in plus (prove it on the machine)"
+    limits = "every 12.7 mm from the upper end of travel; 2.54 um steps; both directions alike; no temperature"
+    holds = ("screw",)
+    keeps_level = False
+    rounding_um = 2.6
+    source = "Haas VF series manual 96-8000 (June 1999) p. 305, Lead screw compensation"
+    activation = (
+        "the upper end of the axis' travel must be machine zero; note the list that is there before changing it",
+        "enter the values on the lead screw compensation page; zero return; compare three points with a gauge",
+    )
+
+    most, error_um = 256, 1.0
+
+    @classmethod
+    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
+        low, high = _sample.span(table, axis)
+        return high - STEP * np.arange(int(np.ceil((high - low) / STEP - 1e-9)), -1, -1)
+
+    @classmethod
+    def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
+        mean = (curve.up + curve.down) / 2
+        values = ((mean - mean[-1]) / INCH)[::-1]
+        lines = [
+            f"# {CAUTION}",
+            f"# {curve.axis}: {values.size} values in inches, machine zero at {curve.positions[-1]:.6f} mm",
+        ]
+        lines += [f"{n} {v + 0.0:.4f}" for n, v in enumerate(values.tolist())]
+        return f"leadscrew_{curve.axis}.txt", "\n".join([*lines, ""])
+
+    @classmethod
+    def curve_of(cls, name: str, text: str) -> Curve:
+        head = re.search(r"^# (\w+): (\d+) values in inches, machine zero at (\S+) mm$", text, re.M)
+        rows = re.findall(r"^(\d+) (-?[\d.]+)$", text, re.M)
+        expect(head is not None and len(rows) == int(head[2]), name, "has not the values that it announces")
+        assert head is not None
+        value = INCH * np.array([float(v) for _, v in rows])[::-1]
+        x = float(head[3]) - STEP * np.arange(value.size - 1, -1, -1)
+        return Curve(head[1], head[1], x, value, value)

@@ -1,0 +1,92 @@
+"""Marlin: bed mesh (`M421`) and backlash (`M425`) as a G-code file.
+
+Mesh      the bed's height in mm at grid point I (X), J (Y): Z is lifted by it, so the correction of Z. The points lie
+          where the firmware was built to have them: 5 x 5 (GRID_MAX_POINTS) over the range named in the file.
+Value     of M425: lost motion in mm; steps are added to the first segments after a reversal (feature/backlash.cpp),
+          so against each other the direction upwards is pushed by it; F1 takes all of it.
+Limits    Z over X and Y, lost motion; no screw errors, no temperature; what is negative at a reversal cannot be said.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
+from errpipe.targets import _sample
+from errpipe.targets._base import CAUTION, Curve, Plane, ReadBack, Target, expect
+
+FILE = "errpipe.gcode"
+POINTS = 5  # along each axis: GRID_MAX_POINTS_X, _Y of most configurations
+
+
+class MarlinGcode(Target):
+    """Z over the bed, and lost motion of each axis."""
+
+    name = "marlin_gcode"
+    controller = "Marlin 2"
+    confidence = "experimental"
+    sign = "a mesh value above zero lifts Z; backlash pushes the axis on after a reversal (prove it on the machine)"
+    limits = "Z over 5 x 5 points of X and Y, one lost motion an axis; no screw errors, no temperature"
+    holds = ("bed", "reversal")
+    source = "Marlin: feature/backlash.cpp (add_correction_steps), docs M421, M425, M420"
+    activation = (
+        "MESH_BED_LEVELING or AUTO_BED_LEVELING_UBL with 5 x 5 points over the range that the file names; "
+        "BACKLASH_GCODE for M425",
+        "run the file, M420 V: the mesh must be the one of the file; M500 keeps it",
+        "home, then compare Z over three points of the bed with a gauge",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        lines = [f"; {CAUTION}", *_backlash(table)]
+        if "Z" in _sample.outputs_by_axis(table) and {"X", "Y"} <= set(_sample.positions_of(table)):
+            grids = _sample.even(table, "X", POINTS), _sample.even(table, "Y", POINTS)
+            lines += _mesh(_sample.plane(table, "Z", ("X", "Y"), grids))
+        if len(lines) == 1:
+            raise GateError("marlin_gcode: nothing of the table is a bed or lost motion")
+        return {FILE: "\n".join([*lines, "; end", ""])}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        text = files[FILE]
+        expect(text.rstrip().endswith("; end"), FILE, "is cut off")
+        ends = np.array([0.0, 1.0])  # mm; held beyond
+        found = re.search(r"^M425 F1(.*)$", text, re.M)
+        lost = re.findall(r" ([A-Z])([\d.]+)", found[1]) if found else []
+        curves = tuple(Curve(a, a, ends, np.full(2, float(v) / 2), np.full(2, -float(v) / 2)) for a, v in lost)
+        return ReadBack(curves=curves, planes=_read_mesh(text))
+
+
+def _backlash(table: CompensationTable) -> list[str]:
+    found = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in "XYZ"}
+    if any(value < 0 for value in found.values()):
+        raise GateError(f"marlin_gcode: {' and '.join(a for a, v in found.items() if v < 0)}: lost motion below zero")
+    return ["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(found.items()))] if found else []
+
+
+def _mesh(plane: Plane) -> list[str]:
+    x, y = plane.first, plane.second
+    lines = [f"; mesh of {x.size} x {y.size}: X {x[0]:.6f} to {x[-1]:.6f}, Y {y[0]:.6f} to {y[-1]:.6f}", "M420 S0"]
+    lines += [f"M421 I{i} J{j} Z{v + 0.0:.6f}" for (i, j), v in np.ndenumerate(plane.values)]
+    return [*lines, "M420 S1"]
+
+
+def _read_mesh(text: str) -> tuple[Plane, ...]:
+    head = re.search(r"^; mesh of (\d+) x (\d+): X (\S+) to (\S+), Y (\S+) to (\S+)$", text, re.M)
+    if head is None:
+        return ()
+    counts = int(head[1]), int(head[2])
+    rows = re.findall(r"^M421 I(\d+) J(\d+) Z(-?[\d.]+)$", text, re.M)
+    expect(len(rows) == counts[0] * counts[1], FILE, f"{len(rows)} points in a mesh of {counts[0]} x {counts[1]}")
+    values = np.full(counts, np.nan)
+    for i, j, v in rows:
+        values[int(i), int(j)] = float(v)
+    x, y = (
+        np.linspace(float(a), float(b), n)
+        for a, b, n in zip(head.groups()[2::2], head.groups()[3::2], counts, strict=True)
+    )
+    return (Plane("Z", ("X", "Y"), x, y, values),)

@@ -1,0 +1,103 @@
+"""PMAC / Turbo PMAC leadscrew and backlash tables: `DEFINE COMP` and `DEFINE BLCOMP` for each motor.
+
+Value     whole sixteenths of a count. COMP: added to the motor in both directions; nothing at the motor's zero, by
+          definition. BLCOMP and Ixx86: subtracted while the motor moves in minus (reference manual, DEFINE BLCOMP),
+          so what the correction upwards exceeds that downwards. That a positive COMP entry moves the motor in plus is
+          read off "adds its correction to this motor" (user manual, Leadscrew Compensation): prove it on the machine.
+Order     entry 1 belongs to one spacing from the motor's zero, the last one to zero itself; a position below zero is
+          rolled over by the length of the table, so positions below zero are the upper entries.
+Limits    10000 counts per mm (deg) are taken: for another resolution multiply lengths and entries. Tables are defined
+          from the highest motor to the lowest. I51 = 1 enables them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.targets import _sample
+from errpipe.targets._base import CAUTION, Curve, ReadBack, expect, too_many
+from errpipe.targets._screw_map import ScrewMap
+
+COUNTS = 10_000  # per mm (deg)
+PART = 16  # of a count: unit of the entries
+FILE = "comp.pmc"
+PER_LINE = 8
+
+
+class PmacComp(ScrewMap):
+    """Leadscrew and backlash table of each motor."""
+
+    name = "pmac_comp"
+    controller = "Delta Tau PMAC, Turbo PMAC"
+    confidence = "experimental"
+    sign = "a positive COMP entry moves the motor in plus (prove it on the machine); BLCOMP acts while moving down"
+    limits = "10000 counts per mm; equidistant from the motor's zero; the axis' own position; no temperature"
+    holds = ("screw", "both directions")
+    keeps_level = False
+    source = "PMAC 2 Software Reference p. 207, 208 (DEFINE BLCOMP, COMP), Turbo PMAC p. 301, 303; user manual p. 79"
+    activation = (
+        "the motor must have 10000 counts per mm (deg); else multiply all lengths and entries by its counts / 10000",
+        "DELETE the old tables from the lowest motor to the highest; send the file; home; I51 = 1",
+        "move 1 mm at a time past one entry: the compensation of motor xx (Mxx69) must read the entry / 16 counts",
+    )
+
+    most, error_um = 1000, 0.1
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        blocks = []
+        for number, axis in cls.own_axes(table):
+            points, left = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
+            low, high = _sample.span(table, axis)
+            step = int(np.ceil(points.step * COUNTS - 1e-6))
+            at = _sample.around_zero(low, high, step / COUNTS)
+            if at.size > 2 * cls.most:
+                raise too_many(cls.name, at.size, 2 * cls.most, left)
+            blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))
+        return {FILE: "\n".join([f"; {CAUTION}", "CLOSE", *blocks[::-1], "I51=1", ""])}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        text = files[FILE]
+        expect(text.rstrip().endswith("I51=1"), FILE, "is cut off: it does not end with I51=1")
+        axes = re.findall(r"^; #(\d+) = (\w+), (-?\d+) to (-?\d+) spacings$", text, re.M)
+        return ReadBack(curves=tuple(_read(text, *facts) for facts in axes))
+
+
+def _block(number: int, axis: str, step: int, at: np.ndarray, curve: Curve) -> str:
+    zero = int(np.flatnonzero(at == 0)[0])
+    part = COUNTS * PART
+    comp = np.round((curve.up - curve.up[zero]) * part).astype(int)
+    gap = (curve.up - curve.down) * part
+    constant = int(np.round(gap[zero]))
+    backlash = np.round(gap).astype(int) - constant
+    order = np.r_[zero + 1 : at.size, 0 : zero + 1]  # from one spacing above zero, rolled over, zero last
+    lines = [f"; #{number} = {axis}, {at[0]} to {at[-1]} spacings", f"I{number}86={constant}", f"#{number}"]
+    for word, values in (("BLCOMP", backlash), ("COMP", comp)):
+        found = values[order].tolist()
+        lines.append(f"DEFINE {word} {at.size},{at.size * step}")
+        lines += [" ".join(map(str, found[k : k + PER_LINE])) for k in range(0, len(found), PER_LINE)]
+    return "\n".join(lines)
+
+
+def _read(text: str, number: str, axis: str, low: str, high: str) -> Curve:
+    """As the controller does: an entry for each spacing, positions below zero rolled over."""
+    part = text.split(f"\n#{number}\n")[1].split("\n;")[0]
+    constant = re.search(rf"^I{number}86=(-?\d+)$", text, re.M)
+    at, tables = np.arange(int(low), int(high) + 1), {}
+    step = 0
+    for word, count, length, rows in re.findall(r"DEFINE (\w+) (\d+),(\d+)\n((?:[-\d ]+\n?)+)", part):
+        values = [int(v) for v in rows.split()]
+        expect(
+            len(values) == int(count) and int(length) % int(count) == 0, FILE, f"#{number}: {len(values)} of {count}"
+        )
+        step = int(length) // int(count)
+        tables[word] = np.array(values)[(at - 1) % int(count)]
+    expect(set(tables) == {"COMP", "BLCOMP"} and constant is not None, FILE, f"#{number} lacks a table")
+    assert constant is not None
+    up = tables["COMP"] / (COUNTS * PART)
+    return Curve(axis, axis, at * step / COUNTS, up, up - (tables["BLCOMP"] + int(constant[1])) / (COUNTS * PART))
