@@ -12,7 +12,7 @@ CODE := errpipe tests trials bench examples
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow test-all lint types check generated bench trials trials-scales trials-real trials-thermal clean
+.PHONY: help setup demo test test-slow test-all lint types check generated bench faults trials trials-scales trials-real trials-thermal clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -57,6 +57,9 @@ generated: $(SETUP) ## write schemas/, docs/ (reference pages) and tests/errors/
 
 bench: $(SETUP) ## speed, as ratios to other libraries in the same run
 	@$(BIN)/python -m bench $(ARGS)
+
+faults: $(SETUP) ## ten thousand random sequences of faults through every evaluator of a table (docs/safety.md)
+	@$(BIN)/python -m tests.faults.campaign
 
 trials: $(SETUP) ## diagnosis on machines whose faults are known
 	@mkdir -p out

@@ -138,10 +138,10 @@ def folder(place, request):
     return own
 
 
-def stream(folder, readings):
-    """Feed one line per cycle, record one line per cycle."""
-    (folder / "stream.hal").write_text(STREAM)
-    lines = (" ".join([*(f"{v:.9f}" for v in row[:-1]), str(int(row[-1]))]) for row in readings)
+def stream(folder, readings, text=STREAM, bits=1):
+    """Feed one line per cycle (numbers, then `bits` of 0 and 1), record one line per cycle."""
+    (folder / "stream.hal").write_text(text)
+    lines = (" ".join([*(f"{v:.9f}" for v in row[:-bits]), *(str(int(v)) for v in row[-bits:])]) for row in readings)
     (folder / "in.txt").write_text("\n".join(lines) + "\n")
     env = session.environment(folder)
     session.end(env, folder)
@@ -182,7 +182,7 @@ def test_seven_thousand_cycles_equal_the_reference(folder, capsys):
     assert names == ["x", "y", "T nut", "tool_length"]
     want = []
     for row in given:
-        cycle = evaluator.cycle(dict(zip(names, row[:4], strict=True)), enable=bool(row[4]))
+        cycle = evaluator.cycle(dict(zip(names, row[:4], strict=True)), hold=not row[4])
         fault = t.FAULTS.index(cycle.faults["T nut"])
         moved = [cycle.correction[name] * 1e6 for name in ("E_X", "E_Y")]
         want.append([*moved, cycle.status, cycle.heartbeat, fault])

@@ -113,3 +113,62 @@ size_t mutate(const uint8_t *table, size_t size, size_t count, uint64_t seed)
     }
     return accepted;
 }
+
+/* A session: a table that runs over many calls, is reset, and is exchanged for another one while it runs. */
+typedef struct {
+    ect active;
+    void *work;
+    void *bytes;
+} session;
+
+static ect_error begin(session *s, const void *table, size_t size)
+{
+    size_t need = ect_work_size(table, size);
+    s->work = malloc(need + 8);
+    s->bytes = malloc(size);
+    memcpy(s->bytes, table, size);
+    return ect_load(&s->active, s->bytes, size, s->work, need);
+}
+
+void *session_open(const void *table, size_t size)
+{
+    session *s = malloc(sizeof *s);
+    return begin(s, table, size) == ECT_OK ? s : NULL;
+}
+
+int session_reload(session *s, const void *table, size_t size)
+{
+    session spare;
+    if (begin(&spare, table, size) != ECT_OK || !ect_take_over(&spare.active, &s->active)) {
+        free(spare.work);
+        free(spare.bytes);
+        return 0;
+    }
+    free(s->work);
+    free(s->bytes);
+    *s = spare;
+    return 1;
+}
+
+void session_reset(session *s) { ect_reset(&s->active); }
+
+void session_run(session *s, size_t cycles, const ect_real *readings, const uint8_t *fresh, const uint8_t *mode,
+                 ect_real *correction, uint32_t *status)
+{
+    size_t k;
+    for (k = 0; k < cycles; k++) {
+        uint32_t o;
+        ect_cycle(&s->active, readings + k * s->active.input_count, fresh + k * s->active.input_count, mode[k]);
+        for (o = 0; o < s->active.output_count; o++) {
+            correction[k * s->active.output_count + o] = s->active.outputs[o].correction;
+        }
+        status[k] = s->active.status;
+    }
+}
+
+void session_close(session *s)
+{
+    free(s->work);
+    free(s->bytes);
+    free(s);
+}

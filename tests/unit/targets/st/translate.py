@@ -178,6 +178,56 @@ int stream(const uint8_t *data, size_t size, size_t cycles, const double *given,
     }
     return error;
 }
+/* One session: two tables, of which FB_EctSwitch says which one runs. */
+static ECT_TABLE first, second; static FB_EctSwitch switcher; static int resets;
+static int exchange(const uint8_t *data, size_t size)
+{
+    ECT_TABLE *spare = switcher.nActive == 1 ? &second : &first;
+    __builtin_memset(file, 0, sizeof file);
+    __builtin_memcpy(file, data, size);
+    loader.nSize = (DINT)size;
+    FB_EctLoad_run(&loader, &file, spare);
+    switcher.bSwitch = 0;
+    FB_EctSwitch_run(&switcher, &first, &second);
+    switcher.bSwitch = 1;
+    FB_EctSwitch_run(&switcher, &first, &second);
+    return !switcher.bRefused;
+}
+void *session_open(const uint8_t *data, size_t size)
+{
+    __builtin_memset(&block, 0, sizeof block);
+    __builtin_memset(&switcher, 0, sizeof switcher);
+    __builtin_memset(&first, 0, sizeof first);
+    __builtin_memset(&second, 0, sizeof second);
+    resets = 0;
+    return exchange(data, size) ? &switcher : 0;
+}
+int session_reload(void *s, const uint8_t *data, size_t size) { (void)s; return exchange(data, size); }
+void session_reset(void *s) { (void)s; resets = 1; }
+void session_close(void *s) { (void)s; }
+void session_run(void *s, size_t cycles, const double *given, const uint8_t *news, const uint8_t *mode, double *c,
+                 uint32_t *status)
+{
+    size_t k;
+    int i;
+    (void)s;
+    for (k = 0; k < cycles; k++) {
+        ECT_TABLE *own = switcher.nActive == 1 ? &first : &second;
+        for (i = 0; i < own->nInputs; i++) {
+            readings[i] = given[k * (size_t)own->nInputs + (size_t)i];
+            fresh[i] = news[k * (size_t)own->nInputs + (size_t)i];
+        }
+        block.bEnable = mode[k] == 1;
+        block.bHold = mode[k] == 2;
+        block.bReset = resets;
+        resets = 0;
+        FB_EctCycle_run(&block, own, &readings, &fresh, &deviation, &correction);
+        for (i = 0; i < own->nOutputs; i++) {
+            c[k * (size_t)own->nOutputs + (size_t)i] = correction[i];
+        }
+        status[k] = (uint32_t)block.nStatus;
+    }
+}
 """
 
 

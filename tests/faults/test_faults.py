@@ -1,0 +1,129 @@
+"""Nothing that goes wrong around a table moves an axis: random sequences of faults in every evaluator.
+
+`make faults` runs ten thousand of them and writes the figures of `docs/safety.md`.
+"""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from errpipe import tables
+from errpipe.domain import table as t
+from errpipe.kernels.table_cycle import HOLD, OFF, ON
+from errpipe.tables import ect, limits
+from errpipe.tables.reference import Evaluator
+from tests.faults import campaign, runners, sequences
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+toolchain = pytest.mark.toolchain
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_reference_and_kernels_agree_to_the_bit_and_are_safe(seed):
+    parts = sequences.sequence(seed)
+    found = runners.by_reference(parts)
+    assert np.array_equal(found, runners.by_numba(parts))
+    assert sequences.judge(parts, found).is_safe()
+
+
+@needs_gcc
+@toolchain
+@pytest.mark.parametrize("name", ["C, double", "C, single", "Structured Text"])
+def test_compiled_evaluators_are_safe(name, tmp_path):
+    run = campaign.compiled(name, tmp_path)
+    for seed in range(40):
+        parts = sequences.sequence(seed)
+        found = run(parts)
+        assert sequences.judge(parts, found).is_safe(single=name == "C, single"), seed
+        if name != "C, single":
+            assert np.array_equal(found, runners.by_numba(parts)), seed
+
+
+@pytest.mark.slow
+def test_a_thousand_sequences():
+    assert campaign.run(runners.by_numba, 1000).unsafe == 0
+
+
+def test_without_limits_the_same_sequences_are_unsafe(monkeypatch):
+    """What the judge says of a table of version 1 as it was exported before: a magnitude and nothing else."""
+
+    @sequences.cache
+    def bare(number: int) -> t.CompensationTable:
+        made = tables.limited(limited(number), stated={"EXX": limits.Limits(), "EZX": limits.Limits()})
+        free = tuple(o.model_copy(update={"slew": None, "acceleration": None}) for o in made.outputs)
+        return made.model_copy(update={"outputs": free})
+
+    limited = sequences.table
+    safe = 0
+    for seed in range(12):
+        parts = sequences.sequence(seed)
+        monkeypatch.setattr(runners, "table", bare)
+        found = runners.by_numba(parts)
+        monkeypatch.setattr(runners, "table", limited)
+        safe += sequences.judge(parts, found).is_safe()
+    assert safe <= 1
+
+
+def stand(evaluator: Evaluator, cycles: int, x: float = 450.0, **mode) -> float:
+    for _ in range(cycles):
+        cycle = evaluator.cycle({"x": x, "T nut": 30.0, "T column": 24.0}, **mode)
+    return 1e3 * cycle.correction["EXX"]
+
+
+def test_four_emergency_stops_leave_the_axis_where_it_is():
+    """A drive that holds while the correction ramps out would be moved by the whole correction at each reset."""
+    evaluator = Evaluator(sequences.table(0))
+    before = stand(evaluator, 4000)
+    assert abs(before) > 30.0
+    for _ in range(4):
+        assert stand(evaluator, 700, hold=True) == before
+        assert stand(evaluator, 1) == before
+        assert stand(evaluator, 700) == before
+
+
+def test_homing_and_a_jump_of_the_position_are_ramped():
+    evaluator = Evaluator(sequences.table(0))
+    seen = [stand(evaluator, 3000)]
+    seen += [stand(evaluator, 1, x=0.0) for _ in range(200)]
+    seen += [stand(evaluator, 1, x=450.0, enable=False) for _ in range(200)]
+    assert abs(seen[0]) > 30.0 and seen[-1] == 0.0
+    assert np.abs(np.diff(seen)).max() <= 1.0 + 1e-9
+
+
+def test_the_magnitude_is_the_last_word_with_an_acceleration_too():
+    made = tables.limited(sequences.table(0), stated={"EXX": limits.Limits(30.0, 4000.0, 20000.0)})
+    evaluator = Evaluator(made)
+    seen = []
+    for k in range(4000):
+        x = 1000.0 if (k // 37) % 2 else 0.0
+        cycle = evaluator.cycle({"x": x, "T nut": 39.0, "T column": 24.0})
+        seen.append(1e3 * cycle.correction["EXX"])
+    assert np.abs(seen).max() <= 30.0 and np.abs(seen).max() == pytest.approx(30.0)
+
+
+def test_a_table_with_other_outputs_is_not_taken_over():
+    fewer = sequences.table(0).model_copy(update={"outputs": sequences.table(0).outputs[:1]})
+    with pytest.raises(ValueError, match="other outputs"):
+        Evaluator(fewer).take_over(Evaluator(sequences.table(0)))
+
+
+@needs_gcc
+@toolchain
+@pytest.mark.parametrize("name", ["C, double", "Structured Text"])
+def test_a_table_that_is_refused_leaves_the_running_one_alone(name, tmp_path):
+    run = campaign.compiled(name, tmp_path)
+    calm = sequences.sequence(0)[0]
+    session = run.open(ect.dumps(sequences.table(0)))
+    before = run.part(session, calm, 2)
+    fewer = sequences.table(1).model_copy(update={"outputs": sequences.table(1).outputs[:1]})
+    corrupt = bytearray(ect.dumps(sequences.table(1)))
+    corrupt[700] ^= 1
+    for data in (ect.dumps(fewer), bytes(corrupt)):
+        assert run.reload(session, data) == 0
+        after = run.part(session, calm, 2)
+        assert np.abs(np.diff(np.vstack([before[-1:], after]), axis=0)).max() <= 1.0 + 1e-9
+        before = after
+    assert {ON, OFF, HOLD} == {0, 1, 2}
