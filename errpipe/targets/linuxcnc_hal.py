@@ -4,7 +4,7 @@ Value     `errpipe.correction-L` in mm (deg), ADDED to the command of axis L (mi
 Ways      errpipe-joints.hal adds it to the joints' motor commands; errpipe-origin-shift.hal hands it over as external
           offsets (`axis.L.eoffset-counts`), the origin-shift method of 1997.
 Pins      one `in-NAME` per input of the table, `fault-NAME` and `rejected-NAME` (refused for their rate) beside it,
-          `enable` (FALSE holds the corrections: emergency stop), `homed` and `off`, `status`, `heartbeat`, `wrong-rate`;
+          `enable` (FALSE holds the corrections: emergency stop), `homed`, `off`, `status`, `heartbeat`, `wrong-rate`;
           the sums are made inside (no sum2, which a machine's own HAL file may have loaded: that works only once).
 Traps     an unconnected pin reads 1e31, which is a missing reading, not 0; a thread at another rate than the table's
           raises wrong-rate and leaves the corrections at 0; machine units are mm (LINEAR_UNITS = mm).
@@ -55,7 +55,8 @@ class LinuxcncHal(Target):
         "[AXIS_L] OFFSET_AV_RATIO = 0.1",
         "no COMP_FILE for the same joint: both would be added",
         "halcmd getp errpipe.table-crc is the table's checksum; errpipe.heartbeat grows; errpipe.wrong-rate is FALSE",
-        "halcmd getp errpipe.fault-NAME of every sensor is 0, two seconds after the start; errpipe.tmax (CPU clocks) is small against the period",
+        "halcmd getp errpipe.fault-NAME of every sensor is 0 two seconds after the start",
+        "halcmd getp errpipe.tmax (CPU clocks) is small against the period",
     )
 
     @classmethod

@@ -27,7 +27,7 @@ COUNT = 10_000
 
 @dataclass(frozen=True)
 class Result:
-    """What a number of sequences did: largest step and size in parts of their limits, um off at the end, unsafe ones."""
+    """What some sequences did: largest step and size in parts of their limits, um off at the end, unsafe ones."""
 
     sequences: int
     cycles: int
