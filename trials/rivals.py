@@ -1,8 +1,9 @@
 """Textbook forms of any scale, to find which other effects a recording cannot tell from the hidden one.
 
 Written for this purpose, independently of the library that is judged. Every range follows from the recording's own
-travel, length and sampling. A rival whose form, with a constant beside it, explains at least EXPLAINS of the hidden
-contribution is accepted as its name.
+travel, length and sampling. A rival is accepted as a name of the hidden contribution where its form, with a constant
+beside it, explains at least EXPLAINS of it, or where what it leaves is lost in the noise once the gains of what the
+simulation holds may move as well.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from .folder import Array, Sheet
 
 EXPLAINS = 0.97  # as in the first generator and the public sample's key
+RULED_OUT = 18.0  # sum of squares left, in variances of the noise: chi-square of 9, a reading counted as half
 Form = tuple[str, tuple[str, ...], Array]  # effect, drivers, columns (rows, k)
 
 
@@ -34,24 +36,38 @@ def first_order(t: Array, u: Array, tau: float) -> Array:
     return y
 
 
-def accepted(sheet: Sheet, component: str, effect: str, hidden: Array) -> tuple[list[str], dict[str, list[str]]]:
-    """Names the key accepts for a hidden contribution, the true one first, and the drivers of each."""
+def accepted(
+    sheet: Sheet, component: str, effect: str, hidden: Array, base: list[Array] | None = None, noise: float = 0.0
+) -> tuple[list[str], dict[str, list[str]]]:
+    """Names the key accepts for a hidden contribution, the true one first, and the drivers of each.
+
+    base: what the simulation holds, whose gains may move; noise: rms of the measuring noise. Shapes (rows,).
+    """
     names, drivers = [effect], {}
     pick = np.arange(0, hidden.size, max(1, hidden.size // 3000))
     y = hidden[pick] - hidden[pick].mean()
-    total = float(y @ y)
+    beside = np.column_stack([np.ones(pick.size), *(b[pick] for b in base or [])])
+    lost = RULED_OUT * noise**2 * pick.size / hidden.size
     for name, used, design in forms(sheet):
         if not possible(name, component, sheet.columns[used[0]].get("axis")):
             continue
         x = design[pick] - design[pick].mean(axis=0)
         size = np.sqrt((x**2).mean(axis=0))
         x = x[:, size > 1e-12] / size[size > 1e-12]
-        if x.size and np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2) <= (1 - EXPLAINS) * total:
+        if not x.size:
+            continue
+        alike = _left(y, x) <= (1 - EXPLAINS) * float(y @ y)
+        if alike or (noise and _left(y, np.hstack([beside, x])) <= lost):
             if name not in names:
                 names.append(name)
             drivers.setdefault(name, [])
             drivers[name] += [d for d in used if d not in drivers[name]]
     return names, drivers
+
+
+def _left(y: Array, x: Array) -> float:
+    """Sum of squares that a fit of the columns leaves."""
+    return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
 
 
 FORCES = {"coulomb_friction", "viscous_friction", "stribeck_friction", "torque_ripple"}

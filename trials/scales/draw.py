@@ -128,7 +128,7 @@ def compose(rng: Rng, bench: Bench, hidden: list[str], natural: bool) -> tuple[f
     columns[f"{c}_sim"] = {"role": "simulated", "component": c, "unit": bench.unit}
     key = {"verdict": ["missing_physics"], "effects": [], "truth": [], "drivers": {}, "params": {}, "where": None}
     for name, part in zip(hidden, parts, strict=True):
-        names, drivers = accepted(sheet, c, name, part.values)
+        names, drivers = accepted(sheet, c, name, scale * part.values, bench.base, noise)
         key["effects"].append([*names, *(a for a in part.also if a not in names)])
         key["truth"].append(f"{name}: {bench.scale}")
         key["drivers"] |= {**drivers, name: sorted({*part.drivers, *drivers.get(name, [])})}

@@ -22,8 +22,8 @@ import pandas as pd
 from trials import folder
 from trials.folder import Array, Sheet
 
-from .baselines import predictions, since_start
-from .seasons import recordings
+from .baselines import DATUM_ROWS, predictions, since_start
+from .seasons import machine_of, recordings
 
 COMPONENT = "E_Z"
 PIPELINE = """\
@@ -69,6 +69,11 @@ def by_family(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
     return found
 
 
+def noise_floor(seed: int, number: int) -> float:
+    """What a perfect model would leave: a reading's noise, and that of the three that are a day's zero."""
+    return machine_of(seed, number)[1].reading_noise * (1 + 1 / DATUM_ROWS) ** 0.5
+
+
 def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
@@ -83,6 +88,7 @@ def one_machine(where: Path, seed: int, number: int, families: list[str]) -> dic
     row: dict[str, Any] = {"machine": fit.machine, "uncompensated_um": nothing, "left": {}, "families": {}}
     for name, predicted in predictions(fit, judged, COMPONENT).items():
         row["left"][name] = rms(y - predicted) / nothing
+    row["left"]["noise of a reading"] = noise_floor(seed, number) / nothing
     for family in families:
         found = by_family(where, family, judged)
         if "prediction" in found:

@@ -128,7 +128,7 @@ def compose(rng: Rng, bench: Bench, tier: str, wanted: list[str] | None, machine
     columns[c] = {"role": "error", "component": c, "unit": bench.unit}
     columns[f"{c}_sim"] = {"role": "simulated", "component": c, "unit": bench.unit}
     exact = not parts and not off.any() and abs(float(np.mean(simulated - sum(included)))) < 1e-12
-    response = key(bench, tier, parts, factors, exact, where)
+    response = key(replace(bench, base=base), tier, parts, factors, exact, where, size)
     response |= {"noise_rms": float(np.hypot(size, step / 12**0.5)), "unit": bench.unit, "noise_from": source}
     sheet = replace(bench.sheet, table=table, columns=columns)
     return sheet, {"tier": tier, "protocol": machine, "responses": {c: response}}
@@ -171,7 +171,9 @@ def confined(rng: Rng, bench: Bench, acts: Array) -> tuple[Array, dict]:
     return np.where(np.isin(runs, inside), acts, 0.0), {"runs": inside}
 
 
-def key(bench: Bench, tier: str, parts: list, factors: list[float], exact: bool, where: dict | None) -> dict:
+def key(
+    bench: Bench, tier: str, parts: list, factors: list[float], exact: bool, where: dict | None, noise: float
+) -> dict:
     """What the judge will accept of this response."""
     if tier == "null":
         verdicts = ["no_mismatch", "recalibrate"] if exact else ["recalibrate", "no_mismatch"]
@@ -193,7 +195,7 @@ def key(bench: Bench, tier: str, parts: list, factors: list[float], exact: bool,
     }
     for (name, values, drivers), factor in zip(parts, factors, strict=True):
         effect = bench.effects[name]
-        names, known = accepted(bench.sheet, bench.component, name, values)
+        names, known = accepted(bench.sheet, bench.component, name, factor * values, bench.base, noise)
         out["effects"].append([*names, *(a for a in effect.also if a not in names)])
         out["truth"].append(name)
         out["drivers"] |= {**known, name: sorted({*drivers, *known.get(name, [])})}
