@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import typer
 
@@ -20,6 +20,8 @@ def command(
     json: bool = Json,
 ) -> None:
     """Check configuration files: all problems at once, with lines.
+
+    Manifests, headers and first rows are read; components, axes, sensors, groups, targets and machines are looked up.
 
     \b
     Example:
@@ -47,17 +49,17 @@ def command(
 def _check(path: Path, data: bool) -> str:
     """What a file is. Raises ConfigError."""
     from errpipe import yamlfile
+    from errpipe.cli.output import stage_module
 
     document = yamlfile.read(path)
     keys = document.value if isinstance(document.value, dict) else {}
     if "recording" in keys:
-        from errpipe.domain.written_manifest import WrittenManifest as Manifest
+        from errpipe.domain.written_manifest import WrittenManifest
 
-        manifest: Any = document.validate(Manifest)
-        gone = [n for n, table in enumerate(manifest.tables) if not (path.parent / table).is_file()]
         if data:
-            document.problems += [document.problem(("tables", n), "no such file beside the manifest") for n in gone]
-        document.raise_problems()
+            stage_module("check").header_of(path)
+        else:
+            document.validate(WrittenManifest)
         return "recording manifest"
     if "machine" in keys and "pipeline" not in keys:
         from errpipe.domain.machine import Machine
@@ -69,12 +71,11 @@ def _check(path: Path, data: bool) -> str:
 
 def _check_pipeline(path: Path, data: bool) -> str:
     from errpipe.cli._arguments import load_pipeline_file
-    from errpipe.pipeline.spec import missing_inputs
+    from errpipe.cli.output import stage_module
 
-    pipeline = load_pipeline_file(path, [])
-    missing = missing_inputs(pipeline, pipeline.stages) if data else []
-    if missing:
-        raise ConfigError(missing)
+    problems = stage_module("check").problems(load_pipeline_file(path, []), data)
+    if problems:
+        raise ConfigError(problems)
     return "pipeline"
 
 

@@ -41,8 +41,9 @@ def command(
       errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
     """
     from errpipe.cli._arguments import load_pipeline_file, output_folder
-    from errpipe.cli.output import print_result, short_value
+    from errpipe.cli.output import print_result, short_value, stage_module
     from errpipe.cli.progress import ProgressReporter
+    from errpipe.errors import ConfigError, DataError
     from errpipe.pipeline import runner
 
     spec = load_pipeline_file(pipeline, sets)
@@ -50,6 +51,11 @@ def command(
     reporter = ProgressReporter(str(folder))
     try:
         steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
+    except DataError as err:
+        problems = [p for p in stage_module("check").problems(spec) if p.file == spec.document.file]
+        if problems:  # the cause stands in the pipeline file: say where, all at once
+            raise ConfigError(problems) from err
+        raise
     finally:
         reporter.clear()
     if depfile is not None:

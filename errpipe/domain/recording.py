@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from errpipe.errors import DataError, did_you_mean
+from errpipe.errors import MissingColumn, did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np
@@ -262,7 +262,7 @@ class Recording:
         """One column as float64, shape (rows,). Raises DataError where the rows have none of that name."""
         if name not in self.frame.columns:
             near = did_you_mean(name, self.frame.columns)
-            raise DataError(
+            raise MissingColumn(
                 f"{name}: the recording has no such column (it has: {', '.join(self.frame.columns)}).{near} A column"
                 " of role ignore is not read; cleaning sets sensors aside that say nothing (cleaning.json says why)."
             )

@@ -6,6 +6,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import hold, sessions
+from errpipe.errors import MissingColumn
 from errpipe.kernels import responses
 
 
@@ -26,14 +27,14 @@ def direction_column(recording: Recording, axis: str) -> str:
         name = recording.name(role, axis=axis)
         if name is not None:
             return name
-    raise KeyError(f"nothing in the recording tells the direction of axis {axis}")
+    raise MissingColumn(f"nothing in the recording tells the direction of axis {axis}")
 
 
 def position(recording: Recording, axis: str) -> np.ndarray:
     """Position of an axis in mm or deg, shape (rows,); the command where no position is recorded."""
     name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
     if name is None:
-        raise KeyError(f"the recording has no position of axis {axis}")
+        raise MissingColumn(f"the recording has no position of axis {axis}")
     return recording.array(name)
 
 
@@ -55,7 +56,7 @@ def position_name(recording: Recording, axis: str) -> str:
     """Name of the column with an axis' position, else its command."""
     name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
     if name is None:
-        raise KeyError(f"the recording has no position of axis {axis}")
+        raise MissingColumn(f"the recording has no position of axis {axis}")
     return name
 
 

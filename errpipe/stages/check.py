@@ -1,0 +1,302 @@
+"""`errpipe check`: what `run` would refuse of a configuration, all at once, with line and column.
+
+Names are resolved without running anything: manifests are read, headers and the first rows of tables, then every
+component, axis, sensor, group, target and machine file of a pipeline is looked up. No heavy package is imported, so
+that a check takes a fraction of a second. What only the numbers can show (too few runs, parameters that cannot be told
+apart) is left to `run`.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from errpipe.domain import components
+from errpipe.domain.recording import Manifest, Recording
+from errpipe.errors import ConfigError, ErrpipeError, Problem, did_you_mean
+
+SAMPLE_ROWS = 400  # rows of each table that are looked at; a wrong column is wrong in its first rows
+CALENDAR = ("day", "month", "year")
+Place = tuple[str | int, ...]
+
+
+def problems(pipeline: Any, data: bool = True) -> list[Problem]:
+    """Everything wrong with the names of a pipeline that was read; data: whether inputs are looked into."""
+    from errpipe.pipeline.spec import missing_inputs
+
+    found = list(missing_inputs(pipeline, pipeline.stages)) if data else []
+    absent = {(p.line, p.column) for p in found}
+    seen: dict[str, Recording | None] = {}
+    for number, stage in enumerate(pipeline.stages):
+        try:
+            recording, own = _source(stage, pipeline, seen, data)
+            found += own
+            seen[stage.label] = recording
+            places = [*_machine(stage, data), *_of_stage(stage, recording)]
+        except ErrpipeError as err:
+            places = [((), str(err))]
+        for place, text in places:
+            problem = pipeline.document.problem(("stages", number, *place), text)
+            if (problem.line, problem.column) not in absent:
+                found.append(problem)
+    return sorted(set(found))
+
+
+def _source(
+    stage: Any, pipeline: Any, seen: Mapping[str, Recording | None], data: bool
+) -> tuple[Recording | None, list[Problem]]:
+    """The recording that a stage works on (its columns only), and what is wrong with the folder it reads."""
+    path = getattr(stage, "recording", None)
+    if isinstance(path, Path):
+        manifest = path / "recording.yaml" if path.is_dir() else path
+        if not data or manifest.name != "recording.yaml" or not path.exists():
+            return None, []
+        if not manifest.is_file():
+            place = ("stages", pipeline.stages.index(stage), "recording")
+            text = f"{path} holds no recording.yaml (errpipe import writes one from measurement files)"
+            return None, [pipeline.document.problem(place, text)]
+        try:
+            return header_of(manifest), []
+        except ConfigError as err:
+            return None, list(err.problems)
+    for names in pipeline.links.get(stage.label, {}).values():
+        for name in names:
+            if seen.get(name) is not None:
+                return seen[name], []
+    return None, []
+
+
+def header_of(path: Path) -> Recording:
+    """A recording without rows: its manifest and the columns its tables have. Raises ConfigError with every problem."""
+    from errpipe import yamlfile
+    from errpipe.domain.written_manifest import WrittenManifest
+
+    document = yamlfile.read(path)
+    manifest: Any = document.validate(WrittenManifest)
+    for n, table in enumerate(manifest.tables):
+        file = path.parent / table
+        if not file.is_file():
+            document.problems.append(document.problem(("tables", n), "no such file beside the manifest"))
+        elif not table.endswith(".parquet"):
+            document.problems += [document.problem(place, text) for place, text in _table(file, manifest)]
+    document.raise_problems()
+    plain = Manifest.model_validate(manifest.model_dump())
+    names = [n for n, c in plain.columns.items() if c.role != "ignore"]
+    return Recording(plain, SimpleNamespace(columns=names))  # type: ignore[arg-type]  # a header, no rows
+
+
+def _table(file: Path, manifest: Manifest) -> Iterator[tuple[Place, str]]:
+    """What a CSV table's header and first rows say against the manifest."""
+    try:
+        with file.open(encoding="utf-8", newline="") as stream:
+            rows = csv.reader(stream)
+            header = next(rows, [])
+            sample = [row for _, row in zip(range(SAMPLE_ROWS), rows, strict=False)]
+    except (UnicodeDecodeError, csv.Error, OSError):
+        return  # `run` says it with the line of the table
+    stored = {n: c for n, c in manifest.columns.items() if c.derived is None}
+    for name, column in stored.items():
+        if name not in header and column.role != "ignore":
+            near = did_you_mean(name, header)
+            yield ("columns", name), f"{file.name} has no such column (it has: {', '.join(header)}).{near}"
+    for name in header:
+        if name not in stored:
+            near = did_you_mean(name, stored)
+            yield (
+                ("columns",),
+                f"{file.name} has a column {name!r} that is not declared (role ignore is allowed).{near}",
+            )
+    for k, name in enumerate(header):
+        column = stored.get(name)
+        if column is None or column.role in ("run", "group", "ignore"):
+            continue
+        wrong = next((row[k] for row in sample if k < len(row) and not _number(row[k])), None)
+        if wrong is not None:
+            yield ("columns", name), f"{file.name}: {wrong!r} is not a number"
+
+
+def _number(text: str) -> bool:
+    try:
+        return text == "" or float(text) == float(text)
+    except ValueError:
+        return False
+
+
+# ---------------------------------------------------------------- names of a stage
+
+
+def _machine(stage: Any, data: bool) -> Iterator[tuple[Place, str]]:
+    """A machine file is read where a stage names one; components left out must be of the machine."""
+    from errpipe import yamlfile
+    from errpipe.domain.machine import Machine
+
+    path = getattr(stage, "machine", None)
+    if not isinstance(path, Path) or not data or not path.is_file():
+        return
+    try:
+        yamlfile.load(path, Machine)
+    except ConfigError as err:
+        for problem in err.problems[:5]:
+            yield ("machine",), str(problem)
+    for k, name in enumerate(getattr(stage, "without", ())):
+        try:
+            components.parse(name)
+        except ValueError as err:
+            yield ("without", k), str(err)
+
+
+def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, str]]:
+    """Names in the options of one stage: targets, formats, and against a recording all others."""
+    yield from _targets(stage)
+    yield from _format(stage)
+    if recording is None:
+        return
+    for k, rule in enumerate(getattr(stage, "rules", ())):
+        for j, name in enumerate(getattr(rule, "trust", ())):
+            if name not in recording.frame.columns:
+                yield ("rules", k, "trust", j), _no_column(recording, name)
+    yield from _responses(stage, recording)
+    yield from _holdout(stage, recording)
+    yield from _pairs(stage, recording)
+    if getattr(stage, "iso230_2", False):
+        yield from _iso230(recording)
+
+
+def _targets(stage: Any) -> Iterator[tuple[Place, str]]:
+    names = getattr(stage, "targets", ())
+    if not isinstance(names, tuple) or not names or not all(isinstance(n, str) for n in names):
+        return
+    from errpipe.targets import TARGETS
+
+    known = [t.name for t in TARGETS]
+    for k, name in enumerate(names):
+        if name not in known:
+            yield ("targets", k), f"no target {name!r} (errpipe targets lists them).{did_you_mean(name, known)}"
+        elif name in names[:k]:
+            yield ("targets", k), f"target {name!r} is listed twice"
+
+
+def _format(stage: Any) -> Iterator[tuple[Place, str]]:
+    name = getattr(stage, "format", None)
+    if not isinstance(name, str):
+        return
+    from errpipe import formats
+
+    try:
+        formats.by_name(name)
+    except ErrpipeError as err:
+        yield ("format",), str(err)
+
+
+def _no_column(recording: Recording, name: str) -> str:
+    names = list(recording.frame.columns)
+    return f"the recording has no column {name!r} (columns: {', '.join(names)}).{did_you_mean(name, names)}"
+
+
+def _responses(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
+    """Components that the recording must hold, and the columns of every term."""
+    have = recording.components()
+    listed = getattr(stage, "components", None)
+    if isinstance(listed, tuple) and all(hasattr(c, "terms") for c in listed):
+        for n, spec in enumerate(listed):
+            place: Place = ("components", n)
+            if spec.component not in have:
+                yield (*place, "component"), _no_response(spec.component, have)
+            for k, term in enumerate(spec.terms):
+                yield from _term(term, recording, (*place, "terms", k))
+                if term in spec.terms[:k]:
+                    yield (*place, "terms", k), "the same term twice: their parameters cannot be told apart"
+        for k, term in enumerate(getattr(stage, "nuisance", ())):
+            yield from _term(term, recording, ("nuisance", k))
+    else:
+        for name in getattr(stage, "responses", ()):
+            if name not in have:
+                yield ("component",), _no_response(name, have)
+
+
+def _no_response(name: str, have: tuple[str, ...]) -> str:
+    return f"the recording has no error of {name} (it has: {', '.join(have) or 'none'}).{did_you_mean(name, have)}"
+
+
+def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place, str]]:
+    """The columns a term reads, by the term itself; a field that names a temperature must name one."""
+    columns = recording.manifest.columns
+    for name, field in type(term).model_fields.items():
+        value = getattr(term, name)
+        if not isinstance(value, str) or field.description is None:
+            continue
+        if field.description.startswith("Column of the temperature"):
+            if value not in recording.frame.columns:
+                near = did_you_mean(value, recording.names("temperature"))
+                sensors = ", ".join(recording.names("temperature")) or "none"
+                yield (*place, name), f"the recording has no column {value!r} (temperatures: {sensors}).{near}"
+                return
+            if columns[value].role != "temperature":
+                yield (*place, name), f"{value!r} is no temperature (role {columns[value].role})"
+                return
+    try:
+        drivers = term.drivers(recording)
+    except (KeyError, ErrpipeError) as err:
+        key = "axis" if "axis" in type(term).model_fields else ""
+        yield (*place, key) if key else place, str(err.args[0] if err.args else err)
+        return
+    except Exception:  # a term that needs numbers to name its columns is left to `run`
+        return
+    for name in drivers:
+        if name not in recording.frame.columns and name != "row":
+            key = next((k for k in type(term).model_fields if getattr(term, k) == name), None)
+            yield (*place, key) if key else place, _no_column(recording, name)
+
+
+def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
+    """The group that is to sit out is a column, a kind of group, or a calendar unit of a dated clock."""
+    chosen = getattr(stage, "holdout", None)
+    asked = getattr(chosen, "of", None)
+    where: Place = ("holdout", "of")
+    if asked is None and chosen is None and hasattr(stage, "options"):
+        asked, where = getattr(stage.options, "environment", None), ("options", "environment")
+        if not isinstance(asked, str) or "environment" not in stage.options.model_fields_set:
+            return
+    if getattr(chosen, "scheme", "") == "leave-one-group-out" and asked is None:
+        yield ("holdout",), "leave-one-group-out needs `of`: the group that sits out (a column, or what it is of)"
+    if asked is None:
+        return
+    columns = recording.manifest.columns
+    groups = {n for n, c in columns.items() if c.role in ("group", "run")}
+    groups |= {str(c.of) for c in columns.values() if c.of}
+    dated = any(c.epoch for c in columns.values())
+    if asked in groups or (asked in CALENDAR and dated):
+        return
+    if asked in CALENDAR:
+        yield where, f"{asked!r}: no column of role time has an epoch, so no row has a date"
+        return
+    yield where, f"the recording has no group {asked!r} (it has: {', '.join(sorted(groups)) or 'none'})."
+
+
+def _pairs(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
+    """Simulated values where the recording is said to hold them, or a file is said to bring them."""
+    by = getattr(stage, "by", None)
+    if by is None:
+        return
+    from errpipe.simulation.twin_options import FromCsv, FromRecorded
+
+    if isinstance(by, FromRecorded) and not recording.names("simulated"):
+        yield ("by", "kind"), "the recording has no column of role simulated"
+    if isinstance(by, FromCsv):
+        if getattr(stage, "file", None) is None:
+            yield ("by",), "a CSV simulation needs `file`"
+        for name in by.columns:
+            if name not in recording.components():
+                yield ("by", "columns", name), _no_response(name, recording.components())
+
+
+def _iso230(recording: Recording) -> Iterator[tuple[Place, str]]:
+    found = [components.parse(c) for c in recording.components()]
+    axes = [c.axis for c in found if c.kind in ("positioning", "angular positioning")]
+    if not axes:
+        yield ("iso230_2",), "no positioning deviation (such as EXX) is recorded, so there are no figures of ISO 230-2"
+    elif not any(recording.names("direction", axis=axis) for axis in axes):
+        yield ("iso230_2",), f"no column holds the direction of {axes[0]}, so there are no figures of ISO 230-2"
