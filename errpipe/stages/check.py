@@ -85,7 +85,7 @@ def header_of(path: Path) -> Recording:
     document.raise_problems()
     plain = Manifest.model_validate(manifest.model_dump())
     names = [n for n, c in plain.columns.items() if c.role != "ignore"]
-    return Recording(plain, SimpleNamespace(columns=names))  # type: ignore[arg-type]  # a header, no rows
+    return Recording(plain, SimpleNamespace(columns=names))  # a header, no rows
 
 
 def _table(file: Path, manifest: Manifest) -> Iterator[tuple[Place, str]]:
@@ -110,8 +110,7 @@ def _table(file: Path, manifest: Manifest) -> Iterator[tuple[Place, str]]:
                 f"{file.name} has a column {name!r} that is not declared (role ignore is allowed).{near}",
             )
     for k, name in enumerate(header):
-        column = stored.get(name)
-        if column is None or column.role in ("run", "group", "ignore"):
+        if name not in stored or stored[name].role in ("run", "group", "ignore"):
             continue
         wrong = next((row[k] for row in sample if k < len(row) and not _number(row[k])), None)
         if wrong is not None:
@@ -254,14 +253,12 @@ def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place
 def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
     """The group that is to sit out is a column, a kind of group, or a calendar unit of a dated clock."""
     chosen = getattr(stage, "holdout", None)
-    asked = getattr(chosen, "of", None)
+    asked: Any = getattr(chosen, "of", None)
     where: Place = ("holdout", "of")
     if asked is None and chosen is None and hasattr(stage, "options"):
         asked, where = getattr(stage.options, "environment", None), ("options", "environment")
         if not isinstance(asked, str) or "environment" not in stage.options.model_fields_set:
             return
-    if getattr(chosen, "scheme", "") == "leave-one-group-out" and asked is None:
-        yield ("holdout",), "leave-one-group-out needs `of`: the group that sits out (a column, or what it is of)"
     if asked is None:
         return
     columns = recording.manifest.columns

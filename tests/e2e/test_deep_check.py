@@ -68,7 +68,6 @@ PIPELINE_FAULTS = {
     "one unknown of two targets": ("[linuxcnc_screw]", "[linuxcnc_screw, siemens]", "no target 'siemens'"),
     "group not recorded": ("scheme: leave-one-run-out", "scheme: leave-one-group-out, of: day", "epoch"),
     "group misspelt": ("scheme: leave-one-run-out", "scheme: leave-one-group-out, of: sesaon", "no group 'sesaon'"),
-    "group not named": ("scheme: leave-one-run-out", "scheme: leave-one-group-out", "needs `of`"),
     "unknown scheme": ("leave-one-run-out", "leave-one-out", "leave-one-run-out"),
     "trusted column not there": ("trust: [T_nut]", "trust: [T_oil]", "no column 'T_oil'"),
     "unknown rule": ("rule: unit_slips", "rule: unit_slip", "unit_slips"),
@@ -166,8 +165,12 @@ def test_check_finds_it(file: str, name: str, where: Path, capsys: pytest.Captur
     assert words in heard.err and "internal error" not in heard.err
 
 
+HARMLESS = ("a target twice", "trusted column not there")  # `run` writes the target once, and trusts nobody
+REFUSED = [case for case in CASES if case[1] not in HARMLESS]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("file", "name"), CASES, ids=[name for _, name in CASES])
+@pytest.mark.parametrize(("file", "name"), REFUSED, ids=[name for _, name in REFUSED])
 def test_run_refuses_it_in_the_same_way(file: str, name: str, where: Path, capsys: pytest.CaptureFixture[str]) -> None:
     old, new, _ = (PIPELINE_FAULTS if file == "p.yaml" else MANIFEST_FAULTS)[name]
     plant(where, file, old, new)
