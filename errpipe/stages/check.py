@@ -165,7 +165,7 @@ def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, 
 
 
 def _targets(stage: Any) -> Iterator[tuple[Place, str]]:
-    names = getattr(stage, "targets", ())
+    names: Any = getattr(stage, "targets", ())
     if not isinstance(names, tuple) or not names or not all(isinstance(n, str) for n in names):
         return
     from errpipe.targets import TARGETS
@@ -211,9 +211,9 @@ def _responses(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
         for k, term in enumerate(getattr(stage, "nuisance", ())):
             yield from _term(term, recording, ("nuisance", k))
     else:
-        for name in getattr(stage, "responses", ()):
-            if name not in have:
-                yield ("component",), _no_response(name, have)
+        for response in getattr(stage, "responses", ()):
+            if response not in have:
+                yield ("component",), _no_response(response, have)
 
 
 def _no_response(name: str, have: tuple[str, ...]) -> str:
@@ -246,8 +246,8 @@ def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place
         return
     for name in drivers:
         if name not in recording.frame.columns and name != "row":
-            key = next((k for k in type(term).model_fields if getattr(term, k) == name), None)
-            yield (*place, key) if key else place, _no_column(recording, name)
+            field_name = next((k for k in type(term).model_fields if getattr(term, k) == name), None)
+            yield (*place, field_name) if field_name else place, _no_column(recording, name)
 
 
 def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
