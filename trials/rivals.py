@@ -54,7 +54,7 @@ def accepted(
         x = design[pick] - design[pick].mean(axis=0)
         size = np.sqrt((x**2).mean(axis=0))
         x = x[:, size > 1e-12] / size[size > 1e-12]
-        if not x.size:
+        if not x.size or not np.all(np.isfinite(x)):
             continue
         alike = _left(y, x) <= (1 - EXPLAINS) * float(y @ y)
         if alike or (noise and _left(y, np.hstack([beside, x])) <= lost):

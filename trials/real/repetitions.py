@@ -26,6 +26,7 @@ SAME_PATH = 0.1  # of the stroke: rms difference of positions one period apart, 
 SAME_STATE = 0.03  # of stroke and range of speed, once they are aligned
 SAME_PLACE = 0.05  # of the median distance between places
 LEAST_ROWS = 40
+MOST_STEPS = 2_000_000  # of the median step in a run: a run with longer gaps is no trajectory
 LEAST_AGAIN = 0.2  # of a run's rows: how many must come again in the same state
 SMOOTH = 0.3  # of the scatter: how far line and cubic between neighbours may differ
 LEAST_MATCHED = 0.8  # of a run's rows
@@ -75,9 +76,11 @@ def by_period(sheet: Sheet, component: str, error: str) -> Iterator[Sheet]:
         return
     path, t, y, runs = sheet.values(moving[0]), sheet.values(sheet.names("time")[0]), sheet.values(error), sheet.runs()
     for run in pd.unique(runs):
-        rows = np.flatnonzero(runs == run)
+        rows = np.flatnonzero((runs == run) & np.isfinite(path) & np.isfinite(t) & np.isfinite(y))
+        if rows.size < LEAST_ROWS or np.any(np.diff(t[rows]) < 0):
+            continue
         period = trajectory_period(t[rows], path[rows])
-        if period is None or rows.size < LEAST_ROWS:
+        if period is None:
             continue
         ahead, same = _same_state(t[rows], path[rows], period)
         if same.sum() >= max(LEAST_ROWS, LEAST_AGAIN * rows.size):
@@ -105,6 +108,8 @@ def _same_state(t: Array, x: Array, period: float) -> tuple[Array, Array]:
 def trajectory_period(t: Array, x: Array) -> float | None:
     """Time after which the trajectory comes again, at most half of the run; None where it does not."""
     step = float(np.median(np.diff(t)))
+    if step <= 0 or (t[-1] - t[0]) / step > MOST_STEPS:
+        return None
     grid = np.arange(t[0], t[-1], step)
     path = np.interp(grid, t, x)
     stroke = float(np.ptp(path))
@@ -131,13 +136,14 @@ def by_runs(sheet: Sheet, component: str, error: str) -> Iterator[Sheet]:
         return
     runs, y = _cycles(sheet), sheet.values(error)
     x = np.column_stack([sheet.values(p) for p in places])
+    seen = np.all(np.isfinite(x), axis=1)
     side = np.column_stack([sheet.values(s) for s in sides]) if sides else np.zeros((len(x), 1))
     labels = list(pd.unique(runs))
     out_rows, out_sim = [], []
     for i, run in enumerate(labels):
-        rows = np.flatnonzero(runs == run)
+        rows = np.flatnonzero(seen & (runs == run))
         for other in labels[i + 1 :] + labels[:i]:
-            found = _matched(x, side, rows, np.flatnonzero(runs == other))
+            found = _matched(x, side, rows, np.flatnonzero(seen & (runs == other)))
             if found is not None:
                 simulated = _set_up(x, y, *found)
                 out_rows.append(found[0])
@@ -193,7 +199,7 @@ def interleaved(sheet: Sheet, component: str, error: str) -> Iterator[Sheet]:
     t, y, runs = sheet.values(sheet.names("time")[0]), sheet.values(error), sheet.runs()
     rows, line, bend, noise = [], [], [], []
     for run in pd.unique(runs):
-        own = np.flatnonzero((runs == run) & np.isfinite(y))
+        own = np.flatnonzero((runs == run) & np.isfinite(y) & np.isfinite(t))
         own = own[np.r_[True, np.diff(t[own]) > 0]]
         middle = np.arange(3, own.size - 3, 2)
         if middle.size < 10:

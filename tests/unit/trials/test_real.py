@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,13 @@ import pandas as pd
 import pytest
 
 from errpipe.formats import manifest_folder
-from trials.folder import Sheet
+from trials.folder import Sheet, write
 from trials.real.__main__ import figures, judge_all, markdown
 from trials.real.draw import additions, generate
 from trials.real.recordings import sources
 from trials.real.repetitions import Twin, trajectory_period, twins, window
 
-SHARED = Path(__file__).parents[4] / "shared" / "real-data"
+SHARED = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared" / "real-data"))
 
 
 def strokes(rows: int = 4000, noise: float = 0.1) -> Sheet:
@@ -177,3 +178,22 @@ def test_answers_are_hidden_from_the_diagnosis_and_judged(tmp_path: Path, monkey
     assert answers.judge_one(folder)["right"]
     said = "unknown"
     assert not answers.judge_one(folder)["right"]
+
+
+def test_gaps_and_damaged_recordings_do_no_harm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(6)
+    holed = warm_up()
+    for name in ("E_Z", "T_head", "T_room"):
+        holed.table.loc[rng.random(len(holed.table)) < 0.02, name] = np.nan
+    moving = strokes()
+    for name in ("F_X", "x"):
+        moving.table.loc[rng.random(len(moving.table)) < 0.01, name] = np.nan
+    write(tmp_path / "in" / "holed", holed)
+    write(tmp_path / "in" / "moving", moving)
+    write(tmp_path / "in" / "damaged", strokes())
+    (tmp_path / "in" / "damaged" / "recording.csv").write_text("t,x\n1,2\n")
+    found = sources([tmp_path / "in"])
+    assert [name for name, _ in found] == ["holed", "moving"]
+    assert "damaged is left out" in capsys.readouterr().err
+    assert {t.kind for name, sheet in found for t in twins(name, sheet)} == {"interleaved", "periods"}
+    generate(tmp_path / "out", found, 1, 4, 4)
