@@ -12,7 +12,7 @@ CODE := errpipe tests trials bench examples
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow test-all lint types check generated bench faults trials trials-scales trials-real trials-thermal clean
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*\#\# .*/\1/p' Makefile)
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -73,6 +73,9 @@ trials-real: $(SETUP) ## diagnosis on real recordings whose repetition stands in
 
 trials-thermal: $(SETUP) ## thermal model families on simulated machines, judged by a season they have not seen
 	@$(BIN)/python -m trials.thermal --seed $(SEED) $(ARGS)
+
+retrain-demo: $(SETUP) ## a simulated year of nightly retraining
+	@$(BIN)/python examples/retraining/year.py out/retraining --seed $(SEED) $(ARGS)
 
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

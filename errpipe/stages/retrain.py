@@ -80,6 +80,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     prediction = _predictions(old_model, recording)
     gates: list[Gate] = []
     scores = list(earlier)
+    drift = _drift(old_model, old_recording, recording, known)
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
@@ -90,7 +91,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         scores += retraining.score_new_runs(recording, family, prediction, known, done)
         change = _change(old_model, model, recording)
         gates += _table_gates(change, limits)
-        gates += [_sensor_gate(old_model, model, allowed), *_coverage_gates(pipeline, out / RUN)]
+        gates += [_sensor_gate(old_model, model, allowed), _drift_gate(drift, model)]
+        gates += _coverage_gates(pipeline, out / RUN)
     decision = retraining.decide(scores, gates, alpha=alpha)
     return {
         "retrain": VERSION,
@@ -101,7 +103,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "e_value_needed": decision.needed,
         "gates": [asdict(g) for g in decision.gates],
         "runs": [asdict(s) for s in scores],
-        "drift": _drift(old_model, old_recording, recording, known),
+        "drift": drift,
         "change": {} if refused else change,
     }
 
@@ -185,6 +187,15 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
     added = sorted(set(new.columns) - set(old.columns) - set(allowed))
     says = f"newly required: {', '.join(added)}" if added else "no column is newly required"
     return Gate("inputs", not added, says)
+
+
+def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
+    """A challenger that learnt from a sensor while it drifts will be wrong again tomorrow."""
+    from errpipe.validation.retraining import Gate
+
+    read = sorted(d["column"] for d in drift["inputs"] if d["blamed"] and d["column"] in model.columns)
+    says = f"drifting: {', '.join(read)}; mend or replace it first" if read else "no sensor of the challenger drifts"
+    return Gate("sensors", not read, says)
 
 
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import exp, log
 
 import numpy as np
 from scipy.stats import t as student
@@ -153,9 +152,10 @@ def champion_residual(recording: Recording, component: str, left: HeldOut, predi
 
 def e_value(scores: Sequence[float]) -> float:
     """Evidence after these scores (in their order): the mean over the bets of the stake's product; 1 for none."""
-    logs = [sum(log(1.0 + bet * min(max(s, -1.0), 1.0)) for s in scores) for bet in BETS]
-    highest = max(logs)
-    return exp(min(highest, 700.0)) * sum(exp(v - highest) for v in logs) / len(logs)
+    stakes = np.outer(BETS, np.clip(np.asarray(scores, dtype=float), -1.0, 1.0))
+    logs = np.log1p(stakes).sum(axis=1)
+    highest = float(logs.max())
+    return float(np.exp(min(highest, 700.0)) * np.mean(np.exp(logs - highest)))
 
 
 def per_run(scores: Sequence[RunScore]) -> list[float]:

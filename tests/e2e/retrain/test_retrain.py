@@ -124,9 +124,9 @@ def test_a_limit_on_the_change_keeps_the_champion(site: Path) -> None:
 
 def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: pytest.CaptureFixture) -> None:
     record(site / "recording", 40, sensor_drift_from=14)
-    _, document = retrain(site, "--annotations", "github")
+    code, document = retrain(site, "--annotations", "github")
     blamed = [d["column"] for d in document["drift"]["inputs"] if d["blamed"]]
-    assert blamed == ["T_nut"]
+    assert blamed == ["T_nut"] and code == 4 and "sensors" in failed(document)
     assert "::warning title=sensor drift::T_nut" in capsys.readouterr().out
 
 
