@@ -16,6 +16,7 @@ from errpipe.targets.codesys_backlash import CodesysBacklash
 from errpipe.targets.ecmc_lut import EcmcLut
 from errpipe.targets.fagor_lscrw import FagorLscrw
 from errpipe.targets.fanuc_pitch import FanucPitch
+from errpipe.targets.feedback_inject import FeedbackInject
 from errpipe.targets.grblhal_backlash import GrblhalBacklash
 from errpipe.targets.haas_pitch import HaasPitch
 from errpipe.targets.heidenhain_com import HeidenhainCom
@@ -46,6 +47,7 @@ TARGETS: tuple[type[Target], ...] = (
     EcmcLut,
     FagorLscrw,
     FanucPitch,
+    FeedbackInject,
     GrblhalBacklash,
     HaasPitch,
     HeidenhainCom,

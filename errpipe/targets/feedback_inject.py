@@ -1,0 +1,139 @@
+"""Feedback interception: counts added to the encoder's signal on its way to the controller, so that its loop corrects.
+
+Value     counts = -correction x counts per mm, rounded: where the axis must go 10 um less far, the controller is
+          shown 10 um more than the encoder reads. Its own loop moves the axis; nothing in the controller is changed.
+Files     errpipe_inject.comp and errpipe-inject.hal for LinuxCNC, between a (simulated) encoder and `encoder`, fed by
+          the correction pins of the HAL component of the whole table; for a microcontroller the freestanding core
+          feedback_inject.h/.c beside the table's runtime ect.h/.c and its bytes inject_table.h/.c.
+Rules     one edge a base period; the index passed unshifted; nothing injected before it; frozen, never taken away, on
+          an emergency stop; a tenth of the largest count rate at most; illegal transitions of the encoder counted.
+Direction from the command (the HAL files feed the table from joint.N.pos-cmd). Where only the encoder knows it, from
+          inject_travel with a threshold above the lost motion and several counts: with a threshold of one count a
+          trial saw it turn 1253 times at rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+
+import jinja2
+
+from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError, VerifyError
+from errpipe.tables import ect
+from errpipe.targets import _sample
+from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._text import plain
+from errpipe.targets._whole import WholeTable
+
+COMPONENT, WIRING = "errpipe_inject.comp", "errpipe-inject.hal"
+TABLE, TABLE_HEADER = "inject_table.c", "inject_table.h"
+CORE = ("feedback_inject.h", "feedback_inject.c")
+LEAST_MOST = 0.001  # mm (deg): of the largest correction that the component takes
+PER_LINE = 16
+
+
+class FeedbackInject(Target):
+    """The whole table, acting through the encoder's signal instead of the command."""
+
+    name = "feedback_inject"
+    controller = "any with a quadrature encoder (LinuxCNC, or a microcontroller in the cable)"
+    confidence = "verified"
+    sign = "a positive correction takes counts off what the controller sees, so the loop moves the axis in plus"
+    limits = (
+        "whole counts; quadrature A, B, Z with an index; a tenth of the count rate; whole table, computed beside it"
+    )
+    holds = ("screw", "both directions", "cross", "temperature")
+    source = "quadrature as LinuxCNC's encoder counts it (A first counts up); proved in C and in LinuxCNC by the tests"
+    activation = (
+        "LinuxCNC: install the HAL component of the whole table and errpipe_inject.comp by halcompile; "
+        "take its position and INPUT lines over, NOT its lines for joints: the command must not be corrected as well",
+        "errpipe-inject.hal: fill in scale (as of the counter), max-velocity, base-period; refused must be FALSE",
+        "move by hand: counts must count like the counter's rawcounts, sign included; else scale is wrong",
+        "home: found turns TRUE at the index; injected must follow aim; illegal must stay 0",
+        "microcontroller: inject_fits for the largest speed and the step's period; inject_side_fits for its threshold",
+    )
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        moved = _sample.outputs_by_axis(table)
+        if not moved:
+            raise GateError("feedback_inject: no output of the table moves an axis")
+        for axis, outputs in moved.items():
+            units = sorted({o.correction_unit for o in outputs})
+            if units not in (["mm"], ["deg"]):
+                raise GateError(f"feedback_inject: corrections of {axis} in {' and '.join(units)} (mm or deg)")
+        header, source = (_core(name) for name in CORE)
+        facts = {
+            "header": header,
+            "source": source.replace('#include "feedback_inject.h"\n', ""),
+            "most": f"{max(map(_largest, moved.values())):.6f}",
+            "axes": [{"letter": axis.lower(), "number": n} for n, axis in enumerate(moved)],
+            "crc": ect.fingerprint(table),
+            "names": ",".join(f"errpipe-inject.{axis.lower()}" for axis in moved),
+        }
+        files = dict(zip(CORE, (header, source), strict=True))
+        runtime = resources.files("errpipe.tables").joinpath("runtime")
+        files |= {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c")}
+        files[COMPONENT] = _templates().get_template("errpipe-inject.comp.j2").render(facts)
+        files[WIRING] = _templates().get_template("errpipe-inject.hal.j2").render(facts)
+        data = ect.dumps(table)
+        rows = [", ".join(map(str, data[k : k + PER_LINE])) for k in range(0, len(data), PER_LINE)]
+        files[TABLE] = f'#include "{TABLE_HEADER}"\n\nconst uint8_t inject_table[{len(data)}] = {{\n    ' + (
+            ",\n    ".join(rows) + "};\n"
+        )
+        files[TABLE_HEADER] = _header(table, len(data))
+        return files
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        found = re.search(r"inject_table\[(\d+)\] = \{([\d,\s]*)\};", files.get(TABLE, ""))
+        if found is None:
+            raise VerifyError(f"{TABLE}: holds no table")
+        data = bytes(int(v) for v in found[2].split(","))
+        expect(len(data) == int(found[1]), TABLE, f"{len(data)} bytes of {found[1]}")
+        table = ect.loads(data)
+        for name, text in cls.write(table).items():
+            expect(files.get(name) == text, name, "is missing or was changed")
+        return WholeTable.of(table)
+
+
+def _largest(outputs: tuple) -> float:
+    """Sum of the limits of an axis' outputs, mm (deg): more than that the component does not take."""
+    return max(LEAST_MOST, sum((o.magnitude or 0.0) * o.factor for o in outputs))
+
+
+def _header(table: CompensationTable, size: int) -> str:
+    lost = _sample.lost_motion(table)
+    lines = [
+        f"#define INJECT_LOST_MOTION_UM_{axis} {1e3 * abs(lost.get(axis, 0.0)):.3f} "
+        "/* a direction's threshold: this and several counts */"
+        for axis in _sample.outputs_by_axis(table)
+    ]
+    return (
+        f"/* Table {ect.fingerprint(table)}: {plain(table.machine)} {plain(table.title)}; ect_load takes it, and\n"
+        " * inject_aim the outputs' corrections times minus the counts per mm, rounded. */\n"
+        "#ifndef INJECT_TABLE_H\n#define INJECT_TABLE_H\n\n#include <stdint.h>\n\n"
+        f"#define INJECT_TABLE_SIZE {size}\n"
+        + "\n".join(lines)
+        + "\n\nextern const uint8_t inject_table[INJECT_TABLE_SIZE];\n\n#endif\n"
+    )
+
+
+def _core(name: str) -> str:
+    return resources.files("errpipe.targets").joinpath("inject", name).read_text(encoding="utf-8")
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("errpipe.targets"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,
+    )
