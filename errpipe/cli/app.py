@@ -30,6 +30,7 @@ VERBS = (
     "demo",
     "predict",
     "eval",
+    "show",
     "whatis",
     "diagnose",
     "export",
@@ -39,6 +40,10 @@ VERBS = (
     "correct",
     "measure",
     "retrain",
+    "terms",
+    "formats",
+    "explain",
+    "doctor",
     "schema",
     "reference",
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import typer
@@ -43,7 +44,7 @@ def command(
     from errpipe.cli._arguments import load_pipeline_file, output_folder
     from errpipe.cli.output import print_result, short_value, stage_module
     from errpipe.cli.progress import ProgressReporter
-    from errpipe.errors import ConfigError, DataError
+    from errpipe.errors import ConfigError, DataError, GateError
     from errpipe.pipeline import runner
 
     spec = load_pipeline_file(pipeline, sets)
@@ -51,6 +52,12 @@ def command(
     reporter = ProgressReporter(str(folder))
     try:
         steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
+    except GateError as err:
+        page = stage_module("refusal").write_report(spec, folder, str(err))
+        if page is not None:
+            reporter.clear()
+            sys.stderr.write(f"{page}: the report, with the reason\n")
+        raise
     except DataError as err:
         problems = [p for p in stage_module("check").problems(spec) if p.file == spec.document.file]
         if problems:  # the cause stands in the pipeline file: say where, all at once

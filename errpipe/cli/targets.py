@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import typer
+
 from errpipe.cli._arguments import Json
 
 
-def command(json: bool = Json) -> None:
-    """List the controller formats, their limits and how well proved each is.
+def command(
+    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as linuxcnc_screw.", show_default=False),
+    json: bool = Json,
+) -> None:
+    """List the controller formats, or show the page of one.
 
     \b
     Example:
       errpipe targets
+      errpipe targets linuxcnc_screw
       errpipe targets --json
     """
     from errpipe.cli.output import print_answer, stage_module
 
+    if name:
+        page = stage_module("reference").entry("targets", name)
+        print_answer("targets", {"target": name, "says": [page.rstrip()]}, as_json=json)
+        return
     print_answer("targets", stage_module("targets").targets(), as_json=json)

@@ -19,6 +19,8 @@ VERDICTS = {
     "unexplained": "something is there that has no name here",
 }
 LAGS = 40
+# One colour for each finding; they differ in lightness too, and every line is labelled.
+FINDINGS = ("#b3261e", "#1f5fa8", "#2e7d4f", "#7b3fa0", "#20262c")
 UNNAMED = "a shape without a name"
 HOW = ("level", "by run", "by direction", "Ljung-Box")
 
@@ -140,27 +142,35 @@ def _tests(r: ResponseDiagnosis) -> list[dict[str, Any]]:
 
 def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
     rows = svg.thin(trace.before.size)
+    label, x = _clock(trace)
     with svg.figure(7.2, 4.2, rows=2) as (canvas, axes):
-        axes[0].plot(rows, trace.before[rows], ".", ms=2.5, color=svg.BEFORE, label="before")
-        for style, (name, values) in zip(
-            itertools.cycle(("-", (0, (3, 1)))), trace.contributions.items(), strict=False
-        ):
-            label = UNNAMED if name == "unknown" else name.replace("_", " ")
-            axes[0].plot(rows, values[rows], ls=style, lw=1.0, color=svg.INK, label=label)
+        axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.BEFORE, label="before")
+        for colour, (name, values) in zip(itertools.cycle(FINDINGS), trace.contributions.items(), strict=False):
+            text = UNNAMED if name == "unknown" else name.replace("_", " ")
+            axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=text)
         axes[0].legend(loc="upper right", fontsize=8)
-        axes[1].plot(rows, trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
+        axes[1].plot(x[rows], trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
         axes[1].sharey(axes[0])
         axes[1].legend(loc="upper right", fontsize=8)
         for a in axes:
             a.set_ylabel(f"{r.component} ({r.unit})")
             for edge in np.flatnonzero(np.diff(trace.run)) + 1 if np.unique(trace.run).size <= 12 else ():
-                a.axvline(edge, color=svg.FLOOR, lw=0.4)
+                a.axvline(x[edge], color=svg.FLOOR, lw=0.4)
             for c in r.changes if a is axes[0] else ():
                 if c.column in trace.inputs:
                     place = int(np.argmax(trace.inputs[c.column] >= c.at))
-                    a.axvline(place, color=svg.ALARM, lw=1.2, ls="--")
-        axes[1].set_xlabel("row")
+                    a.axvline(x[place], color=svg.ALARM, lw=1.2, ls="--")
+        axes[1].set_xlabel(label)
         return svg.to_svg(canvas, f"Mismatch of {r.component} before and after")
+
+
+def _clock(trace: Trace) -> tuple[str, np.ndarray]:
+    """Label and values of the horizontal axis: time in s where it never steps back, else the row."""
+    for name, values in trace.inputs.items():
+        steps = np.diff(values)
+        if name.lower() in ("t", "time", "zeit") and steps.size and np.all(steps >= 0) and steps.any():
+            return f"{name} in s", values
+    return "row", np.arange(trace.before.size, dtype=float)
 
 
 def _shape(r: ResponseDiagnosis, trace: Trace) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from pydantic import Field
+
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages.validate import HELD_OUT
@@ -24,6 +26,7 @@ class Report(Stage):
     """Write the report, one self-contained HTML file."""
 
     kind: Literal["report"]
+    refusal: str = Field("", description="Why a gate refused the export; `errpipe run` says it, nobody writes it.")
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
         "ingestions": Need("ingestion", every=True),
@@ -47,6 +50,7 @@ class Report(Stage):
         recording = _artefacts.recording_in(context.needed("recording"))
         exported = {name: jsonfile.read(f / "export.json") for name, f in context.every("tables").items()}
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
+        responses = _responses(recording, model, validation, context.needed("validation") / HELD_OUT)
         page = RunReport(
             title=context.title or facts["title"],
             machine=facts["machine"],
@@ -54,13 +58,16 @@ class Report(Stage):
             fingerprint=context.fingerprint[:16],
             sources=_sources(facts, recording, validation),
             removed=[row for folder in context.every("cleanings").values() for row in _removed(folder)],
-            responses=_responses(recording, model, validation, context.needed("validation") / HELD_OUT),
+            responses=responses,
+            refusal=self.refusal,
+            consequences=[says for document in exported.values() for says in document.get("consequences", ())],
+            extra_figures=_iso230_chart(recording, validation, context.needed("validation") / HELD_OUT),
             validity=_validity(model),
             exported=_exported(exported),
             iso230=_iso230(validation),
             tables=[*_family_tables(context.needed("error_model"), validation), *_seasons(validation)],
-            notes=_left_out(exported),
-            next_step=_next_step(exported),
+            notes=[*_left_out(exported), *(c for d in exported.values() for c in d.get("checks", ()))],
+            next_step=_next_step(exported, self.refusal),
         )
         context.write_text("report.html", render(page))
         return {"report": "report.html"}
@@ -72,6 +79,7 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
         roles.setdefault(column["role"], []).append(name)
     rows = [
         {"what": "recording", "value": facts["title"]},
+        *_who_and_when(recording),
         {"what": "rows", "value": f"{facts['rows']}, of which {len(recording)} were kept"},
         {"what": "runs", "value": len(recording.run_labels())},
         *({"what": role.replace("_", " "), "value": ", ".join(names)} for role, names in roles.items()),
@@ -80,6 +88,40 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
     if facts["simulated"]:
         rows.insert(1, {"what": "origin", "value": "simulated by errpipe itself; no machine was measured"})
     return rows
+
+
+def _who_and_when(recording: Any) -> list[dict[str, Any]]:
+    """Date, serial number, operator and instrument, where the manifest's constants have them."""
+    known = ("date", "serial_number", "operator", "instrument")
+    found = {n: recording.manifest.constants.get(n) for n in known}
+    return [{"what": n.replace("_", " "), "value": c.value} for n, c in found.items() if c is not None]
+
+
+def _iso230_chart(recording: Any, validation: Mapping[str, Any], rows: Path) -> list[tuple[str, str, str]]:
+    """The chart of ISO 230-2 before, and after as the held-out residuals would measure it."""
+    figures = validation.get("iso230_2")
+    if not figures:
+        return []
+    import numpy as np
+    import pandas as pd
+
+    from errpipe.errors import DataError
+    from errpipe.reporting.iso230_chart import chart
+    from errpipe.validation import iso230_2
+
+    held_out = pd.read_parquet(rows)
+    own = held_out[held_out["component"] == figures["component"]]
+    left = np.full(len(recording), np.nan)
+    left[own["row"].to_numpy()] = own["after"].to_numpy()
+    column = recording.names("error", component=figures["component"])[0]
+    try:
+        after = iso230_2.figures(recording.with_columns({column: left}, {})).model_dump(mode="json")
+    except DataError:
+        after = None
+    caption = "Mean deviation of each direction with bands of 2 s. A spans the bands, B is the largest reversal."
+    if after is not None and after.get("A") is not None and figures.get("A") is not None:
+        caption += f" A {figures['A']:.3g} becomes {after['A']:.3g} {figures['unit']} on runs the model has not seen."
+    return [("ISO 230-2 chart", chart(figures, after), caption)]
 
 
 def _removed(folder: Path) -> list[dict[str, Any]]:
@@ -273,7 +315,9 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     return out
 
 
-def _next_step(exported: Mapping[str, Any]) -> str:
+def _next_step(exported: Mapping[str, Any], refusal: str = "") -> str:
+    if refusal:
+        return "read why the export was refused; mend the recording or the model, then errpipe run again."
     if not exported:
         return "add an export stage to compile this model into a table that a controller runs."
     return "errpipe whatis on the exported table.ect says what a cycle costs; errpipe verify re-reads every file."

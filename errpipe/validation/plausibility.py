@@ -63,6 +63,8 @@ def too_large(name: str, largest: float, unit: str, travel: float | None, limit:
         return None
     fits = [text for factor, text in SCALES if largest / factor <= allowed / 2]
     meant = fits[0] if fits else "absolute readings instead of deviations, or a wrong column"
+    if largest < 5 * allowed:  # no unit is wrong by less than 25
+        meant = "a true error that large (mend the machine, or allow it), or readings from an axis out of reference"
     basis = "set by `limit`" if limit is not None else "the larger of 0.5 mm and 1/1000 of the travel"
     basis = "1 mm/m" if limit is None and unit == "urad" else basis
     return Finding(

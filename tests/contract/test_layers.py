@@ -18,6 +18,7 @@ TOP = Path(errpipe.__file__).parent
 
 # Upper may import lower; names on one line may not import each other.
 LAYERS = (
+    ("__main__",),
     ("cli",),
     ("stages",),
     ("pipeline",),

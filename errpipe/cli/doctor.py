@@ -1,0 +1,17 @@
+"""`errpipe doctor`."""
+
+from __future__ import annotations
+
+from errpipe.cli._arguments import Json
+
+
+def command(json: bool = Json) -> None:
+    """Show versions, compiler, extras, cache folder and threads.
+
+    \b
+    Example:
+      errpipe doctor
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("doctor", stage_module("doctor").doctor(), as_json=json)

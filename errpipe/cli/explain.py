@@ -1,0 +1,23 @@
+"""`errpipe explain`."""
+
+from __future__ import annotations
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    code: str = typer.Argument(..., metavar="CODE", help="A name in brackets, a kind of error, or an exit code."),
+    json: bool = Json,
+) -> None:
+    """Explain a refusal: its name, its kind of error, or an exit code.
+
+    \b
+    Example:
+      errpipe explain absolute-readings
+      errpipe explain 4
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("explain", stage_module("catalogue").explain(code), as_json=json)

@@ -1,0 +1,23 @@
+"""`errpipe formats`."""
+
+from __future__ import annotations
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as ecmc_dat.", show_default=False),
+    json: bool = Json,
+) -> None:
+    """List the measurement files that are read, or show one format.
+
+    \b
+    Example:
+      errpipe formats
+      errpipe formats ecmc_dat
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("formats", stage_module("catalogue").formats(name), as_json=json)

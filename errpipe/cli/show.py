@@ -1,0 +1,25 @@
+"""`errpipe show`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    file: Path = typer.Argument(..., metavar="FILE", help="Any file or folder that errpipe reads or writes."),
+    json: bool = Json,
+) -> None:
+    """Say what a file is, with a plot for the terminal.
+
+    \b
+    Example:
+      errpipe show recording
+      errpipe show out/export/table.ect
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("show", stage_module("show").show(file), as_json=json)

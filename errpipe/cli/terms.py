@@ -1,0 +1,23 @@
+"""`errpipe terms`."""
+
+from __future__ import annotations
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    name: str = typer.Argument("", metavar="[NAME]", help="One term, such as backlash.", show_default=False),
+    json: bool = Json,
+) -> None:
+    """List the terms, or show one with equation, sizes and sign.
+
+    \b
+    Example:
+      errpipe terms
+      errpipe terms backlash
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("terms", stage_module("catalogue").terms(name), as_json=json)

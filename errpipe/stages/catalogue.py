@@ -1,0 +1,67 @@
+"""What people look up: terms, formats, and what a refusal means."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from errpipe.errors import UsageError, did_you_mean
+
+EXIT_CODES = {
+    "0": "Everything asked for was done.",
+    "1": "An internal error: a fault of errpipe. Please report it with the output of --debug.",
+    "2": "The command line or a configuration file cannot be used; the message names file, line and column.",
+    "3": "Measurements are rejected: the message names file and line, what was found and what is allowed.",
+    "4": "A quality gate said no: not better than doing nothing, implausible, beyond a limit. Nothing was exported.",
+    "5": "`errpipe plan --exit-code`: stages would run.",
+    "6": "A file on disk is not what it claims to be: damaged, edited, or not equal to its model.",
+}
+
+
+def terms(name: str) -> dict[str, Any]:
+    """Every term with its first line, or the whole page of one."""
+    from errpipe.stages import reference
+    from errpipe.terms import TERMS
+
+    if name:
+        return {"term": name, "says": [reference.entry("terms", name).rstrip()]}
+    rows = [{"term": t.model_fields["term"].default, "about": _first_line(t.__doc__)} for t in TERMS]
+    rows.sort(key=lambda row: str(row["term"]))
+    width = max(len(str(row["term"])) for row in rows)
+    return {"terms": rows, "says": [f"{row['term']:<{width}}  {row['about']}"[:100] for row in rows]}
+
+
+def formats(name: str) -> dict[str, Any]:
+    """Every format with a door of its own, and every kind of file that `errpipe import` opens."""
+    from errpipe.formats import FORMATS
+    from errpipe.importing.doors import DOORS
+    from errpipe.stages import reference
+
+    if name:
+        return {"format": name, "says": [reference.entry("formats", name).rstrip()]}
+    rows = [{"format": f.name, "how": "ingest", "about": _first_line(f.__doc__)} for f in FORMATS]
+    rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
+    says = ["Read by a pipeline as they are (ingest: {recording: FILE}):"]
+    says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "ingest"]
+    says += ["Turned into a recording first (errpipe import FILE --out FOLDER):"]
+    says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "import"]
+    return {"formats": rows, "says": says}
+
+
+def _first_line(text: str | None) -> str:
+    return " ".join((text or "").strip().split("\n")[0].split())
+
+
+def explain(code: str) -> dict[str, Any]:
+    """What a name in brackets, a kind of error or an exit code means. Raises UsageError with the nearest."""
+    from errpipe import errors
+    from errpipe.validation.codes import EXPLANATIONS
+
+    kinds = {n: k for n, k in vars(errors).items() if isinstance(k, type) and issubclass(k, errors.ErrpipeError)}
+    known = {**EXPLANATIONS, **EXIT_CODES}
+    known |= {n: f"{(k.__doc__ or '').strip()} Exit code {k.exit_code}." for n, k in kinds.items()}
+    if code not in known:
+        raise UsageError(f"nothing is named {code!r} (allowed: {', '.join(known)}).{did_you_mean(code, known)}")
+    says = [f"{code}: {known[code]}"]
+    if code in EXPLANATIONS:
+        says.append(f"Where it is true all the same: export: {{allow: [{code}]}}, or errpipe export --allow {code}")
+    return {"code": code, "explanation": known[code], "says": says}
