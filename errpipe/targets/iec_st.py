@@ -2,8 +2,9 @@
 
 Value     corrections in each output's unit (mm), to be added to the commanded positions: minus the deviation.
 Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index) into a structure, FB_EctCycle runs it
-          once per position cycle. A new table is new bytes: nothing is compiled again. FB_EctLoad refuses what the
-          other readers refuse, every rule of the format page.
+          once per position cycle, FB_EctSwitch exchanges two tables while the machine runs, FB_EctFind numbers the
+          inputs by name, FB_EctWatch tells of missed calls. A new table is new bytes: nothing is compiled again.
+          FB_EctLoad refuses what the other readers refuse, every rule of the format page.
 Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL; PLCopen XML (TC6 2.01). The table itself stands in them
           as an array of bytes, so that a program runs before the first download.
 Accepts   only what every compiler tried takes: no // comments, no __ in names, literal bounds, reals with a point,
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import re
 import uuid
+import zlib
 from collections.abc import Mapping
 from importlib import resources
 from xml.sax.saxutils import escape
@@ -64,7 +66,8 @@ class IecSt(Target):
     holds = ("screw", "both directions", "cross", "temperature")
     source = "IEC 61131-3 ed. 2 and 3; PLCopen TC6 XML 2.01; executed and compared in the tests"
     activation = (
-        "call FB_EctLoad once with the bytes of table.ect (or GVL_EctData.aFile); bOk must be TRUE",
+        "example_twincat.st shows two tables that are exchanged, the last good file in RETAIN memory, AXIS_REF",
+        "call FB_EctLoad once with the bytes of table.ect (or FB_EctData, GVL_EctData.aFile); bOk must be TRUE",
         "stTable.nName shows the table's checksum: compare it with `errpipe whatis table.ect`",
         "call FB_EctCycle once per position cycle of stTable.fCycle seconds; bit 0 of nStatus must be set",
         "read afCorrection at three points, with bEnable FALSE (all 0) and TRUE, before it is added to a command",
@@ -75,7 +78,7 @@ class IecSt(Target):
         room = room_for(table)
         units = {name: unit(name, room) for name in (*TYPES, *FUNCTIONS, *BLOCKS)}
         data = ect.dumps(table)
-        files = {"ect.st": "\n".join([*units.values(), _data_block(data, table, room)])}
+        files = {"ect.st": "\n".join([*units.values(), _data_unit(data, table)]), "example_twincat.st": _example(table)}
         for name, text in units.items():
             files[f"{name}.{'TcDUT' if name in TYPES else 'TcPOU'}"] = _twincat(name, text)
         files[f"{DATA}.TcGVL"] = _twincat(DATA, _data_block(data, table, room))
@@ -130,26 +133,74 @@ def _bytes_at(match: re.Match[str]) -> str:
     return ", ".join(f"aFile[{n}]" for n in numbers)
 
 
-def _data_block(data: bytes, table: CompensationTable, room: Mapping[str, int]) -> str:
-    shown = "\n".join(
-        [f"   afReading[{n}]: {plain(i.name)}, {plain(i.unit) or '-'}" for n, i in enumerate(table.inputs)]
-        + [f"   afCorrection[{n}]: {plain(o.name)}, {o.correction_unit}" for n, o in enumerate(table.outputs)]
-    )
-    # Only the bytes of this table: a PLC fills the rest with zeros, and FB_EctLoad takes nSize of them.
+def _shown(table: CompensationTable) -> str:
+    """What stands above the bytes: the table's name, and the places of readings and corrections with their names."""
+    lines = [
+        f"   {kind}[{n}]: {plain(part.name)}, {plain(unit) or '-'}, name DWORD#16#{name_number(part.name):08X}"
+        for kind, parts in (("afReading", table.inputs), ("afCorrection", table.outputs))
+        for n, part in enumerate(parts)
+        for unit in [getattr(part, "correction_unit", None) or part.unit]
+    ]
+    shown = "\n".join(lines)
+    return f"(* Table {ect.fingerprint(table)}: {plain(table.machine)} {plain(table.title)}\n{shown} *)\n"
+
+
+def _rows(data: bytes) -> str:
+    """Only the bytes of this table: a PLC fills the rest with zeros, and FB_EctLoad takes nSize of them."""
     rows = [", ".join(map(str, data[k : k + _BYTES_PER_LINE])) for k in range(0, len(data), _BYTES_PER_LINE)]
-    body = ",\n        ".join(rows)
+    return ",\n        ".join(rows)
+
+
+def _data_block(data: bytes, table: CompensationTable, room: Mapping[str, int]) -> str:
+    """Global variables, where a controller has a file for them."""
     return (
-        f"(* Table {ect.fingerprint(table)}: {plain(table.machine)} {plain(table.title)}\n{shown} *)\n"
-        "VAR_GLOBAL\n"
-        f"    nFileSize : DINT := {len(data)};\n"
-        f"    aFile : ARRAY [0..{room['BYTES']}] OF BYTE := [\n        {body}];\n"
-        "END_VAR\n"
+        f"{_shown(table)}VAR_GLOBAL\n    nFileSize : DINT := {len(data)};\n"
+        f"    aFile : ARRAY [0..{room['BYTES']}] OF BYTE := [\n        {_rows(data)}];\nEND_VAR\n"
     )
+
+
+def _data_unit(data: bytes, table: CompensationTable) -> str:
+    """The table's bytes as a function block that hands them over: global variables outside a resource are refused."""
+    rows = _rows(data)
+    return (
+        f"{_shown(table)}FUNCTION_BLOCK FB_EctData\nVAR_IN_OUT\n    aFile : ECT_FILE;\nEND_VAR\n"
+        f"VAR_OUTPUT\n    nFileSize : DINT := {len(data)};\nEND_VAR\n"
+        f"VAR\n    aBytes : ARRAY [0..{len(data) - 1}] OF BYTE := [\n        {rows}];\n    i : DINT;\nEND_VAR\n"
+        f"    i := 0;\n    WHILE i <= nFileSize - 1 DO\n        aFile[i] := aBytes[i];\n        i := i + 1;\n"
+        "    END_WHILE;\nEND_FUNCTION_BLOCK\n"
+    )
+
+
+def name_number(name: str) -> int:
+    """What FB_EctFind looks a name up by: the CRC-32 of its field of 32 bytes."""
+    return zlib.crc32(name.encode().ljust(32, b"\0"))
+
+
+def _example(table: CompensationTable) -> str:
+    """A program for TwinCAT: two tables, the last good file kept, readings by name, the correction handed to the axis.
+
+    As read from Beckhoff's manuals (TF50x0 NC PTP, position correction; Tc2_MC2, AXIS_REF); not run here.
+    """
+    moved = next((o for o in table.outputs if o.axis), table.outputs[0])
+    names = "\n".join(
+        f"    {number}: DWORD#16#{name_number(part.name):08X} {plain(part.name)}"
+        for kind in (table.inputs, table.outputs)
+        for number, part in enumerate(kind)
+    )
+    text = resources.files("errpipe.targets").joinpath("st", "P_EctExample.st").read_text(encoding="utf-8")
+    first = next((i for i in table.inputs if i.kind == "position"), table.inputs[0] if table.inputs else moved)
+    for mark, value in {
+        "@names@": names,
+        "@output@": f"DWORD#16#{name_number(moved.name):08X}",
+        "@input@": f"DWORD#16#{name_number(first.name):08X}",
+    }.items():
+        text = text.replace(mark, value)
+    return text
 
 
 def _bytes_of(name: str, text: str) -> bytes:
     size = re.search(r"nFileSize : DINT := (\d+);", text)
-    found = re.search(r"aFile : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];", text)
+    found = re.search(r"(?:aFile|aBytes) : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];", text)
     if size is None or found is None:
         raise VerifyError(f"{name}: holds no table")
     values = [int(v) for v in found[1].split(",")]

@@ -130,6 +130,54 @@ def test_it_refuses_what_the_other_readers_refuse_and_runs_the_rest_within_its_a
     assert [bool(ok) for ok in loaded] == [python_takes(f.read_bytes()) for f in files]
 
 
+SMALL = """
+static FB_EctFind finder; static FB_EctWatch watcher;
+int find(uint32_t name, DINT *output)
+{
+    finder.nName = name;
+    FB_EctFind_run(&finder, &table);
+    *output = finder.nOutput;
+    return finder.nInput;
+}
+int alive(DINT heartbeat, DINT most)
+{
+    watcher.nHeartbeat = heartbeat;
+    watcher.nMost = most;
+    FB_EctWatch_run(&watcher);
+    return watcher.bAlive;
+}
+int missed(DINT tick)
+{
+    block.nTick = tick;
+    FB_EctCycle_run(&block, &table, &readings, &fresh, &deviation, &correction);
+    return block.nMissed;
+}
+"""
+
+
+@needs_gcc
+@pytest.mark.toolchain
+def test_inputs_are_found_by_name_and_missed_calls_are_seen(tmp_path):
+    other = Block(tmp_path, translate.by_lines(units()) + SMALL)
+    table = everything(3)
+    assert other.load(ect.dumps(table))[0] == 0
+    output = ctypes.c_int32()
+    for number, channel in enumerate(table.inputs):
+        assert other.dll.find(iec_st.name_number(channel.name), ctypes.byref(output)) == number
+    for number, one in enumerate(table.outputs):
+        other.dll.find(iec_st.name_number(one.name), ctypes.byref(output))
+        assert output.value == number
+    assert other.dll.find(iec_st.name_number("nobody"), ctypes.byref(output)) == -1 == output.value
+    assert [other.dll.alive(beat, 2) for beat in (1, 2, 2, 2, 2, 3)] == [1, 1, 1, 1, 0, 1]
+    assert [other.dll.missed(tick) for tick in (5, 6, 7, 10, 11, 0, 20)] == [0, 0, 0, 2, 2, 2, 2]
+
+
+def test_plain_structured_text_has_no_global_variables():
+    """MATIEC refuses them outside a resource; the bytes come from a function block."""
+    files = iec_st.IecSt.write(ten_um_too_long())
+    assert "VAR_GLOBAL" not in files["ect.st"] and "FUNCTION_BLOCK FB_EctData" in files["ect.st"]
+
+
 MAIN = """
 #include <stdio.h>
 int main(int argc, char **argv)
