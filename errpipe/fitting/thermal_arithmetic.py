@@ -54,12 +54,12 @@ def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float, 
     return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 
 
-def centred(columns: np.ndarray, run: np.ndarray, rows: int) -> np.ndarray:
-    """Columns (n, p) less half the mean of each run's first `rows` rows (see `DATUM_SHARE`)."""
+def centred(columns: np.ndarray, run: np.ndarray, rows: int, share: float = DATUM_SHARE) -> np.ndarray:
+    """Columns (n, p) less a share of the mean of each run's first `rows` rows (see `DATUM_SHARE`)."""
     out = columns.copy()
     for code in np.unique(run):
         mine = np.flatnonzero(run == code)
-        out[mine] -= DATUM_SHARE * columns[mine[:rows]].mean(axis=0)
+        out[mine] -= share * columns[mine[:rows]].mean(axis=0)
     return out
 
 

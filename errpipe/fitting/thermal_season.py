@@ -149,7 +149,7 @@ def fit(
     Raises DataError where the response is missing or no sensor sits on the machine.
     """
     options = options or SeasonOptions()
-    problem = _Problem(recording, component, options, rows)
+    problem = Problem(recording, component, options, rows)
     problem.orient()
     return problem.model()
 
@@ -165,7 +165,7 @@ class _Gains:
     balance: tuple[float, float]
 
 
-class _Problem:
+class Problem:
     """Design columns of all rows, and the triangles of the groups that may be used."""
 
     def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: np.ndarray | None):
@@ -202,6 +202,10 @@ class _Problem:
         self.rounds = 0  # the signs show without
         self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
         self.core_centred, self.extra_centred = core, extra
+
+    def full_core(self) -> np.ndarray:
+        """Values of the causes less the mean of each run's first rows, (rows, causes), K."""
+        return centred(self.core, self.recording.run_codes(), self.options.datum_rows, 1.0)
 
     def orient(self) -> None:
         """Turn all signs round where runs left out say so: a response may count the other way."""

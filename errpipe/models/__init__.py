@@ -9,12 +9,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from errpipe.models._base import Family
+from errpipe.models.auto import Auto
 from errpipe.models.direct import Direct
+from errpipe.models.lagged import Lagged
+from errpipe.models.network import Network
+from errpipe.models.nothing import Nothing
 from errpipe.models.plate import Plate
+from errpipe.models.rises import Rises
 from errpipe.models.season import Season
 from errpipe.models.terms import Terms
 
-FAMILIES: tuple[type[Family], ...] = (Direct, Plate, Season, Terms)
+FAMILIES: tuple[type[Family], ...] = (Auto, Direct, Lagged, Network, Nothing, Plate, Rises, Season, Terms)
 
 __all__ = ["DEFAULT", "FAMILIES", "Family", "family_of", "procedure"]
 

@@ -1,0 +1,150 @@
+"""Thermal models that are a sum of gains times drivers: rises of temperatures, and rises through lags.
+
+Deviations count from the start of each run, so every driver is zero there and no constant is fitted. Runs are reduced
+once to a triangle each (QR of [drivers, deviation]); any hold-out then costs a stack of triangles.
+
+Lags are first-order responses. Their time constants are a geometric grid from a few samples to the length of a run:
+shorter ones cannot be told from none, longer ones not from a straight line (`time_constants`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting.design import response_name
+from errpipe.fitting.solve import one_thread
+from errpipe.fitting.thermal_arithmetic import centred, inner_groups, since_start
+from errpipe.fitting.thermal_causes import columns
+from errpipe.fitting.thermal_network import stack, triangles
+
+SAMPLES = 3.0  # shortest time constant in sampling steps: a faster lag is over before the next reading
+RATIO = 2.5  # of neighbouring time constants; the response to one lies within 2 % of a mixture of its two neighbours
+MOST_LAGS = 6
+
+
+@dataclass(frozen=True)
+class LinearProblem:
+    """Drivers on every row, and the triangles of the groups (runs) that may be used.
+
+    drivers: the rises first (`plain` of them), then the lagged rises; values: (rows, drivers), K, counted from the
+    first rows of each run as the response is; response: deviation since the start of the run, um; group: run of each
+    row; rows: mask of usable rows.
+    """
+
+    recording: Recording
+    drivers: tuple[d.Driver, ...]
+    plain: int
+    values: np.ndarray
+    response: np.ndarray
+    rows: np.ndarray
+    group: np.ndarray
+    triangle: dict[int, np.ndarray]
+    count: dict[int, int]
+
+    @property
+    def groups(self) -> list[int]:
+        """Numbers of the groups that may be used."""
+        return sorted(self.triangle)
+
+    def stacked(self, groups: Sequence[int], width: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """Triangle of the first `width` drivers, of the response, and the number of rows of some groups."""
+        whole = stack(self.triangle, list(groups))
+        return whole[:, :width], whole[:, -1], float(sum(self.count[g] for g in groups))
+
+
+def problem(recording: Recording, component: str, rows: np.ndarray | None, datum_rows: int) -> LinearProblem:
+    """The problem of the rows of a mask. Raises DataError without a temperature, or a row that has everything."""
+    names = recording.names("temperature")
+    if not names:
+        raise DataError(f"thermal model of {component}: the recording has no temperature")
+    run = recording.run_codes()
+    nodes = [d.rise(n) for n in names]
+    nodes += [
+        d.Lag(of=d.rise(n), tau_up=tau, tau_down=tau, start="zero") for n in names for tau in time_constants(recording)
+    ]
+    response, _ = since_start(recording.array(response_name(recording, component)), run, datum_rows)
+    values = centred(columns(recording, nodes), run, datum_rows, 1.0)
+    good = np.isfinite(response) & np.isfinite(values).all(axis=1)
+    good = good if rows is None else good & rows
+    if not good.any():
+        raise DataError(f"thermal model of {component}: no row has a deviation and all temperatures")
+    group = inner_groups(run, good)
+    parts = triangles(values[good], response[good], group[good])
+    count = {g: int(np.count_nonzero(good & (group == g))) for g in parts}
+    return LinearProblem(recording, tuple(nodes), len(names), values, response, good, group, parts, count)
+
+
+def time_constants(recording: Recording) -> tuple[float, ...]:
+    """A geometric grid of time constants that the recording can tell from each other, s."""
+    time, run = recording.time(), recording.run_codes()
+    lengths = [float(np.ptp(time[run == code])) for code in np.unique(run)]
+    steps = np.diff(time)[np.diff(run) == 0]
+    steps = steps[steps > 0]
+    if not steps.size or max(lengths) <= 0:
+        return ()
+    low, high = SAMPLES * float(np.median(steps)), float(np.median(lengths))
+    number = int(np.clip(np.floor(np.log(max(high / low, 1.0)) / np.log(RATIO)) + 1, 1, MOST_LAGS))
+    return tuple(float(f"{high / RATIO**k:.3g}") for k in range(number))[::-1]
+
+
+def ridge(
+    design: np.ndarray, response: np.ndarray, rows: float, strength: float, scale: np.ndarray | None = None
+) -> np.ndarray:
+    """Ridge gains of a triangle, (p,), um/K. strength: 1, of columns of unit root mean square; `scale`: theirs, K."""
+    size = np.sqrt(np.sum(design**2, axis=0) / rows) if scale is None else scale
+    size = np.where(size > 0, size, 1.0)
+    system = np.vstack([design / size, np.sqrt(strength * rows) * np.eye(size.size)])
+    with one_thread():
+        found = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
+    return found / size
+
+
+def common_gains(parts: Sequence[tuple[np.ndarray, np.ndarray, float]], strength: float, freedom: float) -> np.ndarray:
+    """Gains that groups share, each group having a deviation of its own from them (random effects), (p,), um/K.
+
+    parts: triangle, response and rows of each group. freedom: variance of a group's own deviation over that of the
+    noise per row, columns of unit rms: the larger, the less a group with much data overrules the others.
+    Each group's information G = X'X becomes G - G (G + m I)^-1 G, m = rows / freedom (Henderson's equations).
+    """
+    size = np.sqrt(sum(np.sum(x**2, axis=0) for x, _, _ in parts) / sum(n for *_, n in parts))
+    size = np.where(size > 0, size, 1.0)
+    left, right = np.zeros((size.size, size.size)), np.zeros(size.size)
+    rows = float(np.mean([n for *_, n in parts]))
+    own = rows / freedom * np.eye(size.size)
+    with one_thread():
+        for x, y, _ in parts:
+            z = x / size
+            gram, pull = z.T @ z, z.T @ y
+            inner = np.linalg.solve(gram + own, np.column_stack([gram, pull]))
+            left += gram - gram @ inner[:, :-1]
+            right += pull - gram @ inner[:, -1]
+        total = left + strength * np.trace(left) / size.size * np.eye(size.size)
+        return np.linalg.solve(total, right) / size
+
+
+def lasso_path(design: np.ndarray, response: np.ndarray, rows: float, strengths: Sequence[float]) -> np.ndarray:
+    """Lasso gains for each strength (share of the one that leaves nothing), shape (strengths, p), um/K."""
+    from sklearn.linear_model import lasso_path as path
+
+    size = np.sqrt(np.sum(design**2, axis=0) / rows)
+    size = np.where(size > 0, size, 1.0)
+    scaled = design / size
+    most = float(np.abs(scaled.T @ response).max()) / design.shape[0]
+    if most == 0.0:
+        return np.zeros((len(strengths), size.size))
+    order = np.argsort(strengths)[::-1]
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # at its weakest penalties the path may stop short of convergence
+        _, gains, _ = path(
+            np.asfortranarray(scaled), response, alphas=[most * strengths[k] for k in order], max_iter=2000, tol=1e-4
+        )
+    out = np.empty((len(strengths), size.size))
+    out[order] = gains.T / size
+    return out

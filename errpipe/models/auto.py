@@ -1,0 +1,45 @@
+"""All thermal families that fit the recording, or those that are named, in one competition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field, field_validator
+
+from errpipe.models._thermal import ThermalFamily
+
+if TYPE_CHECKING:
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
+
+
+class Auto(ThermalFamily):
+    """Families compete on runs, seasons and duty cycles left out; their best mixture is fitted."""
+
+    family: Literal["auto"] = Field("auto", description="Model family.")
+    among: tuple[str, ...] = Field((), description="Families that compete; all thermal ones where empty.")
+
+    @field_validator("among")
+    @classmethod
+    def _known(cls, among: tuple[str, ...]) -> tuple[str, ...]:
+        from errpipe.errors import did_you_mean
+
+        known = [kind.family_name() for kind in competitors()]
+        for name in among:
+            if name not in known:
+                raise ValueError(f"found {name!r} (allowed: {', '.join(known)}).{did_you_mean(name, known)}")
+        return among
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """The entrants of every family that competes."""
+        shared = {name: getattr(self, name) for name in ThermalFamily.model_fields}
+        chosen = [kind for kind in competitors() if not self.among or kind.family_name() in self.among]
+        return [entrant for kind in chosen for entrant in kind(**shared).entrants(problem)]
+
+
+def competitors() -> list[type[ThermalFamily]]:
+    """The thermal families of the registry."""
+    from errpipe.models import FAMILIES
+
+    return [kind for kind in FAMILIES if issubclass(kind, ThermalFamily) and kind is not Auto]

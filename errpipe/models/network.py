@@ -1,0 +1,47 @@
+"""The physical core alone: bodies, heat while running and hidden parts, gains of known sign averaged over networks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from errpipe.fitting.season_options import SeasonOptions
+from errpipe.models._thermal import ThermalFamily
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
+
+
+class Network(ThermalFamily):
+    """Causes of known sign (`thermal_causes`) without a learnt correction and without fading."""
+
+    family: Literal["network"] = Field("network", description="Model family.")
+    options: SeasonOptions = Field(SeasonOptions(), description="Causes and how they are weighed.")
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """One setting; nobody where no sensor sits on the machine."""
+        from errpipe.errors import DataError
+        from errpipe.fitting.thermal_competition import Entrant
+        from errpipe.fitting.thermal_season import Problem
+
+        try:
+            core = Problem(problem.recording, self.component, self.options, problem.rows)
+        except DataError:
+            return ()
+        core.orient()
+        middle = core.full_core()
+
+        @cache
+        def gains(groups: tuple[int, ...]) -> np.ndarray:
+            return core.solve(groups, corrected=False).core
+
+        def parts(groups: tuple[int, ...]) -> Any:
+            return tuple((c.name, float(g), c.driver) for c, g in zip(core.causes, gains(groups), strict=True) if g)
+
+        return [Entrant(self.family_name(), "network", lambda groups: middle @ gains(groups), parts, True)]

@@ -1,0 +1,24 @@
+"""No thermal compensation: what every other family is compared with, and what is exported of it is nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from errpipe.models._thermal import ThermalFamily
+
+if TYPE_CHECKING:
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
+
+
+class Nothing(ThermalFamily):
+    """Predict no deviation. It is never exported; validation shows what is there to gain."""
+
+    family: Literal["nothing"] = Field("nothing", description="Model family.")
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """Nobody."""
+        return ()

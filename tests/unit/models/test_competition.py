@@ -1,0 +1,174 @@
+"""Thermal families on simulated bodies: the competition finds what holds in a season that took no part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from sklearn.linear_model import Lasso
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.errors import DataError, GateError
+from errpipe.fitting import thermal_competition, thermal_linear
+from errpipe.fitting.thermal_arithmetic import since_start
+from errpipe.models import FAMILIES, family_of, procedure
+from errpipe.models.auto import Auto, competitors
+from errpipe.models.lagged import Lagged
+from errpipe.models.network import Network
+from errpipe.models.nothing import Nothing
+from errpipe.models.rises import Rises
+from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages.predict import table_values
+from errpipe.validation.gate import pass_gate
+from errpipe.validation.held_out import held_out
+
+STEP, ROWS = 300.0, 72  # s, six hours a day
+SEASONS = {"winter": 15.0, "spring": 20.0, "summer": 28.0}
+
+
+def lagged(u: np.ndarray, tau: float) -> np.ndarray:
+    out = np.empty_like(u)
+    out[0] = u[0]
+    for k in range(1, u.size):
+        out[k] = u[k] + (out[k - 1] - u[k]) * np.exp(-STEP / tau)
+    return out
+
+
+def machine(seed: int, runs: int = 5, noise: float = 0.3, seasons=tuple(SEASONS), effect: float = 1.0) -> Recording:
+    """A spindle and a bed that both grow; the bed's growth lags 1.5 h behind the sensor near it."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for season in seasons:
+        for k in range(runs):
+            room = SEASONS[season] + rng.normal(0, 1) + np.cumsum(rng.normal(0, 0.05, ROWS))
+            heat = np.repeat(rng.uniform(0, 1, 6), ROWS // 6)
+            spindle = room + 12 * lagged(np.r_[0.0, heat[1:]], 1500.0)
+            bed = room[0] + lagged(room - room[0], 7200.0) + 3 * lagged(np.r_[0.0, heat[1:]], 6000.0)
+            growth = effect * (2.0 * spindle - 6.0 * lagged(bed, 5400.0))
+            frame = {"T_room": room, "T_spindle": spindle, "T_bed": bed}
+            frame = {n: v + rng.normal(0, 0.02, ROWS) for n, v in frame.items()}
+            frame["E_Z"] = growth - growth[0] + rng.normal(0, 5) + rng.normal(0, noise, ROWS)
+            label = {"run": f"{season}{k}", "season": season, "t": STEP * np.arange(ROWS)}
+            frames.append(pd.DataFrame({**label, **frame}))
+    kinds = {"run": Column(role="run"), "season": Column(role="group", of="season"), "t": Column(role="time", unit="s")}
+    places = {"T_room": "ambient air", "T_spindle": "spindle bearing", "T_bed": "machine bed"}
+    kinds |= {n: Column(role="temperature", unit="degC", location=p) for n, p in places.items()}
+    kinds["E_Z"] = Column(role="error", component="E_Z", unit="um")
+    return Recording(Manifest(recording=1, tables=("a.csv",), columns=kinds), pd.concat(frames, ignore_index=True))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def part(recording: Recording, season: str, inside: bool) -> Recording:
+    return recording.take((recording.frame["season"].to_numpy() == season) == inside)
+
+
+def left_in(model, recording: Recording) -> tuple[float, float]:
+    """rms of a season that took no part: uncompensated, and what the model leaves."""
+    run = recording.run_codes()
+    y = since_start(recording.array("E_Z"), run, 3)[0]
+    return rms(y), rms(y - since_start(model.values(recording), run, 3)[0])
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_the_third_season_is_predicted_from_two(seed: int) -> None:
+    """The lag matters here: rises alone leave several times more, and the competition knows."""
+    whole = machine(seed)
+    fitted, judged = part(whole, "summer", False), part(whole, "summer", True)
+    before, auto = left_in(Auto(component="E_Z").train(fitted), judged)
+    _, rises = left_in(Rises(component="E_Z").train(fitted), judged)
+    _, late = left_in(Lagged(component="E_Z").train(fitted), judged)
+    assert auto < 0.5 * rises and auto < 1.15 * late and auto < 0.1 * before
+
+
+def test_the_table_gives_the_mixture_back() -> None:
+    fitted = machine(3, runs=3)
+    model = Auto(component="E_Z").fit(fitted).model
+    table = compile_model(model, CompileOptions())
+    found = Auto(component="E_Z").train(fitted).values(fitted)
+    assert_allclose(table_values(table, model, fitted)["E_Z"], found, atol=1e-3)
+
+
+def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
+    recording, family = machine(4, runs=4), Auto(component="E_Z")
+    fitted = family.fit(recording)
+    document = held_out(recording, family)
+    assert document["scheme"] == "leave-one-group-out:season"
+    assert [g["label"] for g in document["components"][0]["groups"]] == list(SEASONS)
+    assert pass_gate(fitted.model, [document]).model.components[0].gain == 1.0
+    told = fitted.documents["competition.json"]
+    assert set(told["rms_um"]) == {"run", "season", "cold or warm starts"}
+    assert sum(w["weight"] for w in told["weights"]) <= 1.0 + 1e-6
+    (table,) = family.tables(fitted.documents, document)
+    assert [row[0] for row in table.rows][-1] == "mixture" and table.columns[1] == "run left out"
+
+
+def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
+    quiet = machine(5, runs=4, effect=0.0)
+    for family in (Auto(component="E_Z"), Nothing(component="E_Z")):
+        with pytest.raises(GateError, match="not better than nothing"):
+            pass_gate(family.fit(quiet).model, [held_out(quiet, family)])
+
+
+def test_of_one_labelled_season_only_gains_with_a_sign_are_used() -> None:
+    """Nothing says that they hold in another one; without a label every family competes."""
+    one = machine(6, seasons=("winter",), runs=6)
+    assert {e.family for e, _ in Auto(component="E_Z")._compete(one, None)[1].weights} == {"network"}
+    kinds = {n: c for n, c in one.manifest.columns.items() if n != "season"}
+    bare = Recording(one.manifest.model_copy(update={"columns": kinds}), one.frame.drop(columns="season"))
+    assert {e.family for e, _ in Auto(component="E_Z")._compete(bare, None)[1].weights} - {"network"}
+    assert Auto(component="E_Z").folds(bare, None)[0] == "leave-one-run-out"
+
+
+def test_time_constants_follow_the_recording() -> None:
+    recording = machine(1, runs=2)
+    slower = recording.with_columns({"t": 10.0 * recording.time()}, {})
+    found = thermal_linear.time_constants(recording)
+    assert found[-1] == pytest.approx(STEP * (ROWS - 1), rel=0.01) and found[0] >= thermal_linear.SAMPLES * STEP
+    assert_allclose(thermal_linear.time_constants(slower), 10.0 * np.array(found), rtol=0.01)
+
+
+def test_lasso_on_a_triangle_is_lasso_on_the_rows() -> None:
+    rng = np.random.default_rng(2)
+    x = rng.normal(size=(400, 6)) * [1, 2, 3, 1, 1, 5]
+    y = x @ [1.0, 0, -0.5, 0, 0, 0.2] + rng.normal(0, 0.3, 400)
+    triangle = np.linalg.qr(np.column_stack([x, y]), mode="r")
+    (gains,) = thermal_linear.lasso_path(triangle[:, :-1], triangle[:, -1], 400.0, [0.1])
+    size = np.sqrt(np.mean(x**2, axis=0))
+    alpha = 0.1 * np.abs((x / size).T @ y).max() / 400
+    assert_allclose(gains, Lasso(alpha, fit_intercept=False, tol=1e-8).fit(x / size, y).coef_ / size, atol=2e-3)
+
+
+def test_common_gains_are_least_squares_where_groups_may_not_differ_and_their_mean_where_they_may() -> None:
+    rng = np.random.default_rng(3)
+    gains, rows = np.array([[1.0, 2.0], [3.0, 2.0]]), (900, 100)
+    parts, whole = [], []
+    for g, n in zip(gains, rows, strict=True):
+        x = rng.normal(size=(n, 2))
+        parts.append((x, x @ g, float(n)))
+        whole.append((x, x @ g))
+    pooled = np.linalg.lstsq(np.vstack([x for x, _ in whole]), np.concatenate([y for _, y in whole]), rcond=None)[0]
+    assert_allclose(thermal_linear.common_gains(parts, 0.0, 1e-9), pooled, atol=1e-4)
+    assert_allclose(thermal_linear.common_gains(parts, 0.0, 1e6), gains.mean(axis=0), atol=1e-3)
+
+
+def test_one_run_without_temperatures_is_a_clear_message() -> None:
+    recording = machine(1, runs=1, seasons=("winter",))
+    kinds = {n: c for n, c in recording.manifest.columns.items() if c.role != "temperature"}
+    bare = Recording(recording.manifest.model_copy(update={"columns": kinds}), recording.frame[list(kinds)])
+    with pytest.raises(DataError, match="has no temperature"):
+        Auto(component="E_Z").fit(bare)
+    with pytest.raises(DataError, match="only one group"):
+        thermal_competition.compete([], [], np.zeros(3), np.ones(3, dtype=bool), np.zeros(3, dtype=int))
+
+
+def test_every_family_is_read_back_from_its_procedure() -> None:
+    for kind in competitors():
+        family = kind(component="E_Z")
+        assert family_of(procedure(family)) == family and kind in FAMILIES
+    with pytest.raises(ValueError, match="Did you mean lagged"):
+        Auto(component="E_Z", among=("laged",))
+    assert Network in competitors() and Auto not in competitors()
