@@ -65,7 +65,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     if not names:
         raise DataError(f"thermal model of {component}: the recording has no temperature")
     run = recording.run_codes()
-    nodes = [d.rise(n) for n in names]
+    nodes: list[d.Driver] = [d.rise(n) for n in names]
     nodes += [
         d.Lag(of=d.rise(n), tau_up=tau, tau_down=tau, start="zero") for n in names for tau in time_constants(recording)
     ]

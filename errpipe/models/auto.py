@@ -39,7 +39,6 @@ class Auto(ThermalFamily):
 
 
 def competitors() -> list[type[ThermalFamily]]:
-    """The thermal families of the registry."""
-    from errpipe.models import FAMILIES
-
-    return [kind for kind in FAMILIES if issubclass(kind, ThermalFamily) and kind is not Auto]
+    """The thermal families, by name."""
+    kinds = [kind for kind in ThermalFamily.__subclasses__() if kind is not Auto]
+    return sorted(kinds, key=lambda kind: kind.family_name())

@@ -36,23 +36,23 @@ class Lagged(ThermalFamily):
         def path(groups: tuple[int, ...]) -> np.ndarray:
             return t.lasso_path(*problem.stacked(groups, width), LASSO)
 
-        out = [
-            linear(f"{own}, lasso", f"lagged, lasso {s:g}", problem, lambda g, k=k: path(g)[k])
-            for k, s in enumerate(LASSO)
-        ]
-        out += [
-            linear(
-                f"{own}, ridge", f"lagged, ridge {s:g}", problem, lambda g, s=s: t.ridge(*problem.stacked(g, width), s)
-            )
-            for s in RIDGE
-        ]
-        out += [
-            linear(
-                f"{own}, common",
-                f"lagged, common to runs {f:g}, ridge {s:g}",
-                problem,
-                lambda g, f=f, s=s: t.common_gains([problem.stacked((k,), width) for k in g], s, f),
-            )
-            for f, s in COMMON
-        ]
-        return out
+        def lasso(number: int) -> Entrant:
+            name = f"lagged, lasso {LASSO[number]:g}"
+            return linear(f"{own}, lasso", name, problem, lambda groups: path(groups)[number])
+
+        def ridge(strength: float) -> Entrant:
+            def gains(groups: tuple[int, ...]) -> np.ndarray:
+                return t.ridge(*problem.stacked(groups, width), strength)
+
+            return linear(f"{own}, ridge", f"lagged, ridge {strength:g}", problem, gains)
+
+        def common(setting: tuple[float, float]) -> Entrant:
+            freedom, strength = setting
+
+            def gains(groups: tuple[int, ...]) -> np.ndarray:
+                return t.common_gains([problem.stacked((g,), width) for g in groups], strength, freedom)
+
+            name = f"lagged, common to runs {freedom:g}, ridge {strength:g}"
+            return linear(f"{own}, common", name, problem, gains)
+
+        return [*map(lasso, range(len(LASSO))), *map(ridge, RIDGE), *map(common, COMMON)]

@@ -10,10 +10,13 @@ from pydantic import Field
 from errpipe.models._thermal import ThermalFamily, linear
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from errpipe.fitting.thermal_competition import Entrant
     from errpipe.fitting.thermal_linear import LinearProblem
 
 STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, on columns of unit rms; the competition chooses
+LEAST_RIDGE = 1e-5  # keeps sensors that move alike apart in rounding
 FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`thermal_linear.common_gains`)
 
 
@@ -27,15 +30,17 @@ class Rises(ThermalFamily):
         from errpipe.fitting import thermal_linear as t
 
         own, width = self.family_name(), problem.plain
-        out = [
-            linear(own, f"rises, ridge {s:g}", problem, lambda g, s=s: t.ridge(*problem.stacked(g, width), s))
-            for s in STRENGTHS
-        ]
-        for f in FREEDOMS:
-            name = f"rises, common to runs {f:g}"
-            out.append(linear(own, name, problem, lambda g, f=f: t.common_gains(_each(problem, g, width), 1e-5, f)))
-        return out
 
+        def ridge(strength: float) -> Entrant:
+            def gains(groups: tuple[int, ...]) -> np.ndarray:
+                return t.ridge(*problem.stacked(groups, width), strength)
 
-def _each(problem: LinearProblem, groups: Sequence[int], width: int) -> list:
-    return [problem.stacked((g,), width) for g in groups]
+            return linear(own, f"rises, ridge {strength:g}", problem, gains)
+
+        def common(freedom: float) -> Entrant:
+            def gains(groups: tuple[int, ...]) -> np.ndarray:
+                return t.common_gains([problem.stacked((g,), width) for g in groups], LEAST_RIDGE, freedom)
+
+            return linear(own, f"rises, common to runs {freedom:g}", problem, gains)
+
+        return [*map(ridge, STRENGTHS), *map(common, FREEDOMS)]
