@@ -22,6 +22,7 @@ from errpipe.kinematics.observations import Observations
 UNSEEN = 0.5  # share of the prior variance that is left
 NAMED = 0.3  # a component belongs to an unseen direction from this weight on
 NEARLY, HELPS = 1e-3, 0.05  # weight of what stays unseen but less so; least of which a measurement is worth naming
+SHORTEST_BAR = 1.0  # mm: below it a bar has no direction; real ones are 50 mm and longer
 BENDS = 2  # straight part and first bend stand for a curve: finer detail is a matter of more points
 
 
@@ -156,12 +157,14 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
 
 
 def _refresh(chain: Chain, obs: Observations) -> Observations:
-    """The same readings from another tool: bar directions follow the tool's place."""
-    rows = ~np.isnan(obs.socket[:, 0])
+    """The same readings from another tool: bar directions follow the tool's place; a bar of no length reads nothing."""
+    ray = synthesis.ideal_pose(chain, obs.q, obs.tip)[:, 0] - obs.socket
+    length = np.linalg.norm(ray, axis=1)
+    possible = ~(length < SHORTEST_BAR)  # NaN where a reading is no bar's
+    obs, ray, length = obs.take(np.flatnonzero(possible)), ray[possible], length[possible]
+    rows = ~np.isnan(length)
     weights = obs.weights.copy()
-    if rows.any():
-        ray = synthesis.ideal_pose(chain, obs.q[rows], obs.tip[rows])[:, 0] - obs.socket[rows]
-        weights[rows, :3] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    weights[rows, :3] = ray[rows] / length[rows, None]
     return o.Observations(**{**obs.__dict__, "weights": weights, "seconds": 600.0})
 
 

@@ -7,6 +7,7 @@ as the workpiece's datum does. Of a real machine only the standard error of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.identify import Identified
 
 PLACES, SEED = 400, 77  # where a residual is looked at: no test's own places
+JUDGED = 60  # places of the whole covariance at which a compensation is judged: 3 cm apart on a machine of 0.5 m
 PIECE = 500  # places at a time where the whole covariance is needed
 
 Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviation (n, 3) um
@@ -61,15 +63,16 @@ def of_truth(chain: Chain, truth: MachineErrors, found: MachineErrors, tip: np.n
 def without_pose(chain: Chain, field: Field, q: np.ndarray, tip: np.ndarray | None = None) -> Field:
     """A field less the shift and turn of the workpiece that fit it best at q."""
     middle = synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0)
+    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, tip, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
+    return lambda at: field(at) - _pose_columns(chain, at, tip, middle) @ pose
 
-    def columns(at: np.ndarray) -> np.ndarray:
-        arm = (synthesis.ideal_pose(chain, at, tip)[:, 0] - middle) * 1e-3
-        turns = [np.cross(axis, arm) for axis in np.eye(3)]
-        shifts = [np.broadcast_to(axis, arm.shape) for axis in np.eye(3)]
-        return np.stack([*shifts, *turns], axis=2)
 
-    pose, *_ = np.linalg.lstsq(columns(q).reshape(-1, 6), field(q).ravel(), rcond=None)
-    return lambda at: field(at) - columns(at) @ pose
+def _pose_columns(chain: Chain, q: np.ndarray, tip: np.ndarray | None, middle: np.ndarray) -> np.ndarray:
+    """Deviation of the tool point per shift (um) and turn (urad) of the workpiece about `middle`, (n, 3, 6)."""
+    arm = (synthesis.ideal_pose(chain, q, tip)[:, 0] - middle) * 1e-3
+    turns = [np.cross(axis, arm) for axis in np.eye(3)]
+    shifts = [np.broadcast_to(axis, arm.shape) for axis in np.eye(3)]
+    return np.stack([*shifts, *turns], axis=2)
 
 
 def spread(found: Identified, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
@@ -80,6 +83,45 @@ def spread(found: Identified, tip: np.ndarray | None = None) -> Callable[[np.nda
         return np.concatenate([np.linalg.norm(found.predict(p, tip)[1], axis=1) for p in parts])
 
     return size
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What compensation by an identification is expected to do, from its posterior, less the workpiece's pose.
+
+    effect_rms_um: of the identified error; left_rms_um: expected after compensating it; harm: the probability that
+    the machine is worse with it (rms over the travel).
+    """
+
+    effect_rms_um: float
+    left_rms_um: float
+    harm: float
+
+    def document(self) -> dict[str, float]:
+        """As JSON values."""
+        return {"effect_rms_um": self.effect_rms_um, "left_rms_um": self.left_rms_um, "probability_worse": self.harm}
+
+
+def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
+    """Judge a compensation where no reading can sit out.
+
+    With m the identified field and the true one m + e, e ~ N(0, S), compensating leaves |e| instead of |m + e|. It is
+    worse where 2 m.e < -|m|^2, so with probability Phi(-|m|^2 / (2 sqrt(m'S m))).
+    """
+    chain, prior = found.model.chain, found.model.prior
+    q = places(chain, count)
+    jac = synthesis.jacobian(chain, q, tip)[:, :3]
+    rows = (jac[:, :, prior.component] * found.model.functions(q)[:, None, :]).reshape(3 * count, -1)
+    columns = _pose_columns(chain, q, tip, synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0))
+    pose, _ = np.linalg.qr(columns.reshape(-1, 6))
+    rows = rows - pose @ (pose.T @ rows)
+    field = rows @ found.mean
+    power = float(field @ field)
+    along = float(np.sqrt(max(field @ (rows @ (found.covariance @ (rows.T @ field))), 0.0)))
+    left = float(np.einsum("ij,jk,ik->", rows, found.covariance, rows))
+    harm = 0.5 if along == 0.0 else 0.5 * math.erfc(power / (2 * along) / math.sqrt(2.0))
+    harm = 0.0 if along == 0.0 and power > 0.0 else harm
+    return Expected(math.sqrt(power / count), math.sqrt(left / count), harm)
 
 
 def truth_document(chain: Chain, values: Mapping[str, Any], nodes: int = 401) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import VerifyError
-from errpipe.kinematics import observability, synthesis
+from errpipe.kinematics import observability, remaining, synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.identify import Identified
@@ -58,6 +58,7 @@ def document(found: Identified, obs: Observations, *, extra: bool = True) -> dic
         "volumetric": {
             "rms_um": float(np.sqrt(np.mean(np.sum(value**2, axis=1)))),
             "standard_error_um": float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+            **remaining.expected(found).document(),
             "beyond_first_order": synthesis.remainder(chain, q, found.errors().at(q)),
         },
         "rank": seen.rank,
