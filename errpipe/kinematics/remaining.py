@@ -106,12 +106,15 @@ def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDG
     """Judge a compensation where no reading can sit out.
 
     With m the identified field and the true one m + e, e ~ N(0, S), compensating leaves |e| instead of |m + e|. It is
-    worse where 2 m.e < -|m|^2, so with probability Phi(-|m|^2 / (2 sqrt(m'S m))).
+    worse where 2 m.e < -|m|^2, so with probability Phi(-|m|^2 / (2 sqrt(m'S m))). A component that no reading knows of
+    is not compensated and counts neither before nor after.
     """
     chain, prior = found.model.chain, found.model.prior
     q = places(chain, count)
     jac = synthesis.jacobian(chain, q, tip)[:, :3]
     rows = (jac[:, :, prior.component] * found.model.functions(q)[:, None, :]).reshape(3 * count, -1)
+    read = np.isin(prior.component, np.unique(prior.component[found.mean != 0.0]))
+    rows = np.where(read, rows, 0.0)
     columns = _pose_columns(chain, q, tip, synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
     rows = rows - pose @ (pose.T @ rows)
