@@ -39,6 +39,8 @@ VERBS = (
     "compare-targets",
     "correct",
     "measure",
+    "place",
+    "plan-day",
     "retrain",
     "terms",
     "formats",

@@ -16,6 +16,9 @@ from scipy.optimize import brentq
 
 from errpipe.errors import DataError
 
+TINY_RIDGE = 1e-9  # relative: keeps two equal columns from dividing by zero
+ENOUGH = 1.05  # a smaller set within 5 % of the best is as good: held-out figures are that uncertain (taste)
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -78,3 +81,83 @@ def extrapolation(
     weights = np.linalg.lstsq((reading[:, None] / scale) ** powers, error, rcond=None)[0]
     left = new_error - (new_reading[:, None] / scale) ** powers @ weights
     return float(np.sqrt(np.mean(left**2)) / np.ptp(new_error))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Places for so many sensors, chosen on all groups; rms on groups that had no say in it, in the error's unit."""
+
+    places: tuple[int, ...]
+    rms_left_out: float
+    groups: dict[str, float]
+
+
+def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> tuple[float, list[Chosen]]:
+    """Doing nothing's rms, and the best places for 1 to `most` sensors by forward selection.
+
+    readings: (times, places), rises over the start of each duty cycle; error: (times,); group: (times,), the duty
+    cycle, left out one by one. The error is a weighted sum of readings. Places are chosen anew without each group that
+    is left out (nested), so that choosing the best of many does not flatter. Raises DataError below two groups.
+    """
+    labels = np.unique(group)
+    if labels.size < 2:
+        raise DataError(f"placement: sensors are judged on duty cycles left out, two at least (found {labels.size})")
+    most = min(most, readings.shape[1])
+    whole = _forward(readings, error, group, most)
+    squares = [{str(label): 0.0 for label in labels} for _ in range(most)]
+    for label in labels:
+        out = group == label
+        for size, places in enumerate(_forward(readings[~out], error[~out], group[~out], most)):
+            left = error[out] - readings[out][:, places] @ _weights(readings[~out][:, places], error[~out])
+            squares[size][str(label)] = float(np.mean(left**2))
+    rows = {str(label): np.count_nonzero(group == label) for label in labels}
+    chosen = []
+    for places, by in zip(whole, squares, strict=True):
+        rms = float(np.sqrt(sum(by[n] * rows[n] for n in by) / error.size))
+        chosen.append(Chosen(tuple(places), rms, {n: float(np.sqrt(v)) for n, v in by.items()}))
+    return float(np.sqrt(np.mean(error**2))), chosen
+
+
+def _forward(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> list[list[int]]:
+    """Places of each size: at every step the one that leaves least of groups left out (of all rows for one group)."""
+    labels, places = np.unique(group), []
+    out: list[list[int]] = []
+    for _ in range(most):
+        left = {}
+        for k in range(readings.shape[1]):
+            if k not in places:
+                left[k] = _left_out(readings[:, [*places, k]], error, group, labels)
+        places.append(min(left, key=lambda k: left[k]))
+        out.append(list(places))
+    return out
+
+
+def _left_out(columns: np.ndarray, error: np.ndarray, group: np.ndarray, labels: np.ndarray) -> float:
+    if labels.size < 2:
+        return float(np.mean((error - columns @ _weights(columns, error)) ** 2))
+    total = 0.0
+    for label in labels:
+        out = group == label
+        total += float(np.sum((error[out] - columns[out] @ _weights(columns[~out], error[~out])) ** 2))
+    return total
+
+
+def _weights(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
+    square = columns.T @ columns
+    square = square + TINY_RIDGE * max(float(np.trace(square)), 1e-300) / len(square) * np.eye(len(square))
+    return np.linalg.solve(square, columns.T @ error)
+
+
+def by_degree(readings: np.ndarray, error: np.ndarray, group: np.ndarray, degrees: tuple[int, ...] = (1, 2, 3)):
+    """Per place and degree, the rms on groups left out of a polynomial through the origin, (places, degrees).
+
+    Line and parabola at the same place and on the same groups: like beside like.
+    """
+    labels = np.unique(group)
+    out = np.empty((readings.shape[1], len(degrees)))
+    for k in range(readings.shape[1]):
+        size = float(np.abs(readings[:, k]).max()) or 1.0
+        for j, degree in enumerate(degrees):
+            columns = (readings[:, [k]] / size) ** np.arange(1, degree + 1)
+            out[k, j] = np.sqrt(_left_out(columns, error, group, labels) / error.size)
+    return out

@@ -1,7 +1,7 @@
 """Does a thermal model survive the season? Every figure of the seasonal question, on a recording of yours.
 
     python examples/seasons/survey.py RECORDING_FOLDER --component E_D --out out/seasons [table cycles
-        forward daily champions hotter readings sensors hours failures]
+        forward daily champions hotter readings hours failures]
 
 Writes one JSON and one SVG per question into the output folder and prints the table. All of it takes minutes.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, recalibration, sensor_choice, thermal_causes, thermal_season
+from errpipe.fitting import holdout, recalibration, thermal_causes, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.reporting import svg
 from errpipe.validation import champion, learning_curve, seasons
@@ -149,28 +149,6 @@ def readings(recording: Recording, component: str) -> tuple[Any, str]:
     return told, lines(series, "readings per run", "rms in um", "Residual against probe readings")
 
 
-def sensors(recording: Recording, component: str) -> tuple[Any, str]:
-    """Residual against number of sensors: best subset of each size, and the subset that a nested choice takes."""
-    folds = holdout.groups(recording, SEASON)
-    pareto = sensor_choice.pareto(recording, component, folds)
-    nested = {k: sensor_choice.nested(recording, component, folds, k) for k in range(2, len(pareto))}
-    told = {
-        "pareto": [{"sensors": c.sensors, "rms": c.rms, "groups": c.groups} for c in pareto],
-        "nested": {str(k): [{"sensors": c.sensors, "groups": c.groups} for c in v] for k, v in nested.items()},
-        "stability": sensor_choice.stability(recording, component),
-        "redundancy": sensor_choice.redundancy(recording),
-    }
-    for c in pareto:
-        print(f"{len(c.sensors)}  {c.rms:6.2f} um  {', '.join(c.sensors)}")
-    number = [float(len(c.sensors)) for c in pareto]
-    honest = [float(np.sqrt(np.mean([c.rms**2 for c in v]))) for v in nested.values()]
-    series = {
-        "best subset": (number, [c.rms for c in pareto]),
-        "chosen without the judged season": ([float(k) for k in nested], honest),
-    }
-    return told, lines(series, "sensors", "rms in um, season left out", "Residual against number of sensors")
-
-
 def hours(recording: Recording, component: str) -> tuple[Any, str]:
     """Residual of a season left out against hours of data."""
     fit = champion.season(thermal_season.SeasonOptions(correction=False))
@@ -265,7 +243,7 @@ def _recover(recording: Recording, name: str, relation) -> tuple[Recording, floa
     return mended, float(np.mean(waits)) if waits else None
 
 
-ASKED = (table, cycles, forward, daily, champions, hotter, readings, sensors, hours, failures)
+ASKED = (table, cycles, forward, daily, champions, hotter, readings, hours, failures)
 QUESTIONS = {f.__name__: f for f in ASKED}
 
 

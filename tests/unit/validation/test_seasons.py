@@ -12,7 +12,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.thermal_season import SeasonOptions
 from errpipe.models.season import Season
-from errpipe.validation import champion, conformal, learning_curve, seasons
+from errpipe.validation import champion, learning_curve, seasons
 
 COLUMNS = {
     "run": Column(role="run"),
@@ -171,16 +171,6 @@ def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):
     assert all(e["rms"] < e["rms_before"] for e in found)
     with pytest.raises(DataError):
         learning_curve.curve(recording, "E_D", Slope, sizes=(0,))
-
-
-def test_coverage_is_judged_by_other_seasons():
-    rng = np.random.default_rng(2)
-    error = np.r_[rng.normal(0, 1, 4000), rng.normal(0, 1, 4000), rng.normal(0, 3, 4000)]
-    environment = np.repeat(["a", "b", "c"], 4000)
-    told = conformal.cross_coverage(error, np.arange(error.size) // 100, environment)
-    assert told[2]["coverage"] < 0.6 < 0.9 < told[0]["coverage"]
-    assert conformal.cross_coverage(error[:4000], np.zeros(4000), environment[:4000]) == []
-    assert conformal.coverage(np.array([1.0, 3.0]), 2.0, np.array(["x", "y"])) == {"x": 1.0, "y": 0.0}
 
 
 def test_differences_of_rises_compete(recording):

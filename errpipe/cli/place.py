@@ -1,0 +1,42 @@
+"""`errpipe place`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    field: Path = typer.Argument(
+        None, metavar="FIELD.csv", help="Readings at candidate places, with the error.", show_default=False
+    ),
+    error: str = typer.Option("error", "--error", metavar="COLUMN", help="Column of the error."),
+    group: str = typer.Option("duty_cycle", "--group", metavar="COLUMN", help="Column of the duty cycle."),
+    time: str = typer.Option(
+        None, "--time", metavar="COLUMN", help="Column of the time, no place.", show_default=False
+    ),
+    most: int = typer.Option(4, "--most", min=1, max=20, help="Most sensors to place."),
+    bar: float = typer.Option(
+        None, "--bar", min=0.0, metavar="LOSS", help="A simulated heated bar instead of a file.", show_default=False
+    ),
+    json: bool = Json,
+) -> None:
+    """Choose number and places of temperature sensors.
+
+    A sum of readings is fitted to the error and judged on duty cycles left out; doing nothing competes.
+
+    \b
+    Example:
+      errpipe place --bar 1.5
+    """
+    from errpipe.cli.output import print_result, stage_module
+    from errpipe.errors import UsageError
+
+    if (field is None) == (bar is None):
+        raise UsageError("place: give either a file or --bar LOSS")
+    stage = stage_module("place")
+    document, lines = stage.place(field, error, group, time, most) if bar is None else stage.bar(bar, most)
+    print_result("place", document, lines, as_json=json)

@@ -1,0 +1,100 @@
+"""Number and places of temperature sensors, from readings at candidate places with the error beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from errpipe.errors import DataError, did_you_mean
+
+SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing: 2 to 10 % by chance
+BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
+
+
+def place(file: Path, error: str, group: str | None, time: str | None, most: int) -> tuple[dict[str, Any], list[str]]:
+    """The document and its lines of a CSV file: one row a time, a column per candidate place, the error, duty cycles.
+
+    Raises DataError naming the column that is missing or holds no numbers.
+    """
+    import numpy as np
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(file)
+    except (OSError, ValueError) as err:
+        raise DataError(f"{file}: not a CSV table ({err})") from None
+    for name in (error, *(n for n in (group, time) if n)):
+        if name not in frame.columns:
+            raise DataError(f"{file}: no column {name!r}{did_you_mean(name, list(frame.columns))}")
+    said = [n for n in frame.columns if n not in (error, group, time)]
+    names = [n for n in said if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
+    bad = [n for n in (error, *names) if not pd.api.types.is_numeric_dtype(frame[n]) or frame[n].isna().any()]
+    if bad or not names:
+        raise DataError(f"{file}: column {bad[0]!r} holds no numbers" if bad else f"{file}: no candidate place")
+    labels = frame[group].astype(str).to_numpy() if group else np.full(len(frame), "all")
+    return judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
+
+
+def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
+    """The same for the heated spindle of Ni (1997, Fig. 7): a bar with heat at its base, simulated."""
+    import numpy as np
+
+    from errpipe.fitting import placement
+    from errpipe.simulation import spindle_bar
+
+    body, rows, errors, labels = spindle_bar.Bar(loss), [], [], []
+    for k in range(BAR_FLUXES):
+        if k == 0:
+            times, flux = np.linspace(0.0, 0.5, 201)[1:], np.ones(200)
+        else:
+            times, flux = spindle_bar.random_duty(20, 2.5, 0.2, 10, k)
+        theta = body.respond(times, flux)
+        rows.append(theta[:, ::10])
+        errors.append(spindle_bar.growth(theta))
+        labels += [f"duty {k}"] * len(times)
+    names = [f"{x:.2f} L" for x in body.places[::10]]
+    document, lines = judge(names, np.vstack(rows), np.concatenate(errors), np.array(labels), most)
+    free = placement.lag_free_place(loss)
+    document["lag_free_place"] = free
+    return document, [*lines, f"a reading at {free:.3f} L lags as the growth does (the paper finds about 0.35 L)"]
+
+
+def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -> tuple[dict[str, Any], list[str]]:
+    """Rises over the start of each duty cycle, judged on duty cycles left out."""
+    import numpy as np
+
+    from errpipe.fitting import placement
+
+    readings, error = readings.copy(), error.copy()
+    for label in np.unique(labels):
+        rows = np.flatnonzero(labels == label)
+        readings[rows] -= readings[rows[0]]
+        error[rows] -= error[rows[0]]
+    nothing, sets = placement.choose(readings, error, labels, most)
+    degrees = placement.by_degree(readings, error, labels)
+    best = min(s.rms_left_out for s in sets)
+    enough = next(s for s in sets if s.rms_left_out <= best * placement.ENOUGH)
+    gain = np.array([np.mean(error[labels == n] ** 2) - enough.groups[str(n)] ** 2 for n in np.unique(labels)])
+    sure = gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(gain.size)
+    chosen = [names[k] for k in enough.places] if sure else []
+    document: dict[str, Any] = {
+        "place": 1,
+        "duty_cycles": int(np.unique(labels).size),
+        "rms_of_nothing": nothing,
+        "chosen": chosen,
+        "by_number": [
+            {"sensors": [names[k] for k in s.places], "rms_left_out": s.rms_left_out, "duty_cycles": s.groups}
+            for s in sets
+        ],
+        "alone": [
+            {"place": n, "line": row[0], "parabola": row[1], "cubic": row[2]}
+            for n, row in zip(names, degrees.tolist(), strict=True)
+        ],
+    }
+    lines = [f"rms on duty cycles left out; doing nothing {nothing:.4g}"]
+    lines += [f"{len(s.places)} sensors: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})" for s in sets]
+    for j, what in enumerate(("line", "parabola", "cubic")):
+        k = int(np.argmin(degrees[:, j]))
+        lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
+    lines.append(f"choose {len(chosen)}: {', '.join(chosen)}" if chosen else "no sensor is better than doing nothing")
+    return document, lines

@@ -1,0 +1,95 @@
+"""Nothing in errpipe/ stands unreachable: a command, a stage, a registry or what these use names each definition.
+
+By name, on the syntax trees: a definition whose name stands nowhere else in errpipe/ is reached by nothing.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import errpipe
+
+TOP = Path(errpipe.__file__).parent
+
+# Definition -> why it may stay. An entry that is no longer needed fails, too.
+KNOWN = {
+    "ChangesPending": "the exit code of `plan`; raised by name of its code",
+    "lag_tau_derivative": "checked against finite differences beside the kernel it belongs to",
+    "undescribed": "what the contract test of the schemas asks",
+    "straightness_from_angles": "two-level check of a laser record, library only",
+    "refuse_overlap": "hold-out check for own scripts",
+    "from_terms": "a simulated axis from a list of terms, for tests",
+    "thermal_and_geometric": "splits component names, for own scripts",
+    "customary": "the usual plan that examples/next-duty-cycle compares with",
+    "residual_by_readings": "recalibration by a few readings: examples/seasons only, no command yet",
+    "linearity": "examples/placement",
+    "extrapolation": "examples/placement",
+}
+# Modules that no other module of errpipe imports, entry points apart.
+KNOWN_MODULES = {
+    "errpipe.guard.trials": "sensors failed on purpose: tests and examples/sensor-failure",
+    "errpipe.simulation.fmu_worker": "run as a process of its own",
+    "errpipe.validation.learning_curve": "examples/seasons only, no command yet",
+}
+
+
+def unreached(sources: Mapping[str, str], templates: str = "") -> set[str]:
+    """Names of top-level definitions that no other code of these sources names."""
+    words: Counter[str] = Counter(re.findall(r"\w+", templates))
+    defined: set[str] = set()
+    for source in sources.values():
+        tree = ast.parse(source)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name):
+                words[node.id] += 1
+            elif isinstance(node, ast.Attribute):
+                words[node.attr] += 1
+            elif isinstance(node, ast.alias):
+                words[node.name.split(".")[-1]] += 1
+            elif isinstance(node, ast.keyword) and node.arg:
+                words[node.arg] += 1
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and len(node.value) < 200:
+                words.update(re.findall(r"\w+", node.value))
+        defined |= {n.name for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
+    return {name for name in defined if not words[name]}
+
+
+def sources() -> dict[str, str]:
+    """Every module of errpipe by its path."""
+    return {str(p.relative_to(TOP)): p.read_text(encoding="utf-8") for p in sorted(TOP.rglob("*.py"))}
+
+
+def test_every_definition_is_reached() -> None:
+    templates = "\n".join(p.read_text(encoding="utf-8") for p in TOP.rglob("*.j2"))
+    found = unreached(sources(), templates)
+    assert found == set(KNOWN), (
+        f"reached by nothing: {sorted(found - set(KNOWN))}; not needed: {sorted(set(KNOWN) - found)}"
+    )
+
+
+def test_a_definition_that_nothing_names_is_seen() -> None:
+    assert unreached({"a.py": "def used(): pass\ndef lost(): pass\n", "b.py": "from a import used\nused()\n"}) == {
+        "lost"
+    }
+
+
+def test_every_module_is_imported() -> None:
+    imported: set[str] = set()
+    for source in sources().values():
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.ImportFrom):
+                imported |= {(node.module or "").split(".")[-1], *(alias.name for alias in node.names)}
+            elif isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[-1] for alias in node.names}
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                imported.add(node.value.split(".")[-1].replace("-", "_"))  # modules of a registry, loaded by name
+    alone = set()
+    for path in TOP.rglob("*.py"):
+        parts = ("errpipe", *path.relative_to(TOP).with_suffix("").parts)
+        if parts[-1] not in ("__init__", "__main__", *imported) and parts[-2] not in ("cli", "stages"):
+            alone.add(".".join(parts))
+    assert alone == set(KNOWN_MODULES), sorted(alone ^ set(KNOWN_MODULES))

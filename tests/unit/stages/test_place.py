@@ -1,0 +1,80 @@
+"""`errpipe place` and `errpipe plan-day` from the command line, on files of which the answer is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.cli.app import main
+
+
+def field(tmp_path, seed=1, noise=0.2):
+    """Four places and an error of 3 x near - 1 x wall; two places hold other things."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for duty in range(5):
+        near, wall, far, room = (np.cumsum(rng.normal(0, 0.2, 80)) for _ in range(4))
+        error = 3.0 * (near - near[0]) - (wall - wall[0]) + noise * rng.standard_normal(80)
+        rows.append(
+            pd.DataFrame({"duty_cycle": duty, "near": near, "wall": wall, "far": far, "room": room, "error": error})
+        )
+    path = tmp_path / "field.csv"
+    pd.concat(rows).to_csv(path, index=False)
+    return path
+
+
+def asked(capsys, *words):
+    code = main([*words, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_the_places_that_make_the_error_are_chosen(tmp_path, capsys):
+    code, document = asked(capsys, "place", str(field(tmp_path)))
+    assert code == 0
+    assert set(document["result"]["chosen"]) == {"near", "wall"}
+    two = document["result"]["by_number"][1]
+    assert two["rms_left_out"] == pytest.approx(0.2 * np.sqrt(2), rel=0.3)  # noise, and the noise of its first row
+
+
+def test_where_nothing_tells_the_error_nothing_is_chosen(tmp_path, capsys):
+    frame = pd.read_csv(field(tmp_path))
+    frame["error"] = np.random.default_rng(5).standard_normal(len(frame))
+    frame.to_csv(tmp_path / "noise.csv", index=False)
+    _, document = asked(capsys, "place", str(tmp_path / "noise.csv"))
+    assert document["result"]["chosen"] == []
+
+
+def test_a_missing_column_is_named(tmp_path, capsys):
+    code, document = asked(capsys, "place", str(field(tmp_path)), "--error", "eror")
+    assert code == 3 and "no column 'eror'" in json.dumps(document)
+
+
+def test_the_heated_bar_of_the_paper_wants_its_sensor_near_035_of_its_length(capsys):
+    """A line at each place beside a parabola at the same place: the best line is as good as the best parabola."""
+    _, document = asked(capsys, "place", "--bar", "4")
+    alone = {row["place"]: row for row in document["result"]["alone"]}
+    best = min(alone, key=lambda n: alone[n]["line"])
+    assert 0.3 <= float(best.split()[0]) <= 0.45
+    assert alone[best]["line"] < 0.25 * alone["0.95 L"]["line"]
+    assert alone[best]["line"] < 1.2 * min(row["parabola"] for row in alone.values())
+    assert 0.3 < document["result"]["lag_free_place"] < 0.45
+
+
+def test_a_day_is_planned_and_in_the_end_none_is_worth_it(tmp_path, capsys):
+    code, document = asked(capsys, "plan-day", "--speed", "6000", "--hours", "4")
+    day = document["result"]["day"]
+    assert code == 0 and sum(step["minutes"] for step in day) == 240
+    assert document["result"]["uncertainty_after_um"] < 0.2 * document["result"]["uncertainty_before_um"]
+    run = np.repeat(np.arange(3), 240)
+    t = np.tile(np.arange(240) * 60.0, 3)
+    speeds = np.concatenate([np.repeat([s["rpm"] for s in day], [int(s["minutes"]) for s in day])] * 3)
+    pd.DataFrame({"run": run, "t": t, "speed": speeds}).to_csv(tmp_path / "recording.csv", index=False)
+    (tmp_path / "recording.yaml").write_text(
+        "recording: 1\ncolumns:\n  run: {role: run}\n  t: {role: time, unit: s}\n"
+        "  speed: {role: spindle_speed, unit: rpm}\ntables: [recording.csv]\n"
+    )
+    code, document = asked(capsys, "plan-day", str(tmp_path), "--hours", "4", "--noise", "1")
+    assert code == 0 and document["result"]["days_done"] == 3 and not document["result"]["worth_it"]
