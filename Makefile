@@ -77,6 +77,12 @@ trials-thermal: $(SETUP) ## thermal model families on simulated machines, judged
 retrain-demo: $(SETUP) ## a simulated year of nightly retraining
 	@$(BIN)/python examples/retraining/year.py out/retraining --seed $(SEED) $(ARGS)
 
+attack: $(SETUP) ## ten minutes of hostile files and killed processes
+	@$(BIN)/python -m tests.hostile.attack --seconds 600 --kills 1000 --seed $(SEED) $(ARGS)
+
+lock: $(SETUP) ## write requirements.lock: the versions that are installed
+	@$(BIN)/python -m tests.contract.dependencies > requirements.lock
+
 clean: ## remove what was made, and .venv
 	@rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,352 @@
+"""A bounded campaign against every door: mutated files, and processes that are killed at any moment. `make attack`.
+
+    python -m tests.hostile.attack --seconds 600 --kills 1000 --seed 7
+
+Every attempt runs in a process of its own (forked, so it starts in milliseconds) with a limit on memory and time. It
+has to end with a message: exit code 0, 2, 3, 4 or 6. Found is: an internal error, a crash, a time-out, a file outside
+the given folder that is touched, an output that is neither the old one nor the new one after a kill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+TIME_LIMIT = 60  # s of one attempt on a busy machine; none should take two
+MEMORY = 4 << 30  # bytes of address space; Arrow and Numba reserve much that they do not use
+ALLOWED = (0, 2, 3, 4, 6)
+TOKENS = [
+    b"../../precious.txt", b"/etc/passwd", b"\0", b"nan", b"-inf", b"1e400", b"1e30", b"9" * 400, b"-", b"&a", b"*a",
+    b"${HOME}", b"!!python/object:os.system", b"{", b"[" * 60, b"}", b"'", b'"', b"\xff\xfe", b"\n", b"\r", b",", b";",
+    b"G2 I-400", b"G4 P1 X500", b"(", b"%", b"X9999999999", b"P99999999", b"#1", b"0", b"null", b"true",
+]  # fmt: skip
+
+
+@dataclass
+class Door:
+    """A file that somebody hands over: its sound bytes, its place, and the command lines that open it."""
+
+    name: str
+    file: Path
+    lines: list[list[str]]
+    sound: bytes = b""
+    tried: int = 0
+    codes: Counter[int] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self.sound = self.file.read_bytes()
+
+
+def mutated(data: bytes, rng: random.Random) -> bytes:
+    """Some bytes changed, cut, repeated or replaced by what parsers dislike."""
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
+        at = rng.randrange(len(out) + 1)
+        match rng.randrange(7):
+            case 0 if out:
+                out[at % len(out)] = rng.randrange(256)
+            case 1 if out:
+                out[at % len(out)] ^= 1 << rng.randrange(8)
+            case 2:
+                del out[at : at + rng.choice((1, 2, 8, 64, len(out)))]
+            case 3:
+                out[at:at] = rng.choice(TOKENS)
+            case 4:
+                out[at : at + rng.randrange(1, 12)] = rng.choice(TOKENS)
+            case 5:
+                out[at:at] = out[at : at + rng.choice((1, 16, 200))] * rng.choice((1, 2, 50))
+            case _:
+                lines = bytes(out).split(b"\n")
+                rng.shuffle(lines) if len(lines) < 200 and rng.random() < 0.2 else lines.insert(
+                    rng.randrange(len(lines)), rng.choice(lines)
+                )
+                out = bytearray(b"\n".join(lines))
+    return bytes(out[: 1 << 20])
+
+
+def forked(work: Callable[[], int], folder: Path) -> tuple[int | None, str]:
+    """Exit code of `work` in a process of its own (None: killed by a signal, or out of time), and what it said."""
+    said = folder / "said.txt"
+    pid = os.fork()
+    if pid == 0:
+        try:
+            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            signal.alarm(TIME_LIMIT)
+            with (
+                said.open("w") as stream,
+                contextlib.redirect_stderr(stream),
+                contextlib.redirect_stdout(io.StringIO()),
+            ):
+                code = work()
+        except BaseException as err:
+            said.write_text(f"escaped: {type(err).__name__}: {err}")
+            code = 1
+        os._exit(code)
+    _, status = os.waitpid(pid, 0)
+    text = said.read_text(errors="replace") if said.exists() else ""
+    if os.WIFSIGNALED(status):
+        return None, f"signal {signal.Signals(os.WTERMSIG(status)).name}; {text}"
+    return os.waitstatus_to_exitcode(status), text
+
+
+# ---------------------------------------------------------------- the doors
+
+
+def doors(folder: Path) -> list[Door]:
+    """Sound files of every kind in `folder`, each with the commands that read it."""
+    from errpipe.cli.app import main
+    from errpipe.tables import ect
+    from tests.hostile.doors import PIPELINE, recording_folder
+    from tests.hostile.test_tables import parquet_folder
+    from tests.unit.targets import machines
+
+    def command(*words: str | Path) -> list[str]:
+        return [str(word) for word in words]
+
+    rec, par = recording_folder(folder / "rec"), parquet_folder(folder / "par" / "rec", 200)
+    pipeline, second = folder / "p.yaml", folder / "par" / "p.yaml"
+    pipeline.write_text(PIPELINE)
+    second.write_text(PIPELINE)
+    ect_file, twin, program, laser = (folder / name for name in ("t.ect", "t.json", "p.ngc", "laser.rtl"))
+    table = machines.wavy_both_directions()
+    ect.write(table, ect_file)
+    ect.write_json(table, twin)
+    program.write_text(PROGRAM)
+    laser.write_text(LASER)
+    run = command("run", pipeline, "--out", folder / "out")
+    correct = command("correct", program, "--table", ect_file, "--start", "0,0,0", "--out", folder / "o.ngc")
+    at = ["--at", "x=100"]
+    with contextlib.redirect_stdout(io.StringIO()):
+        main(run)
+    found = [
+        Door("table (.ect)", ect_file, [command("eval", ect_file, *at), command("whatis", ect_file)]),
+        Door("table (JSON)", twin, [command("eval", twin, *at)]),
+        Door("manifest", rec / "recording.yaml", [command("check", rec), run]),
+        Door("pipeline", pipeline, [command("check", pipeline), command("plan", pipeline, "--out", folder / "out")]),
+        Door("CSV", rec / "rows.csv", [run]),
+        Door("Parquet", par / "rows.parquet", [command("run", second, "--out", folder / "out2")]),
+        Door("NC program", program, [correct]),
+        Door("lock file", folder / "out" / "errpipe.lock", [run]),
+        Door("laser file", laser, [command("whatis", laser)]),
+    ]
+    with contextlib.redirect_stdout(io.StringIO()):  # all of it once in this process: the forked ones need not import
+        for door in found:
+            for line in door.lines:
+                code = main(line)
+                assert code == 0, (line, code)
+    found.append(Door("FMU archive", _archive(folder), []))
+    return found
+
+
+def _archive(folder: Path) -> Path:
+    """A zip of three files, unpacked by what unpacks FMUs."""
+    import zipfile
+
+    path = folder / "m.fmu"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("modelDescription.xml", "resources/a.txt", "binaries/linux64/m.so"):
+            archive.writestr(name, name * 20)
+    return path
+
+
+def _unpack(door: Door, folder: Path) -> int:
+    """Exit code 3 where the archive is refused, as the FMU's process reports it."""
+    from errpipe.simulation import fmu_worker
+
+    target = folder / "unpacked"
+    shutil.rmtree(target, ignore_errors=True)
+    try:
+        fmu_worker.unpack(str(door.file), str(target), 16)
+    except MemoryError:
+        raise
+    except Exception:  # whatever the zip library raises becomes a message of the process
+        return 3
+    return 0
+
+
+LASER = """HEADER::
+File type: rtl
+USER-TEXT::
+Axis: X
+TARGET DATA::
+Target-count: 3
+Targets:
+0 50 100
+DEVIATIONS::
+1 1 0.1
+1 2 0.4
+1 3 1.0
+EOF::
+"""
+PROGRAM = """%
+N5 G17 G21 G90 G54 G94
+N30 G0 X0 Y0 Z20
+N40 G1 Z-2 F200
+N50 G1 X80 Y10 F800 (first cut)
+N60 G3 X80 Y50 I0 J20
+N70 G2 X60 Y70 R20
+G91 G1 X-10 Y-5 ; was (LOGOPEN,f)
+X-10
+G90 G4 P1
+G17 G20 G1 X2 Y1 F30
+G21 X10 Y10
+M2
+%
+"""
+
+
+def _sealed(data: bytes) -> bytes:
+    """A binary table with the length and check sum that it should have, so that the rest of it is looked at."""
+    import struct
+    import zlib
+
+    from errpipe.tables import layout
+
+    if len(data) < layout.HEADER_SIZE:
+        return data
+    out = bytearray(data)
+    struct.pack_into("<I", out, 16, len(out))
+    struct.pack_into("<I", out, 20, zlib.crc32(bytes(out[layout.CRC_FROM :])))
+    return bytes(out)
+
+
+def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door], list[str]]:
+    """Mutate one file after the other until time is up; the doors with what they answered, and what was found."""
+    from errpipe.cli.app import main
+
+    precious = folder.parent / "precious.txt"
+    precious.write_text("precious")
+    opened, found = doors(folder), []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        door = rng.choice(opened)
+        data = mutated(door.sound, rng)
+        if door.name == "table (.ect)" and rng.random() < 0.8:
+            data = _sealed(data)
+        door.file.write_bytes(data)
+        line = rng.choice(door.lines) if door.lines else ["unpack"]
+        work = partial(main, line) if door.lines else partial(_unpack, door, folder)
+        code, said = forked(work, folder.parent)
+        door.file.write_bytes(door.sound)
+        door.tried += 1
+        door.codes[-1 if code is None else code] += 1
+        if code not in ALLOWED or "internal error" in said:
+            kept = folder.parent / f"found-{len(found)}-{door.file.name}"
+            kept.write_bytes(data)
+            found.append(f"{door.name}: {' '.join(line[:1])} gave {code}: {said.strip()[:300]} (kept as {kept.name})")
+        if precious.read_text() != "precious":
+            found.append(f"{door.name}: a file outside was written")
+            precious.write_text("precious")
+    return opened, found
+
+
+# ---------------------------------------------------------------- kills
+
+
+def tree(out: Path) -> dict[str, str]:
+    """Name -> SHA-256 of all published files; what is unfinished (.errpipe, .tmp) does not count."""
+    return {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and ".errpipe" not in path.parts and not path.name.endswith(".tmp")
+    }
+
+
+def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int, list[str]]:
+    """Kill runs at any moment while the data change to and fro; every file must be whole, the next run mends all."""
+    from errpipe.cli.app import main
+    from tests.hostile.doors import PIPELINE, recording_folder
+
+    (folder / "p.yaml").parent.mkdir(parents=True, exist_ok=True)
+    (folder / "p.yaml").write_text(PIPELINE)
+    out, line = folder / "out", ["run", str(folder / "p.yaml"), "--out", str(folder / "out")]
+
+    def data(version: int) -> None:
+        recording_folder(folder / "rec", rows=2000 + version)
+
+    whole, took = [], 0.2
+    for version in (0, 1):
+        data(version)
+        began = time.monotonic()
+        forked(lambda: main(line), folder)
+        took = time.monotonic() - began
+        whole.append(tree(out))
+    known = {(name, digest) for versions in whole for name, digest in versions.items()}
+    found, done = [], 0
+    while done < count and time.monotonic() < end:
+        version = rng.randrange(2)
+        data(version)
+        pid = os.fork()
+        if pid == 0:
+            with open(os.devnull, "w") as null, contextlib.redirect_stderr(null), contextlib.redirect_stdout(null):
+                os._exit(main(line))
+        time.sleep(rng.uniform(0, 1.2 * took))
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        done += 1
+        torn = [name for name, digest in tree(out).items() if (name, digest) not in known and name != "errpipe.lock"]
+        found += [f"kill {done}: {name} is neither old nor new" for name in torn]
+        with contextlib.suppress(FileNotFoundError):
+            json.loads((out / "errpipe.lock").read_text())
+        if done % 20 == 0 or done == count:
+            code, said = forked(lambda: main(line), folder)
+            if code != 0 or tree(out) != whole[version]:
+                found.append(f"kill {done}: the next run gave {code} or other bytes: {said.strip()[:200]}")
+    return done, found
+
+
+# ---------------------------------------------------------------- the report
+
+
+def report(opened: list[Door], killed: int, found: list[str]) -> Iterator[str]:
+    """What was tried and what was found, as a table and lines."""
+    yield f"{'door':<14} {'tried':>7}  exit codes"
+    for door in opened:
+        codes = ", ".join(f"{code}: {n}" for code, n in sorted(door.codes.items()))
+        yield f"{door.name:<14} {door.tried:>7}  {codes}"
+    yield f"{'SIGKILL':<14} {killed:>7}"
+    yield f"found: {len(found)}"
+    yield from found
+
+
+def main_() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--kills", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--keep", type=Path, default=None, help="folder for the files that broke something")
+    given = parser.parse_args()
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="errpipe-attack-") as name:
+        top = Path(name)
+        (top / "doors").mkdir()
+        opened, found = attack(top / "doors", 0.5 * given.seconds, random.Random(given.seed))
+        killed, torn = kills(top / "kills", given.kills, random.Random(given.seed), began + given.seconds)
+        if given.keep is not None:
+            given.keep.mkdir(parents=True, exist_ok=True)
+            for path in top.glob("found-*"):
+                shutil.copy(path, given.keep)
+    found += torn
+    print(f"seed {given.seed}, {time.monotonic() - began:.0f} s")
+    print("\n".join(report(opened, killed, found)))
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main_())

@@ -1,0 +1,39 @@
+"""The campaign of `make attack`, short: it finds nothing, and it would find what is planted."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from tests.hostile import attack
+
+
+@pytest.mark.slow
+def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
+    (tmp_path / "doors").mkdir()
+    opened, found = attack.attack(tmp_path / "doors", 15.0, random.Random(11))
+    assert found == []
+    assert sum(door.tried for door in opened) >= 20
+
+
+@pytest.mark.slow
+def test_a_short_kill_campaign_finds_nothing(tmp_path: Path) -> None:
+    import time
+
+    killed, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 60)
+    assert found == [] and killed >= 5
+
+
+def test_what_is_planted_is_found(tmp_path: Path) -> None:
+    """An internal error, a crash and an endless wait are told from a refusal."""
+    import os
+    import signal
+
+    def fails() -> int:
+        raise KeyError("T_nut")
+
+    assert attack.forked(fails, tmp_path)[0] == 1
+    assert attack.forked(lambda: os.kill(os.getpid(), signal.SIGSEGV) or 0, tmp_path)[0] is None
+    assert attack.forked(lambda: 3, tmp_path)[0] == 3
