@@ -217,6 +217,9 @@ def _wrong_cells(data: bytes, line: int, names: list[str], kinds: Kinds, label: 
         except UnicodeDecodeError as err:
             yield f"{label}:{number}  not UTF-8 text: byte {raw[err.start]:#04x} at {err.start + 1}"
             continue
+        if "\r" in text:
+            yield f"{label}:{number}  a carriage return inside the line (allowed: lines that end in a line feed)"
+            continue
         cells = next(csv.reader(io.StringIO(text)), [])
         if len(cells) != len(names):
             yield f"{label}:{number}  {len(cells)} cells where the header has {len(names)}{_comma_hint(cells, names)}"

@@ -25,7 +25,7 @@ def csv_by_name(recording: Recording, file: Path) -> FromCsv:
     try:
         with file.open(newline="", encoding="utf-8-sig") as stream:
             header = [name.strip() for name in next(csv.reader(stream), [])]
-    except (OSError, UnicodeDecodeError) as err:
+    except (OSError, UnicodeDecodeError, csv.Error) as err:
         raise DataError(f"{file.name}: not a CSV table: {type(err).__name__}") from None
     clock = next((n for n in (recording.name("time"), "t", "time") if n in header), None)
     if clock is None:

@@ -72,6 +72,15 @@ def test_ten_thousand_columns_are_refused(tmp_path: Path) -> None:
         manifest_folder.read(folder)
 
 
+def test_a_carriage_return_inside_a_line_is_refused_with_its_line(tmp_path: Path) -> None:
+    folder = recording_folder(tmp_path / "rec")
+    lines = (folder / "rows.csv").read_text().split("\n")
+    lines[4] = lines[4].replace(",", "\r,", 1)
+    (folder / "rows.csv").write_text("\n".join(lines), newline="")
+    with pytest.raises(DataError, match=r"rows\.csv:5  a carriage return"):
+        manifest_folder.read(folder)
+
+
 @pytest.mark.slow
 def test_a_line_of_300_mb_is_refused_in_little_memory(tmp_path: Path) -> None:
     folder = recording_folder(tmp_path / "rec")
