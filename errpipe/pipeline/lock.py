@@ -198,11 +198,15 @@ def scratch(out: Path) -> Path:
 def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
     """Hold OUT for this process; `waiting` is called once where another one holds it. The kernel lets go
     of the lock however the process ends."""
-    import fcntl
-
     scratch(out).mkdir(parents=True, exist_ok=True)
     if scratch(out).is_symlink():
         raise VerifyError(f"{scratch(out)}: is a link (errpipe removes unfinished work there)")
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        with _alone_without_flock(scratch(out) / "busy", waiting):
+            yield
+        return
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     with os.fdopen(os.open(scratch(out) / "busy", flags, 0o644), "rb") as stream:
         try:
@@ -211,3 +215,20 @@ def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
             waiting()
             fcntl.flock(stream, fcntl.LOCK_EX)
         yield
+
+
+@contextmanager
+def _alone_without_flock(path: Path, waiting: Any) -> Iterator[None]:
+    """The same where the system has no flock, by a lock of the file's own system."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        waiting()
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()

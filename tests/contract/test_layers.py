@@ -20,6 +20,7 @@ TOP = Path(errpipe.__file__).parent
 LAYERS = (
     ("__main__",),
     ("cli",),
+    ("api",),
     ("stages",),
     ("pipeline",),
     ("formats", "importing", "cleaning", "validation", "diagnosis", "reporting", "targets", "simulation", "ncprogram"),
