@@ -190,7 +190,8 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
             odds = group[0].log_prior_odds() + float(shared)
             for values in points:
-                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds)
+                size = sum(search_of(p).log_prior(v, p) for p, v in zip(group[0].nonlinear(), values, strict=True))
+                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds + size)
 
 
 def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:

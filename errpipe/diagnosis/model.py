@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from errpipe.diagnosis import units
 from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.diagnosis.judge import Case
@@ -55,7 +56,15 @@ def modelled(case: Case, k: int) -> Modelled:
     for name, unit, value, low, high in spans:
         estimates.append(Estimate(name, value, unit, low, high))
     share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
+    rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
+    estimates = [_reported(e, case.pair.unit, rotary) for e in estimates]
     return Modelled(hypothesis, tuple(estimates), contribution, share)
+
+
+def _reported(e: Estimate, response: str, rotary: bool) -> Estimate:
+    """The estimate in the units of response and axis."""
+    unit, factor = units.reported(e.unit, response, rotary)
+    return Estimate(e.name, e.value * factor, unit, e.low * factor, e.high * factor)
 
 
 def core_share(case: Case, k: int) -> float:
@@ -159,13 +168,14 @@ def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
             spans.append((p.name, p.unit, 0.0, 0.0, 0.0))
             continue
         search = search_of(p)
-        steps = search.neighbours(value)
-        steps = steps[(steps >= p.bounds[0]) & (steps <= p.bounds[1])]
+        steps = search.neighbours(value, best.terms[0], case.recording)
+        if search.bounded:
+            steps = steps[(steps >= p.bounds[0]) & (steps <= p.bounds[1])]
         tried = [(_gain(case, scene, _at(best, j, float(v))), float(v)) for v in [value, *steps]]
         top, where = max(tried)
         best = _at(best, j, where)
         inside = [v for g, v in tried if g > top - DROP]
-        spans.append((p.name, p.unit, where, *search.widened(min(inside), max(inside))))
+        spans.append((p.name, p.unit, where, *search.widened(min(inside), max(inside), best.terms[0], case.recording)))
     return best, spans
 
 

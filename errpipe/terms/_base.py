@@ -24,21 +24,26 @@ from errpipe.drivers.lowered import Lowered
 class Search(Protocol):
     """How a non-linear parameter is searched; the kinds of search are in `_search.py`."""
 
+    bounded: ClassVar[bool]
+
     def values(self, term: Any, name: str, recording: Recording, signals: Any) -> tuple[float, ...]:
         """Values to try before any fit."""
 
-    def neighbours(self, value: float) -> np.ndarray:
+    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         """Values near the best one."""
 
-    def widened(self, low: float, high: float) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         """Ends of the interval that neighbours from low to high stand for."""
+
+    def log_prior(self, value: float, parameter: Parameter) -> float:
+        """Log prior density of a value relative to typical ones."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of a term. typical: sizes seen on machines; bounds: what physics allows.
 
-    search: how a non-linear parameter is searched; none: over its typical range.
+    search: how a non-linear parameter is searched; none: by its unit (see `_search.search_of`).
     at_largest: of the diagnosis' contribution the value at its largest row is reported, whatever shape it has.
     """
 

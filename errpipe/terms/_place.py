@@ -30,6 +30,19 @@ def is_radial(component: str) -> bool:
     return component == "E_R"
 
 
+def linear_axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
+    """As `axes_acting`, linear axes only: a rotary one has no metres that a screw or scale could grow by."""
+    return tuple(axis for axis in axes_acting(recording, component) if axis in axes(recording))
+
+
+def driven_axes(recording: Recording, component: str) -> tuple[str, ...]:
+    """Axes that a drive force (F_X) belongs to: its own where that is recorded, else every one that is."""
+    present = axes(recording) + axes(recording, "rotary")
+    if not component.startswith("F_"):
+        return ()
+    return (component[2:],) if component[2:] in present else present
+
+
 def axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
     """Axes whose own deviation along themselves shows in a component: X in EXX and E_X, all of the circle in E_R."""
     present = axes(recording) + axes(recording, "rotary")

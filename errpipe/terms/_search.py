@@ -1,22 +1,29 @@
 """How a non-linear parameter is searched: the values tried before any fit, and how the best of them is refined.
 
 A parameter states its search, or is searched by its unit (`search_of`): a new term with a time constant in s needs no
-more than its typical range. A search gives the values to try for a term on a recording, the neighbours of the best
-one, and the interval that a set of neighbours stands for.
+more than its typical range. Ranges come from what the recording resolves (sampling step and length in time, travel and
+step between places, speed); typical sizes are a prior whose width is TYPICAL_WIDTH, never a limit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
+from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter, Search, Term
 
 STEPS = 9  # points of a refinement, the best one in their middle
-PER_DECADE = 5  # values tried per decade of a scale; neighbours then overlap within a factor of 1.6
+RATIO = 1.6  # from value to value of a scale within its typical range; neighbours overlap within half of that
+COARSE_RATIO = 2.5  # and outside of it
+TYPICAL_WIDTH = 5.0  # factor beyond the typical range that counts as one standard deviation
+CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
+FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are a bow, not a wave
+STRONGEST = 12  # waves kept of each signal
 
 
 @dataclass(frozen=True)
@@ -27,45 +34,128 @@ class Signals:
     values: tuple[np.ndarray, ...] = ()
 
 
+def resolved_times(recording: Recording) -> tuple[float, float]:
+    """Sampling step and duration of the longest session in s; (1, 1) where time stands still."""
+    t, session = recording.time(), sessions(recording)
+    step = np.diff(t)[np.diff(session) == 0]
+    step = step[step > 0]
+    if not step.size:
+        return 1.0, 1.0
+    lasting = max(float(np.ptp(t[session == s])) for s in np.unique(session))
+    return float(np.median(step)), max(lasting, float(np.median(step)))
+
+
+def resolved_lengths(recording: Recording, axis: str) -> tuple[float, float]:
+    """Usual move from row to row of an axis and the range of its positions, in mm (deg)."""
+    x = position(recording, axis)
+    moves = np.abs(np.diff(x))
+    span = float(np.nanmax(x) - np.nanmin(x)) or 1.0
+    moves = moves[moves > 1e-6 * span]
+    return float(np.median(moves)) if moves.size else span, span
+
+
 @dataclass(frozen=True)
 class Listed:
-    """Values listed by the term; refined by factors of up to exp(reach)."""
+    """Values listed by the term, of a parameter without a scale (a power); refined by factors of up to exp(reach)."""
 
     listed: tuple[float, ...] = ()
     reach: float = 0.6
+    bounded: ClassVar[bool] = True  # False: the recording sets the limits, not the parameter's bounds
 
     def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         return self.listed
 
-    def neighbours(self, value: float) -> np.ndarray:
+    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
         """Values near the best one."""
         return value * np.exp(self.reach * np.linspace(-1.0, 1.0, STEPS))
 
-    def widened(self, low: float, high: float) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
         """Ends of an interval, half-way to the next neighbours."""
         half = np.exp(self.reach / (STEPS - 1))
         return low / half, high * half
 
+    def log_prior(self, value: float, parameter: Parameter) -> float:
+        """Log prior density of a value relative to typical ones."""
+        return 0.0
+
 
 @dataclass(frozen=True)
 class Scale(Listed):
-    """A scale of unknown size: values spread evenly over the logarithm of the parameter's typical range."""
+    """A scale of unknown size: its typical range as far as the recording resolves it, and coarser all else it does."""
+
+    bounded: ClassVar[bool] = False
+
+    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest value that the recording resolves."""
+        return 0.0, np.inf
 
     def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
-        low, high = next(p for p in term.nonlinear() if p.name == name).typical
-        if low <= 0:
-            return tuple(np.linspace(low, high, PER_DECADE))
-        count = max(int(np.ceil(PER_DECADE * np.log10(high / low))) + 1, 2)
-        return tuple(np.geomspace(low, high, count))
+        typical = next(p for p in term.nonlinear() if p.name == name).typical
+        low, high = self.limits(term, recording)
+        if not 0 < low < high < np.inf:
+            return geometric(*typical, RATIO)
+        inner = max(low, typical[0] / 1.5), min(high, typical[1] * 1.5)
+        if inner[0] >= inner[1]:
+            return geometric(low, high, COARSE_RATIO)
+        below = geometric(low, inner[0], COARSE_RATIO)[:-1]
+        above = geometric(inner[1], high, COARSE_RATIO)[1:]
+        return (*below, *geometric(*inner, RATIO), *above)
+
+    def log_prior(self, value: float, parameter: Parameter) -> float:
+        """Half a normal distribution of the logarithm on either side of the typical range."""
+        low, high = parameter.typical
+        if value <= 0 or low <= 0:
+            return 0.0
+        beyond = max(np.log(low / value), np.log(value / high), 0.0) / np.log(TYPICAL_WIDTH)
+        return -0.5 * float(beyond) ** 2
+
+
+@dataclass(frozen=True)
+class Times(Scale):
+    """A time constant: from the sampling step to one and a half times the longest session."""
+
+    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest value that the recording resolves."""
+        step, lasting = resolved_times(recording)
+        return step, 1.5 * lasting
+
+
+@dataclass(frozen=True)
+class Lengths(Scale):
+    """A length along the term's axis: from the usual move between rows to a third of the positions covered.
+
+    Where a side of approach is recorded but not the approach, from a fortieth of the term's `overrun`.
+    """
+
+    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest value that the recording resolves."""
+        step, span = resolved_lengths(recording, term.axis)
+        overrun = getattr(term, "overrun", 0.0)
+        return (overrun / 40 if overrun else min(step, 1e-2 * span)), span / 3
+
+
+@dataclass(frozen=True)
+class Speeds(Listed):
+    """A speed, as shares of the highest speed of the term's column."""
+
+    bounded: ClassVar[bool] = False
+
+    shares: tuple[float, ...] = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
+
+    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+        """Values to try."""
+        fastest = float(np.nanquantile(np.abs(recording.array(term.column)), 0.999))
+        return tuple(fastest * s for s in self.shares)
 
 
 @dataclass(frozen=True)
 class Waves(Listed):
-    """Length of a wave along the term's axis: the strongest waves of the signals, from mm to the travel."""
+    """Length of a wave along the term's axis: the strongest waves of the signals, refined within a quarter turn."""
 
-    reach: float = 0.02
+    bounded: ClassVar[bool] = False
+
     least_places: int = 0  # fewer different positions show no wave of unknown length
 
     def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
@@ -75,36 +165,53 @@ class Waves(Listed):
             return ()
         return periods(x[signals.rows], signals.values)
 
+    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
+        """Values near the best one."""
+        _, span = resolved_lengths(recording, term.axis)
+        return 1.0 / np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), 1e-12 / span)
+
+    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
+        """Ends of an interval, half-way to the next neighbours."""
+        _, span = resolved_lengths(recording, term.axis)
+        half = 0.25 / span / (4 * STEPS - 1)
+        return 1.0 / (1.0 / low + half), 1.0 / max(1.0 / high - half, 1e-12 / span)
+
 
 @dataclass(frozen=True)
 class Places(Listed):
-    """A place along the term's axis; refined by shifts of up to `shift` mm."""
+    """A place along the term's axis, one in 25 of the positions covered; refined between its neighbours."""
 
-    shift: float = 40.0
+    bounded: ClassVar[bool] = False
+
+    count: int = 25
 
     def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         x = position(recording, term.axis)
-        return tuple(np.linspace(np.nanmin(x), np.nanmax(x), 25)[1:-1])
+        return tuple(np.linspace(np.nanmin(x), np.nanmax(x), self.count)[1:-1])
 
-    def neighbours(self, value: float) -> np.ndarray:
+    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
         """Values near the best one."""
-        return value + self.shift * np.linspace(-1.0, 1.0, STEPS)
+        return value + resolved_lengths(recording, term.axis)[1] / (self.count - 1) * np.linspace(-1.0, 1.0, STEPS)
 
-    def widened(self, low: float, high: float) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
         """Ends of an interval, half-way to the next neighbours."""
-        return low - self.shift / (STEPS - 1), high + self.shift / (STEPS - 1)
+        half = resolved_lengths(recording, term.axis)[1] / (self.count - 1) / (STEPS - 1)
+        return low - half, high + half
 
 
 @dataclass(frozen=True)
 class Widths(Listed):
-    """Length of a stretch, as shares of the positions that the recording covers, of 1 m at most."""
+    """Length of a stretch, as shares of the positions that the recording covers."""
+
+    bounded: ClassVar[bool] = False
+
+    shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08)
 
     def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
-        x = position(recording, term.axis)
-        span = min(float(np.nanmax(x) - np.nanmin(x)), 1000.0)
-        return tuple(span * f for f in (0.02, 0.035, 0.055, 0.08))
+        _, span = resolved_lengths(recording, term.axis)
+        return tuple(span * s for s in self.shares)
 
 
 @dataclass(frozen=True)
@@ -118,44 +225,59 @@ class Shifts(Listed):
         half = np.geomspace(max(term.shortest, 5.0), min(term.longest, 900.0), 14)
         return tuple(np.r_[-half[::-1], half])
 
-    def neighbours(self, value: float) -> np.ndarray:
+    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
         """None: the grid is as fine as the noise allows."""
         return np.array([value])
 
-    def widened(self, low: float, high: float) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
         """A fifth to either side."""
         return (low * 0.8, high * 1.25) if low > 0 else (low * 1.25, high * 0.8)
 
 
+BY_UNIT: dict[str, Search] = {"s": Times(), "mm": Lengths(), "mm/s": Speeds()}
+
+
 def search_of(parameter: Parameter) -> Search:
-    """How a parameter is searched: as it states, else as a scale over its typical range."""
-    return parameter.search or Scale()
+    """How a parameter is searched: as it states, else by its unit."""
+    return parameter.search or BY_UNIT.get(parameter.unit, Scale())
 
 
-def periods(
-    at: np.ndarray, signals: tuple[np.ndarray, ...], shortest: float = 0.6, longest: float = 60.0, most: int = 24
-) -> tuple[float, ...]:
-    """Lengths of the strongest waves of each signal along `at`, with neighbours a quarter of a turn apart."""
-    span = float(at.max() - at.min())
+def geometric(low: float, high: float, ratio: float) -> tuple[float, ...]:
+    """Values from low to high, both included, even in the logarithm, at most `ratio` from one to the next."""
+    if low <= 0:
+        return tuple(np.linspace(low, high, STEPS // 2))
+    return tuple(np.geomspace(low, high, max(int(np.ceil(np.log(high / low) / np.log(ratio))), 1) + 1))
+
+
+def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
+    """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart.
+
+    From twice the step between places to the positions covered over FEWEST_TURNS. Periodogram of the means of narrow
+    cells, padded fourfold; slow shapes (a cubic) are taken away first.
+    """
+    places = np.unique(at)
+    span = float(places[-1] - places[0]) if places.size > 1 else 0.0
     if span <= 0:
         return ()
-    step = shortest / 4
-    cell = ((at - at.min()) / step).astype(int)
-    count = int(2 ** np.ceil(np.log2(cell.max() + 1))) * 4
-    rows_in = np.bincount(cell, minlength=count)
-    inside, place = rows_in > 0, np.arange(count)
+    cells = int(np.clip(8 * places.size, 64, CELLS))
+    step = span / (cells - 1)
+    shortest = max(2.0 * span / (places.size - 1), 4.0 * step)
+    cell = np.minimum(((at - places[0]) / step).astype(int), cells - 1)
+    rows_in = np.bincount(cell, minlength=cells)
+    inside, place = rows_in > 0, np.linspace(-1.0, 1.0, cells)
+    count = 4 * int(2 ** np.ceil(np.log2(cells)))
+    frequency = np.fft.rfftfreq(count, step)
+    allowed = (frequency >= FEWEST_TURNS / span) & (frequency <= 1 / shortest)
     strongest: set[float] = set()
     for signal in signals:
-        total = np.bincount(cell, weights=signal - signal.mean(), minlength=count)
+        total = np.bincount(cell, weights=signal - signal.mean(), minlength=cells)
         mean = np.where(inside, total / np.maximum(rows_in, 1), 0.0)
-        # slow shapes are not waves: a cubic is taken away before the transform
-        mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3), place[inside])
-        power = np.abs(np.fft.rfft(mean * np.sqrt(rows_in)))
-        frequency = np.fft.rfftfreq(count, step)
-        allowed = (frequency >= max(1 / longest, 2.5 / span)) & (frequency <= 1 / shortest)
-        power = np.where(allowed, power, 0.0)
+        weight = np.sqrt(rows_in)
+        if inside.sum() > 4:
+            mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3, w=weight[inside]), place[inside])
+        power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
         peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
-        for k in peaks[np.argsort(-power[peaks], kind="stable")][: most // 2]:
+        for k in peaks[np.argsort(-power[peaks], kind="stable")][:STRONGEST]:
             for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
-                strongest.add(float(1.0 / max(frequency[k] + shift / span, 1e-6)))
+                strongest.add(float(1.0 / max(frequency[k] + shift / span, 0.5 / span)))
     return tuple(sorted(strongest))

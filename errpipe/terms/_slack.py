@@ -48,6 +48,14 @@ def uneven_waves(waves: np.ndarray, x: np.ndarray) -> Slack:
         yield wave * polynomials[:, 2], 0.15
 
 
+def higher_harmonics(x: np.ndarray, period: float) -> Slack:
+    """Multiples of a wave along x: a wave that is no sine is one finding."""
+    for k in (2, 3, 4):
+        angle = 2 * np.pi * k / period * x
+        yield np.sin(angle), 0.4
+        yield np.cos(angle), 0.4
+
+
 def difference_of_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:
     """A column less another, both at unit size: it changes the shape and leaves the size to the other."""
     return column / max(float(np.std(column)), 1e-12) - base / max(float(np.std(base)), 1e-12)

@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
@@ -52,7 +52,7 @@ class AirRefraction(Term):
         airs: list[str | None] = [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]
         columns = recording.manifest.columns
         pressures: list[str | None] = [n for n in recording.names("pressure") if not columns[n].location]
-        for axis in () if is_radial(component) else axes_acting(recording, component):
+        for axis in () if is_radial(component) else linear_axes_acting(recording, component):
             for sensor in airs or [None]:
                 for pressure in pressures or [None]:
                     if sensor or pressure:

@@ -15,7 +15,6 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
 
@@ -45,11 +44,7 @@ class CoolantEffect(Term):
         return (Parameter("shift", "um", (2.0, 20.0), (-200.0, 200.0), "shift while it flows"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant", search=Listed((20, 80, 200, 500, 1200))
-            ),
-        )
+        return (Parameter("tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return tuple(n for n in (self.flow, self.sensor, self.other) if n)

@@ -11,7 +11,8 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._search import Listed
+from errpipe.terms._place import driven_axes
+from errpipe.terms._search import Speeds
 
 
 class CoulombFriction(Term):
@@ -43,7 +44,7 @@ class CoulombFriction(Term):
                 (0.0, 1.0),
                 (0.0, 10.0),
                 "speed within which the force turns round",
-                search=Listed((0.0, 0.3, 1.0, 3.0)),
+                search=Speeds(shares=(0.0, 0.003, 0.01, 0.03)),
             ),
         )
 
@@ -52,9 +53,9 @@ class CoulombFriction(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[CoulombFriction]:
-        if component.startswith("F_"):
-            for column in recording.names("velocity", axis=component[2:]):
-                yield cls(axis=component[2:], column=column)
+        for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
+            for column in recording.names("velocity", axis=axis):
+                yield cls(axis=axis, column=column)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)

@@ -15,8 +15,7 @@ from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Listed
+from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, start_states
 
 
@@ -45,16 +44,7 @@ class FeedHeating(Term):
         return (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "tau",
-                "s",
-                (1000.0, 6000.0),
-                (100.0, 40000.0),
-                "time constant",
-                search=Listed((500, 900, 1500, 2500, 4000, 6500, 10000)),
-            ),
-        )
+        return (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (position_name(recording, self.axis), self.column, recording.name("feed", axis=self.axis))
@@ -64,7 +54,7 @@ class FeedHeating(Term):
     def bind(cls, recording: Recording, component: str) -> Iterator[FeedHeating]:
         if is_radial(component) or component.startswith("E_"):
             return  # a slow walk over the work space does not warm a screw
-        for axis in axes_acting(recording, component):
+        for axis in linear_axes_acting(recording, component):
             known = recording.manifest.axis(axis)
             end = known.drive_end if known is not None and known.drive_end is not None else 0.0
             yield cls(axis=axis, column=recording.name("velocity", axis=axis), fixed_end=end)

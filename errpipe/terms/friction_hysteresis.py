@@ -12,17 +12,17 @@ from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, position, position_name, share
+from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import approach_overrun
 from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, bent
 
-OVERRUN = 0.4  # mm; how far past a target machines run to approach it from the other side (from taste, 0.1..1)
+OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (from taste, 0.1..1),
+LARGEST_OVERRUN = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
 
 
 class FrictionHysteresis(Term):
@@ -52,16 +52,7 @@ class FrictionHysteresis(Term):
         return (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "length",
-                "mm",
-                (0.02, 0.5),
-                (0.003, 10.0),
-                "travel over which it builds up",
-                search=Listed((0.01, 0.03, 0.08, 0.2, 0.5, 1.5, 5.0)),
-            ),
-        )
+        return (Parameter("length", "mm", (0.02, 0.5), (0.003, 10.0), "travel over which it builds up"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (direction_column(recording, self.axis), position_name(recording, self.axis))
@@ -71,11 +62,18 @@ class FrictionHysteresis(Term):
         for axis in axes_acting(recording, component):
             if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
                 sided = bool(recording.names("direction", axis=axis)) and not is_radial(component)
-                yield cls(axis=axis, radial=is_radial(component), overrun=OVERRUN if sided else 0.0)
+                yield cls(
+                    axis=axis, radial=is_radial(component), overrun=cls._overrun(recording, axis) if sided else 0.0
+                )
 
     @classmethod
     def example(cls) -> Example:
         return worked(cls(axis="X"))  # all travel is recorded, as a controller sees it
+
+    @staticmethod
+    def _overrun(recording: Recording, axis: str) -> float:
+        low, high = travel(recording, axis)
+        return min(OVERRUN, LARGEST_OVERRUN * (high - low))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         if self.overrun:

@@ -44,7 +44,7 @@ class LocalWear(Term):
         return (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump", at_largest=True),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        narrow, wide = 0.01 * self.length, max(0.15 * self.length, 1.0)
+        narrow, wide = 0.01 * self.length, 0.15 * self.length
         usual = (min(max(12.0, narrow), wide / 2), max(min(75.0, wide), 2 * narrow))
         return (
             Parameter(

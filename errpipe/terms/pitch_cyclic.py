@@ -15,7 +15,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Waves
-from errpipe.terms._slack import Slack, uneven_waves
+from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
 
 def wave(x: np.ndarray, period: float) -> np.ndarray:
@@ -49,7 +49,7 @@ class PitchCyclic(Term):
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves(least_places=200)),
+            Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves(least_places=40)),
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
@@ -76,7 +76,10 @@ class PitchCyclic(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:
-            yield from uneven_waves(base, position(recording, self.axis))
+            x = position(recording, self.axis)
+            yield from uneven_waves(base, x)
+            if not self.fixed:
+                yield from higher_harmonics(x, nonlinear[0])
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)

@@ -50,17 +50,7 @@ class ReversalSpike(Term):
             if self.feed
             else ()
         )
-        return (
-            Parameter(
-                "tau",
-                "s",
-                (0.005, 0.05),
-                (0.001, 1.0),
-                "time in which it dies away",
-                search=Listed((0.004, 0.008, 0.015, 0.03, 0.06, 0.12, 0.24)),
-            ),
-            *power,
-        )
+        return (Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away"), *power)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (direction_column(recording, self.axis), recording.name("velocity", axis=self.axis), self.feed)

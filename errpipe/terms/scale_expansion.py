@@ -13,7 +13,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial, Reference, Sensor
-from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, lagged
 from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
@@ -44,7 +44,7 @@ class ScaleExpansion(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ScaleExpansion]:
-        for axis in axes_acting(recording, component):
+        for axis in linear_axes_acting(recording, component):
             for sensor in sensors(recording):
                 yield cls(axis=axis, sensor=sensor, radial=is_radial(component))
 

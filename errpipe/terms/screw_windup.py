@@ -14,7 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, gradual_reversal
 
 
@@ -46,7 +46,7 @@ class ScrewWindup(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ScrewWindup]:
-        for axis in axes_acting(recording, component):
+        for axis in linear_axes_acting(recording, component):
             if not (recording.names("direction", axis=axis) or recording.names("velocity", axis=axis)):
                 continue
             low, high = travel(recording, axis)

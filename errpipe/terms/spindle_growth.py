@@ -41,14 +41,7 @@ class SpindleGrowth(Term):
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "tau",
-                "s",
-                (600.0, 6000.0),
-                (60.0, 40000.0),
-                "time constant",
-                search=Listed((400, 700, 1100, 1700, 2600, 4000, 6000, 9000)),
-            ),
+            Parameter("tau", "s", (600.0, 6000.0), (60.0, 40000.0), "time constant"),
             Parameter(
                 "exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed", search=Listed((0.7, 1.0, 1.4, 2.0))
             ),

@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._search import Listed
+from errpipe.terms._place import driven_axes
 
 
 class StribeckFriction(Term):
@@ -36,25 +36,16 @@ class StribeckFriction(Term):
         return (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "v_s",
-                "mm/s",
-                (0.5, 20.0),
-                (0.1, 100.0),
-                "speed at which the dry part has gone",
-                search=Listed((0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)),
-            ),
-        )
+        return (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[StribeckFriction]:
-        if component.startswith("F_"):
-            for column in recording.names("velocity", axis=component[2:]):
-                yield cls(axis=component[2:], column=column)
+        for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
+            for column in recording.names("velocity", axis=axis):
+                yield cls(axis=axis, column=column)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)

@@ -15,8 +15,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
-from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Listed
+from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
@@ -46,16 +45,7 @@ class ThermalLag(Term):
         return (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "tau",
-                "s",
-                (600.0, 15000.0),
-                (60.0, 100000.0),
-                "time constant",
-                search=Listed((600, 1000, 1600, 2500, 4000, 6300, 10000, 16000)),
-            ),
-        )
+        return (Parameter("tau", "s", (600.0, 15000.0), (60.0, 100000.0), "time constant"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.sensor, position_name(recording, self.along)) if self.along else (self.sensor,)
@@ -66,7 +56,7 @@ class ThermalLag(Term):
             return
         for sensor in sensors(recording):
             yield cls(sensor=sensor)
-            for axis in () if is_radial(component) else axes_acting(recording, component):
+            for axis in () if is_radial(component) else linear_axes_acting(recording, component):
                 yield cls(sensor=sensor, along=axis)
 
     def _driver(self, tau: float) -> Lag:

@@ -17,6 +17,8 @@ from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
 
+MOST_TOOLS = 40  # runs; more are not tools
+
 
 class ToolWear(Term):
     """The edge wears back as it cuts: the work grows, until a fresh edge is put in.
@@ -53,7 +55,7 @@ class ToolWear(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ToolWear]:
-        if component.startswith("E"):
+        if component.startswith(("E", "F")):  # a blunt edge cuts too little, and takes more force
             for column in recording.names("cut_length"):
                 values = recording.array(column)
                 if np.nanmax(values) > np.nanmin(values):
@@ -67,6 +69,10 @@ class ToolWear(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield self.basis(recording, min(nonlinear[0] * 1.6, 3.0))[:, 0], 0.3
+        run = recording.run_codes()
+        codes = np.unique(run)
+        for code in codes if 2 <= codes.size <= MOST_TOOLS else ():  # each tool has its own rate
+            yield base[:, 0] * (run == code), 0.4
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["wear"])),)

@@ -8,11 +8,12 @@ from typing import Literal
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import axes, position, position_name
+from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Waves
-from errpipe.terms._slack import Slack, uneven_waves
+from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
 
 class TorqueRipple(Term):
@@ -45,8 +46,8 @@ class TorqueRipple(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[TorqueRipple]:
-        if component.startswith("F_") and component[2:] in axes(recording):
-            yield cls(axis=component[2:])
+        for axis in driven_axes(recording, component):
+            yield cls(axis=axis)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         angle = 2 * np.pi / nonlinear[0] * position(recording, self.axis)
@@ -56,4 +57,6 @@ class TorqueRipple(Term):
         return -3.0  # the strongest of some hundred waves is picked
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        yield from uneven_waves(base, position(recording, self.axis))
+        x = position(recording, self.axis)
+        yield from uneven_waves(base, x)
+        yield from higher_harmonics(x, nonlinear[0])

@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._place import driven_axes
 from errpipe.terms._slack import Slack
 
 
@@ -40,9 +41,9 @@ class ViscousFriction(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ViscousFriction]:
-        if component.startswith("F_"):
-            for column in recording.names("velocity", axis=component[2:]):
-                yield cls(axis=component[2:], column=column)
+        for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
+            for column in recording.names("velocity", axis=axis):
+                yield cls(axis=axis, column=column)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (1e-3 * recording.array(self.column))[:, None]

@@ -1,0 +1,41 @@
+"""Units of a finding's parameters: terms state um over mm; responses may be angles or forces, axes may turn.
+
+A term's unit is read as text: its numerator `um` stands for the response's unit, a length below the line for the
+unit of the axis. No unit that means nothing on an axis (um/m on a rotary one) leaves here.
+"""
+
+from __future__ import annotations
+
+import math
+
+from errpipe.domain.recording import Recording
+from errpipe.terms import Term
+
+PER_DEGREE = (  # unit on a linear axis, unit on a rotary one, and what a value is multiplied with
+    ("/(m/s2)", "/(deg/s2)", 1e-3),
+    (" s/m", " s/deg", 1e-3),
+    ("/m", "/deg", 1e-3),
+)
+LAG_OF_ANGLES = 1e-6 * 180.0 / math.pi * 1e3  # ms of urad/(deg/s), where um/(mm/s) is 1 ms
+
+
+def on_rotary_axis(term: Term, recording: Recording) -> bool:
+    """Does the term act along a rotary axis?"""
+    known = recording.manifest.axis(str(getattr(term, "axis", "")))
+    return known is not None and known.kind == "rotary"
+
+
+def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:
+    """The unit in which a parameter of a term is reported, and what its value is multiplied with."""
+    factor = 1.0
+    if rotary:
+        if unit == "ms":
+            return unit, LAG_OF_ANGLES if response == "urad" else 1.0
+        for linear, turned, change in PER_DEGREE:
+            if linear in unit:
+                unit, factor = unit.replace(linear, turned), change
+                break
+        unit = unit.replace("mm", "deg")
+    if unit.startswith("um") and response in ("urad", "N"):
+        unit = response + unit[2:]
+    return unit, factor
