@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from errpipe.diagnosis.judge import Case
+from errpipe.diagnosis.case import Case
 from errpipe.domain.diagnosis import Finding, FoundParameter
 from errpipe.terms import TERMS, ViscousFriction
 

@@ -7,21 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.diagnosis import admit
+from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.hypotheses import folds
-from errpipe.diagnosis.judge import Case
-from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
+from errpipe.diagnosis.left_out import ZEROED, supported_by_held_out
 from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """rms on held-out rows; how often the full search's first effect was chosen without them."""
+    """rms on held-out rows; how often the full search's first effect was chosen without them.
+
+    named: rms once what has a name is taken away; shaped: once shapes over inputs are, too.
+    """
 
     scheme: str
     before: float
     after: float
     agreement: float
+    named: float
+    shaped: float
+
+    def shape_share(self) -> float:
+        """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
+        return 1.0 - (self.shaped / max(self.named, 1e-300)) ** 2
 
 
 def held_out(case: Case) -> HeldOut:
@@ -31,11 +40,12 @@ def held_out(case: Case) -> HeldOut:
     """
     search, library = case.search, case.library
     _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
-    judged = LeftOut(library, case.recording, case.pair.rows, case.y, case.recal, case.session, case.free_shapes)
+    judged = case.judged()
     if judged.session is not None:
         scheme += f"; the datum of each from its first {ZEROED} rows, which do not count"
     first = case.explanation.accepted[0].hypothesis.effect if case.explanation.accepted else None
-    before, after, same, shaped = [], [], [], 0
+    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
+    before, after, named, with_inputs, same, shaped = [], [], [], [], [], 0
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
@@ -64,9 +74,15 @@ def held_out(case: Case) -> HeldOut:
         shaped += way
         before.append(judged.zeroed(case.y[test], test))
         after.append(judged.left(part.data, ways[way][0], part.sigma, ways[way][1], f))
+        named.append(judged.left(part.data, ways[0][0], part.sigma, ways[0][1], f))
+        of_inputs = admit.remainder(
+            part, library, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
+        )
+        columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
+        with_inputs.append(judged.left(part.data, of_inputs.active, part.sigma, columns, f))
         same.append(first is None or first in [library.hypotheses[i].effect for i in names[:1]])
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
-    return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)))
+    return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs))

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from errpipe.diagnosis import units
+from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
-from errpipe.diagnosis.judge import Case
 from errpipe.terms import search_of
 
 WIDER = 1.3  # what textbook forms leave open beyond the noise; set by coverage on generated cases
 DROP = 3.2  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
+CHI2_95 = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}  # 95 % points, by degrees of freedom
+DEPARTED = 0.3  # how far a size may be off where a contribution has departed from its textbook form
 SHAPE = 0.1  # how far the deepest point of a worn stretch may be off because of its shape
 
 
@@ -30,12 +32,14 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Modelled:
-    """A finding with refined non-linear parameters, its estimates, contribution and the core's share in it."""
+    """A finding with refined non-linear parameters, its estimates, contribution and the textbook form's share in it."""
 
     hypothesis: Hypothesis
     estimates: tuple[Estimate, ...]
     contribution: np.ndarray
     core_share: float
+    joint: float  # chi squared of all linear parameters together, intervals widened as stated
+    cores: int  # number of linear parameters
 
 
 def modelled(case: Case, k: int) -> Modelled:
@@ -49,8 +53,11 @@ def modelled(case: Case, k: int) -> Modelled:
     cov = cov * _dependence(case, scene, block, b)
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
-    estimates = _linear(hypothesis, b, cov, scale)
-    estimates += _amplitudes(hypothesis, estimates, cov, scale)
+    linear = _linear(hypothesis, b, cov, scale)
+    joint = b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores]) / WIDER**2
+    if joint < CHI2_95.get(cores, 2.0 * cores):
+        linear = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores)
+    estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
     for name, unit, value, low, high in spans:
@@ -58,7 +65,22 @@ def modelled(case: Case, k: int) -> Modelled:
     share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
     rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
     estimates = [_reported(e, case.pair.unit, rotary) for e in estimates]
-    return Modelled(hypothesis, tuple(estimates), contribution, share)
+    return Modelled(hypothesis, tuple(estimates), contribution, share, float(joint), cores)
+
+
+def _projected_sizes(case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int) -> list[Estimate]:
+    """Sizes where the departures from the textbook form take its place: those of the form nearest to the contribution.
+
+    Their intervals are those of a fit of the textbook form alone, and the shape's uncertainty beside.
+    """
+    core = block[:, :cores] - block[:, :cores].mean(axis=0)
+    nearest = np.linalg.lstsq(core, contribution - contribution.mean(), rcond=None)[0]
+    S, _ = _projected(scene, block[:, :cores])
+    cov = case.sigma**2 * np.linalg.inv(S + 1e-9 * np.trace(S) * np.eye(cores))
+    cov = cov * _dependence(case, scene, block[:, :cores], nearest)
+    out = _linear(h, nearest, cov, scale)
+    wider = [DEPARTED * abs(e.value) for e in out]
+    return [replace(e, low=e.low - w, high=e.high + w) for e, w in zip(out, wider, strict=True)]
 
 
 def _reported(e: Estimate, response: str, rotary: bool) -> Estimate:
@@ -113,11 +135,10 @@ def _fit(scene: Scene, block, freedom, size: float, sigma: float) -> tuple[np.nd
 
 def _dependence(case: Case, scene: Scene, block, b) -> float:
     """How much larger the variance is than independent rows would have it: block sums of the scores."""
-    W = whiten(block[:, :1], case.run)
     inside = scene.table.W[:, scene.active.index]
-    column = W[:, 0] - inside @ np.linalg.lstsq(inside, W[:, 0], rcond=None)[0]
-    left = scene.residual() - whiten(block @ b, case.run)
-    score = column * left
+    both = np.column_stack([whiten(block[:, :1], case.run), whiten((block @ b)[:, None], case.run)])
+    freed = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
+    score = freed[:, 0] * (scene.residual() - freed[:, 1])
     length = max(score.size // 40, 1)
     sums = np.add.reduceat(score, np.arange(0, score.size, length))
     return float(np.clip(np.sum(sums**2) / max(np.sum(score**2), 1e-300), 1.0, 200.0))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.diagnosis import confidence, friction, holdout, locate, model, separate, significance, whiteness
+from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
 from errpipe.diagnosis.evidence import Scene
-from errpipe.diagnosis.judge import Case, needs_recalibration, own_datums, residual
 from errpipe.domain.diagnosis import (
     Finding,
     FoundParameter,
@@ -23,7 +23,11 @@ from errpipe.terms import Term
 CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
 ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, from which it is said
-UNPROVED = 0.5  # confidence of a name, at most, where held-out rows are no better explained with it
+HELD_OUT_SHARE = (
+    0.1  # of the held-out variance beyond the names, which shapes over inputs must predict to be a mechanism
+)
+PROVISIONAL = 0.4  # confidence of `unknown`, at most, where they do not
+UNPROVED = 0.45  # confidence of a name, at most, where held-out rows are no better explained with it
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
@@ -34,11 +38,11 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
-    p_unknown = confidence.unknown(indicators[0]) if indicators else _p_unknown_alone(case, held)
+    p_unknown = _p_unknown(case, indicators, held)
     findings, verdict = _verdict(case, findings, p_unknown)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
         contribution["unknown"], after = _with_shape(case)
-    floor = float(min(case.sigma, case.noise_estimate) if indicators or p_unknown > 0.5 else case.sigma)
+    floor = float(min(case.sigma, case.noise_estimate) if indicators or p_unknown >= PROVISIONAL else case.sigma)
     recalibrated = residual(case, [])
     datums = own_datums(case, [])
     found = significance.chance(case)
@@ -158,14 +162,21 @@ def is_fast(case: Case) -> bool:
     return bool(step.size and np.median(step) < 0.1)
 
 
-def _p_unknown_alone(case: Case, held: holdout.HeldOut) -> float:
-    """Chance of a mechanism without a name where no effect was accepted."""
-    gain = sum(g for _, g in case.remainder.shapes)
-    base = case.search.scene([]).rms()
-    drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
-    noise_estimate = base / max(case.noise_estimate, 1e-12)
-    z = -3.5 + 0.06 * min(gain, 100.0) + 3.0 * drop + 6.0 * max(noise_estimate - 1.25, 0.0)
-    return float(np.clip(1 / (1 + np.exp(-z)), 0.01, 0.97))
+def _p_unknown(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
+    """Chance that a mechanism outside the vocabulary is at work; PROVISIONAL where held-out rows do not show it.
+
+    Rows that merely go together (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
+    must predict held-out rows.
+    """
+    share = held.shape_share()
+    if indicators:
+        p = confidence.unknown(indicators[0])
+    else:
+        gain = sum(g for _, g in case.remainder.shapes)
+        base = case.search.scene([]).rms()
+        drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
+        p = confidence.unknown_alone(gain, drop, max(share, 0.0))
+    return p if share >= HELD_OUT_SHARE else min(p, PROVISIONAL)
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
@@ -248,7 +259,7 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[lis
         return [_unknown(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
-    if p_unknown > 0.5:
+    if p_unknown >= PROVISIONAL:
         return [_unknown(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
     return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
 
@@ -303,7 +314,8 @@ def _unknown(case: Case, chance: float) -> Finding:
         where=Where(),
         says=f"Structure remains that no effect of the vocabulary explains; it goes with "
         f"{' and '.join(drivers)}. A data-driven shape brings it from {case.sigma:.3g} to "
-        f"{case.remainder.rms:.3g} {case.pair.unit} rms.",
+        f"{case.remainder.rms:.3g} {case.pair.unit} rms."
+        + ("" if chance > PROVISIONAL else " Held-out rows do not confirm it: a measurement that wanders looks alike."),
         rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))),
         compensable=False,
     )

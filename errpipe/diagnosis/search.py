@@ -10,10 +10,13 @@ import numpy as np
 from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
+MISSING = 10.0  # log Bayes factor for the first finding
+MORE = 10.0  # and for each further one
 MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
 SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason,
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
+BETTER = 6.0  # log Bayes factor beside the others from which an effect takes the place of another
 MAX_EXCHANGES = 4  # effects tried in the place of each finding
 FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged as a whole at the end, and how far behind the best they may be
 
@@ -92,11 +95,21 @@ class Search:
                 others = chosen[:place] + chosen[place + 1 :]
                 for i, size in self._instead(others, chosen[place][0]):
                     other = self.tune([*others[:place], (i, size), *others[place:]])
-                    if self.joint(other) > worth + 0.1:
+                    if self._improves(other, chosen, place, worth):
                         chosen, worth = other, self.joint(other)
             if worth == before:
                 break
         return chosen
+
+    def _improves(self, other: list[tuple[int, float]], chosen, place: int, worth: float) -> bool:
+        """Is another member in one place better: plainly so beside the others, else as a whole?"""
+        more = self._beside(other, place) - self._beside(chosen, place)
+        return more > 0 if abs(more) > BETTER else self.joint(other) > worth + 0.1
+
+    def _beside(self, chosen: list[tuple[int, float]], place: int) -> float:
+        """Gain of one member beside all the others."""
+        i = chosen[place][0]
+        return float(self.score(chosen[:place] + chosen[place + 1 :], [i]).gain[0] + self.prior[i])
 
     def _instead(self, others: list[tuple[int, float]], given_up: int) -> list[tuple[int, float]]:
         """The best hypotheses beside the others, each effect once, but the one given up."""
@@ -221,3 +234,17 @@ class Search:
             s = self.score(chosen[:place] + chosen[place + 1 :], [i])
             found.append(Accepted(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
         return found
+
+
+def settled(library, data, nuisance, prior, noise_estimate, rows=None, most=MOST) -> tuple[Search, Explanation]:
+    """Search until the noise level agrees with what the explanation leaves."""
+    sigma = noise_estimate
+    for _ in range(4):
+        search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
+        search.most = most
+        explanation = search.explain()
+        left = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+        if abs(left / sigma - 1) < 0.03:
+            break
+        sigma = max(left, 1e-9)
+    return search, explanation

@@ -13,7 +13,11 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction, position_name
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+from errpipe.terms import resolved_times
 
+WANDERING = ("time", "runs", "slope in time", "slope of each run")  # kinds that say when, and of no input
 TIME_WAVES = 40
 PLACE_WAVES = 24
 SMOOTH = 8
@@ -27,6 +31,11 @@ class Shape:
     drivers: tuple[str, ...]
     columns: np.ndarray
     freedom: np.ndarray
+
+    @property
+    def of_inputs(self) -> bool:
+        """Is it a shape over inputs? One over time or runs alone is how noise wanders, too."""
+        return self.kind not in WANDERING
 
 
 def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape]:
@@ -48,6 +57,49 @@ def _waves(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.cos(np.pi * at[:, None] * k), 1.0 / k**0.8
 
 
+ROLES = (
+    "temperature",
+    "pressure",
+    "humidity",
+    "spindle_speed",
+    "feed",
+    "coolant",
+    "load",
+    "overhang",
+    "depth_of_cut",
+    "cut_length",
+    "force",
+    "velocity",
+    "acceleration",
+)
+SLOW = ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "force")
+LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged inputs
+MOST_PRODUCTS = 8  # inputs whose products are tried in pairs
+
+
+def _of_columns(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
+    """Smooth in an input, in an input that acts late, or in the product of two."""
+    session, t = sessions(recording), recording.time()
+    _, lasting = resolved_times(recording)
+    slow: list[tuple[str, np.ndarray]] = []
+    for role in ROLES:
+        for name in recording.names(role):
+            whole = recording.array(name)
+            u = whole[rows]
+            if not np.isfinite(whole).all() or u.max() <= u.min():
+                continue
+            yield ("column", (name,), *_waves(u, min(SMOOTH, np.unique(u).size - 1)))
+            if role in SLOW and recording.name("time") is not None:
+                slow.append((name, u))
+                late = [responses.lag(session, t, whole, lasting * k, lasting * k, True)[rows] for k in LAGS]
+                for v in late:
+                    yield ("lagged column", (name,), *_waves(v, 3))
+                slow.append((name, late[1]))
+    centred = [(name, (u - u.mean()) / (u.std() or 1.0)) for name, u in slow[:MOST_PRODUCTS]]
+    for (one, u), (other, v) in itertools.combinations_with_replacement(centred, 2):
+        yield "product", tuple(dict.fromkeys((one, other))), (u * v)[:, None] - np.mean(u * v), np.ones(1)
+
+
 def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[tuple]:
     run = recording.run_codes()[rows]
     clock = recording.name("time") or "row"
@@ -57,25 +109,7 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
     if codes.size > 1:
         steps = (run[:, None] == codes).astype(float)
         yield "runs", (recording.name("run") or clock,), steps - steps.mean(axis=0), np.ones(codes.size)
-    for role in (
-        "temperature",
-        "pressure",
-        "humidity",
-        "spindle_speed",
-        "feed",
-        "coolant",
-        "load",
-        "overhang",
-        "depth_of_cut",
-        "cut_length",
-        "force",
-        "velocity",
-        "acceleration",
-    ):
-        for name in recording.names(role):
-            u = recording.array(name)[rows]
-            if np.isfinite(u).all() and u.max() > u.min():
-                yield ("column", (name,), *_waves(u, min(SMOOTH, np.unique(u).size - 1)))
+    yield from _of_columns(recording, rows)
     found = axes(recording)
     if component == "E_R" and len(found) >= 2:
         x, y = (recording.array(position_name(recording, a))[rows] for a in found[:2])

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.evidence import SIZES, Scene, correlation_time
-from errpipe.diagnosis.judge import Case
 
 SURROGATES = 99
 ENOUGH_RUNS = 10  # fewer could be turned in too few ways

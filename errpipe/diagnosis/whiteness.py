@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
+from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.evidence import whiten
-from errpipe.diagnosis.judge import Case, residual
 from errpipe.domain.diagnosis import Whiteness, WhitenessTest
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from errpipe.terms._base import NEVER, Example, Parameter, Term, plain
 from errpipe.terms._profiles import Curve, Line
-from errpipe.terms._search import Signals, search_of
+from errpipe.terms._search import Signals, resolved_times, search_of
 from errpipe.terms._slack import MANY_STARTS
 from errpipe.terms.air_refraction import AirRefraction
 from errpipe.terms.ambient_drift import AmbientDrift
@@ -62,6 +62,7 @@ __all__ = [
     "Signals",
     "Term",
     "plain",
+    "resolved_times",
     "search_of",
 ]
 

@@ -35,6 +35,9 @@ class Search(Protocol):
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         """Ends of the interval that neighbours from low to high stand for."""
 
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest value that the recording resolves."""
+
     def log_prior(self, value: float, parameter: Parameter) -> float:
         """Log prior density of a value relative to typical ones."""
 

@@ -75,6 +75,10 @@ class Listed:
         half = np.exp(self.reach / (STEPS - 1))
         return low / half, high * half
 
+    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest value that the recording resolves."""
+        return -np.inf, np.inf
+
     def log_prior(self, value: float, parameter: Parameter) -> float:
         """Log prior density of a value relative to typical ones."""
         return 0.0
@@ -85,10 +89,6 @@ class Scale(Listed):
     """A scale of unknown size: its typical range as far as the recording resolves it, and coarser all else it does."""
 
     bounded: ClassVar[bool] = False
-
-    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
-        """Smallest and largest value that the recording resolves."""
-        return 0.0, np.inf
 
     def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""

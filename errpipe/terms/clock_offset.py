@@ -62,7 +62,7 @@ class ClockOffset(Term):
         if recording.name("time") is None or not np.isfinite(step):
             return
         for column in recording.names("simulated", component=component):
-            yield cls(column=column, shortest=float(step / 5), longest=float(min(max(60 * step, 0.0), 7200.0)))
+            yield cls(column=column, shortest=float(0.75 * step), longest=float(min(max(60 * step, 0.0), 7200.0)))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (offset,) = nonlinear

@@ -27,7 +27,7 @@ class CoulombFriction(Term):
 
     term: Literal["coulomb_friction"] = "coulomb_friction"
     axis: Axis
-    column: str = Field(description="Column of the velocity.")
+    column: str = Field(description="Column of the velocity, or of the direction.")
     reports_as = "coulomb_friction"
     family = "friction"
     compensable = False
@@ -56,6 +56,9 @@ class CoulombFriction(Term):
         for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
             for column in recording.names("velocity", axis=axis):
                 yield cls(axis=axis, column=column)
+            if not recording.names("velocity", axis=axis):
+                for column in recording.names("direction", axis=axis):
+                    yield cls(axis=axis, column=column, fixed={"sharpness": 0.0})
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)

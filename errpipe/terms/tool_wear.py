@@ -32,11 +32,14 @@ class ToolWear(Term):
 
     term: Literal["tool_wear"] = "tool_wear"
     column: str = Field(description="Column of the length cut.")
+    reference: float = Field(
+        1000.0, gt=0, description="Length cut at which the wear is stated.", json_schema_extra={"unit": "m"}
+    )
     reports_as = "tool_wear"
     family = "process"
 
     def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("wear", "um", (1.0, 30.0), (-500.0, 500.0), "after 1000 m"),)
+        return (Parameter("wear", "um", (1.0, 30.0), (-500.0, 500.0), f"after {self.reference:g} m"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
@@ -61,8 +64,14 @@ class ToolWear(Term):
                 if np.nanmax(values) > np.nanmin(values):
                     yield cls(column=column)
 
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ToolWear]:
+        """Wear is stated at the longest length cut: beyond it nothing is known."""
+        for term in cls.bind(recording, component):
+            yield term.model_copy(update={"reference": float(np.nanmax(recording.array(term.column)))})
+
     def _driver(self, exponent: float) -> Power:
-        return Power(of=Affine(weights=(1e-3,), of=(Input(name=self.column),)), exponent=exponent)
+        return Power(of=Affine(weights=(1.0 / self.reference,), of=(Input(name=self.column),)), exponent=exponent)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return drive(self._driver(*nonlinear), recording)[:, None]
@@ -72,7 +81,7 @@ class ToolWear(Term):
         run = recording.run_codes()
         codes = np.unique(run)
         for code in codes if 2 <= codes.size <= MOST_TOOLS else ():  # each tool has its own rate
-            yield base[:, 0] * (run == code), 0.4
+            yield base[:, 0] * ((run == code) - 1.0 / codes.size), 0.4
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["wear"])),)

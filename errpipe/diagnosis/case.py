@@ -1,0 +1,94 @@
+"""One response while it is judged: what is known before the search (`SetUp`) and after it (`Case`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.diagnosis import admit, hypotheses
+from errpipe.diagnosis import decompose as parts
+from errpipe.diagnosis.evidence import Active, Data, Scene
+from errpipe.diagnosis.left_out import LeftOut
+from errpipe.diagnosis.prepare import Pair
+from errpipe.diagnosis.recalibration import OFF
+from errpipe.diagnosis.search import Explanation, Search
+from errpipe.diagnosis.shapes import Shape
+from errpipe.domain.recording import Recording
+
+
+@dataclass
+class SetUp:
+    """What is known of one response before anything is looked for in it."""
+
+    recording: Recording  # conditioned
+    pair: Pair
+    library: hypotheses.Library
+    decomposition: parts.Decomposition
+    simulated: np.ndarray
+    y: np.ndarray
+    run: np.ndarray
+    data: Data
+    prior: np.ndarray  # log prior odds of each hypothesis
+    nuisance: Active
+    names: list[str]
+    recal: np.ndarray  # the nuisances' columns before whitening
+    sizes: np.ndarray  # rms of what each of them stands for: its coefficient over this is a gain less 1
+    noise_estimate: float  # noise from second differences
+    free_shapes: list[Shape]  # shapes without a name
+    places: list[np.ndarray]  # their columns in the library's table
+    session: np.ndarray | None  # of each row, where each session has its own datum
+    in_part: bool = False  # were effects that act in part added to the library?
+
+    def judged(self) -> LeftOut:
+        """How held-out rows are predicted."""
+        return LeftOut(self.library, self.recording, self.pair.rows, self.y, self.recal, self.session, self.free_shapes)
+
+
+@dataclass
+class Case(SetUp):
+    """All that is known about one response once it is explained."""
+
+    search: Search = None  # type: ignore[assignment]
+    explanation: Explanation = None  # type: ignore[assignment]
+    sigma: float = 0.0
+    remainder: admit.Remainder = None  # type: ignore[assignment]
+
+    def chosen(self) -> list[tuple[int, float]]:
+        """Accepted hypotheses with their sizes."""
+        return chosen_of(self.explanation)
+
+
+def chosen_of(explanation: Explanation) -> list[tuple[int, float]]:
+    """Accepted hypotheses of an explanation with their sizes."""
+    return [(f.index, f.size) for f in explanation.accepted]
+
+
+def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
+    """What the explanation leaves, on the judged rows."""
+    chosen = case.chosen() if chosen is None else chosen
+    scene = case.search.scene(chosen)
+    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in chosen]
+    return case.y - np.column_stack([case.recal, *blocks]) @ scene.coefficients()
+
+
+def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:
+    """What the datums of single runs carry beside these hypotheses, on the judged rows; None where one is for all."""
+    own = [j for j, name in enumerate(case.names) if name.startswith("datum of")]
+    if not own:
+        return None
+    return case.recal[:, own] @ case.search.scene(chosen).coefficients()[own]
+
+
+def needs_recalibration(case: Case) -> bool:
+    """Are datum or gains off beyond doubt?"""
+    full = case.search.active(case.chosen())
+    m = case.nuisance.index.size
+    without = Active(full.index[m:], full.sd[m:])
+    scene = Scene(case.search.data, without, case.sigma)
+    own = np.array([name.startswith("datum") for name in case.names])
+    datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
+    sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
+    sets += [np.r_[datum, g] for g in gains[1:]]
+    scored = scene.score(sets, [np.ones(s.size) for s in sets])
+    return max(s.gain for s in scored) > OFF + np.log(len(sets))  # the best of so many

@@ -1,0 +1,58 @@
+"""Findings that cannot be true, whatever their evidence: they are ruled out, and the search is made again.
+
+no size        every linear parameter may as well be nothing, alone and all together
+cancelling     a finding far larger than the mismatch, nearly all of which another finding takes away again
+at its limit   a scale at the end of what the recording resolves: a lag as long as the whole session is a drift
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.diagnosis import model
+from errpipe.diagnosis.case import Case
+from errpipe.terms import search_of
+
+TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which another one must be cancelling it
+CANCELLING = -0.8  # correlation of two findings from which they cancel
+
+
+def impossible(case: Case) -> list[model.Modelled]:
+    """Accepted findings that cannot be true: at a limit of what the recording resolves, or cancelled by another one."""
+    made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
+    return [m for m in made if at_its_limit(case, m)] or cancelling(case, made)
+
+
+def doubtful(case: Case) -> list[model.Modelled]:
+    """Accepted findings whose size may as well be nothing beside how reality departs from them, least certain first."""
+    made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
+    return sorted((m for m in made if no_size(m)), key=lambda m: m.joint)
+
+
+def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
+    """The weaker one of two findings that cancel."""
+    spread, out = float(np.std(case.y)), []
+    for k, m in enumerate(made):
+        for other in made[:k]:
+            sizes = [float(np.std(x.contribution)) for x in (other, m)]
+            if max(sizes) > TOO_LARGE * spread and min(sizes) > 0:
+                together = np.corrcoef(other.contribution, m.contribution)[0, 1]
+                out += [m] if together < CANCELLING else []
+    return out
+
+
+def no_size(m: model.Modelled) -> bool:
+    """May every linear parameter be nothing, alone and all together?"""
+    return m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
+
+
+def at_its_limit(case: Case, m: model.Modelled) -> bool:
+    """Does a scale lie at the end of what the recording resolves, and outside of what machines show?"""
+    term = m.hypothesis.terms[0]
+    for p, value in zip(term.nonlinear(), m.hypothesis.nonlinear[0], strict=True):
+        if p.name in term.fixed or p.typical[0] <= value <= p.typical[1]:
+            continue
+        low, high = search_of(p).limits(term, case.recording)
+        if value <= 1.001 * low or value >= 0.999 * high:
+            return True
+    return False
