@@ -37,7 +37,8 @@ def remainder(
     """Add shapes greedily beside the chosen hypotheses. index: the shapes' columns in the library's table."""
     base = search.scene([])
     named = search.scene(chosen)
-    taken, gains = [], []
+    taken: list[int] = []
+    gains: list[float] = []
     active = search.active(chosen)
     scene = named
     listed = Listed(index, [s.freedom for s in shapes], [i.size for i in index])

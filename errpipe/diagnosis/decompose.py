@@ -100,7 +100,9 @@ def static(
         others = [read[n][known] for n in own if n != name]
         if others and _gains(others, simulated[known])[1] < PLAIN * spread:
             del own[name]
-    gains, left = _gains([read[n][known] for n in own], simulated[known]) if len(own) > 1 else ([], np.inf)
+    if len(own) < 2:
+        return None
+    gains, left = _gains([read[n][known] for n in own], simulated[known])
     if left > PLAIN * spread:
         return None
     parts = []

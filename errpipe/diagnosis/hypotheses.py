@@ -180,7 +180,7 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
     """Every hypothesis for a response."""
     for kind in TERMS:
         bound = list(kind.hypotheses(recording, raw, component))
-        groups = [(t,) for t in bound]
+        groups: list[tuple[Term, ...]] = [(t,) for t in bound]
         if component == "E_R" and kind.on_both_axes:
             groups += [tuple(bound)] if len(bound) == 2 else both_axes(bound)
         for group in groups:

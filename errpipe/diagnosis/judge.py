@@ -158,14 +158,13 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
         alternatives, simulated, library, data, noise_estimate
     )
     prior = recalibration.log_prior(library, decomposition)
-    session: np.ndarray | None = sessions(conditioned)[rows]
-    each = datums(conditioned, rows, session, library, pair.mismatch)
+    of_row = sessions(conditioned)[rows]
+    session: np.ndarray | None = None
+    each = datums(conditioned, rows, of_row, library, pair.mismatch)
     if each is not None and favours_session_datums(each[0], nuisance, library, data, prior, noise_estimate, run):
         nuisance = nuisance.plus(each[0].index, each[0].sd)
         recal, names = np.column_stack([recal, each[1]]), [*names, *each[2]]
-        sizes = np.r_[sizes, np.ones(len(each[2]))]
-    else:
-        session = None
+        sizes, session = np.r_[sizes, np.ones(len(each[2]))], of_row
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
     every = library.add(np.column_stack([s.columns for s in free_shapes]))
     edges = np.cumsum([0, *[s.columns.shape[1] for s in free_shapes]])

@@ -140,7 +140,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
 def candidates(search: Search, alone: np.ndarray) -> list[int]:
     """Hypotheses tried in part: the best as a whole, and the best few of each effect."""
     library = search.library
-    out, count = [], dict.fromkeys({h.effect for h in library.hypotheses}, 0)
+    out: list[int] = []
+    count = dict.fromkeys({h.effect for h in library.hypotheses}, 0)
     for index in search.best_of_each_key(alone, len(library.hypotheses)):
         h = library.hypotheses[index]
         if h.terms[0].in_part == "never" or h.mask or alone[index] < -1e5:

@@ -20,7 +20,7 @@ CANCELLING = -0.8  # correlation of two findings from which they cancel
 def impossible(case: Case) -> list[model.Modelled]:
     """Accepted findings that cannot be true: at a limit of what the recording resolves, or cancelled by another one."""
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return [m for m in made if at_its_limit(case, m)] or cancelling(case, made)
+    return [m for m in made if at_its_limit(case, m) or not_in_full(m)] or cancelling(case, made)
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
@@ -44,6 +44,12 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
 def no_size(m: model.Modelled) -> bool:
     """May every linear parameter be nothing, alone and all together?"""
     return m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
+
+
+def not_in_full(m: model.Modelled) -> bool:
+    """Is it far from 1 where the linear parameter is known to be 1? Half a shift in time is no shift in time."""
+    sd = m.hypothesis.terms[0].gain_sd
+    return sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * sd
 
 
 def at_its_limit(case: Case, m: model.Modelled) -> bool:

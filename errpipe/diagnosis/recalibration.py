@@ -85,12 +85,12 @@ def likeliest(alternatives: list[parts.Decomposition], simulated, library, data:
     """The decomposition that makes signal and mismatch likeliest together, with its recalibration."""
     tried = []
     for d in alternatives:
-        nuisance, *named = recalibration(simulated, d, library)
+        nuisance, names, columns, sizes = recalibration(simulated, d, library)
         worth = TRUST * d.worth
         if len(alternatives) > 1:
             search, e = settled(library, data, nuisance, log_prior(library, d), noise_estimate)
-            worth += _worth(search, e, gains.totals(named[0], named[2])[1])
-        tried.append((worth, (d, (nuisance, *named))))
+            worth += _worth(search, e, gains.totals(names, sizes)[1])
+        tried.append((worth, (d, (nuisance, names, columns, sizes))))
     return max(tried, key=lambda t: t[0])[1]
 
 

@@ -50,8 +50,8 @@ def whiteness(case: Case) -> Whiteness:
     fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
     used = whiten(np.column_stack([case.recal, *fitted]), case.run, share)
     frame = Frame(whiten(case.y, case.run, share), used, case.run, share)
-    tests = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
-    tests = [t for t in tests if t is not None]
+    made = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
+    tests = [t for t in made if t is not None]
     tests.append(frame.in_order())
     p = min(1.0, len(tests) * min(t.p for t in tests))
     return Whiteness(p=p, slow_share=float(share), tests=tuple(tests), says=_says(tests, p))

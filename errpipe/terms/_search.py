@@ -8,14 +8,14 @@ step between places, speed); typical sizes are a prior whose width is TYPICAL_WI
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
-from errpipe.terms._base import Parameter, Search, Term
+from errpipe.terms._base import Parameter, Search
 
 STEPS = 9  # points of a refinement, the best one in their middle
 RATIO = 1.6  # from value to value of a scale within its typical range; neighbours overlap within half of that
@@ -62,20 +62,20 @@ class Listed:
     reach: float = 0.6
     bounded: ClassVar[bool] = True  # False: the recording sets the limits, not the parameter's bounds
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         return self.listed
 
-    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
+    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         """Values near the best one."""
         return value * np.exp(self.reach * np.linspace(-1.0, 1.0, STEPS))
 
-    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         """Ends of an interval, half-way to the next neighbours."""
         half = np.exp(self.reach / (STEPS - 1))
         return low / half, high * half
 
-    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
         """Smallest and largest value that the recording resolves."""
         return -np.inf, np.inf
 
@@ -90,7 +90,7 @@ class Scale(Listed):
 
     bounded: ClassVar[bool] = False
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         typical = next(p for p in term.nonlinear() if p.name == name).typical
         low, high = self.limits(term, recording)
@@ -116,7 +116,7 @@ class Scale(Listed):
 class Times(Scale):
     """A time constant: from the sampling step to one and a half times the longest session."""
 
-    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
         """Smallest and largest value that the recording resolves."""
         step, lasting = resolved_times(recording)
         return step, 1.5 * lasting
@@ -129,7 +129,7 @@ class Lengths(Scale):
     Where a side of approach is recorded but not the approach, from a fortieth of the term's `overrun`.
     """
 
-    def limits(self, term: Term, recording: Recording) -> tuple[float, float]:
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
         """Smallest and largest value that the recording resolves."""
         step, span = resolved_lengths(recording, term.axis)
         overrun = getattr(term, "overrun", 0.0)
@@ -144,7 +144,7 @@ class Speeds(Listed):
 
     shares: tuple[float, ...] = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         fastest = float(np.nanquantile(np.abs(recording.array(term.column)), 0.999))
         return tuple(fastest * s for s in self.shares)
@@ -158,19 +158,19 @@ class Waves(Listed):
 
     least_places: int = 0  # fewer different positions show no wave of unknown length
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         x = position(recording, term.axis)
         if np.unique(x).size <= self.least_places:
             return ()
         return periods(x[signals.rows], signals.values)
 
-    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
+    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         """Values near the best one."""
         _, span = resolved_lengths(recording, term.axis)
         return 1.0 / np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), 1e-12 / span)
 
-    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         """Ends of an interval, half-way to the next neighbours."""
         _, span = resolved_lengths(recording, term.axis)
         half = 0.25 / span / (4 * STEPS - 1)
@@ -185,16 +185,16 @@ class Places(Listed):
 
     count: int = 25
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         x = position(recording, term.axis)
         return tuple(np.linspace(np.nanmin(x), np.nanmax(x), self.count)[1:-1])
 
-    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
+    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         """Values near the best one."""
         return value + resolved_lengths(recording, term.axis)[1] / (self.count - 1) * np.linspace(-1.0, 1.0, STEPS)
 
-    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         """Ends of an interval, half-way to the next neighbours."""
         half = resolved_lengths(recording, term.axis)[1] / (self.count - 1) / (STEPS - 1)
         return low - half, high + half
@@ -208,7 +208,7 @@ class Widths(Listed):
 
     shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08)
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         _, span = resolved_lengths(recording, term.axis)
         return tuple(span * s for s in self.shares)
@@ -218,18 +218,18 @@ class Widths(Listed):
 class Shifts(Listed):
     """A shift in time within the term's `shortest` and `longest`, either way; it is not refined."""
 
-    def values(self, term: Term, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
+    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         if term.longest < 20.0:
             return ()  # clocks of loggers differ by seconds and minutes, not by samples of a fast trace
         half = np.geomspace(max(term.shortest, 5.0), min(term.longest, 900.0), 14)
         return tuple(np.r_[-half[::-1], half])
 
-    def neighbours(self, value: float, term: Term, recording: Recording) -> np.ndarray:
+    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         """None: the grid is as fine as the noise allows."""
         return np.array([value])
 
-    def widened(self, low: float, high: float, term: Term, recording: Recording) -> tuple[float, float]:
+    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         """A fifth to either side."""
         return (low * 0.8, high * 1.25) if low > 0 else (low * 1.25, high * 0.8)
 
