@@ -53,6 +53,7 @@ KINDS = (
                 "domain/components.py": "kind of an ISO 230-1 component",
                 "kinematics": "kind of a measured line",
                 "simulation": "kind of a measured line",
+                "validation/implausible_columns.py": "kind of an ISO 230-1 component",
             },
             "squareness": {
                 "domain/components.py": "kind of an ISO 230-1 component",
@@ -60,6 +61,7 @@ KINDS = (
             },
             "offset": {
                 "kinematics": "kind of a machine parameter",
+                "ncprogram": "shift of a program's coordinates",
                 "tables": "field of the compiled table's affine node",
                 "drivers": "field of the affine driver",
                 "domain": "field of the affine driver",
