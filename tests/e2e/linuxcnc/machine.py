@@ -282,6 +282,7 @@ def run(
     program: str = "",
     least_s: float = 0.0,
     read: tuple[str, ...] = (),
+    stops: int = 0,
 ) -> Record:
     """One session: way is off, screw, hal or shift. Raises AssertionError with LinuxCNC's words where it fails."""
     made = made or table()
@@ -300,6 +301,7 @@ def run(
         "program_s": 120,
         "least_s": least_s,
         "read": read,
+        "stops": stops,
         "heat": {"lowpass.0.load": 0, "lowpass.1.load": 0, "lowpass.0.in": SCREW_HOT, "lowpass.1.in": SPINDLE_HOT},
         "cool": {"lowpass.0.in": COLD, "lowpass.1.in": COLD},
     }

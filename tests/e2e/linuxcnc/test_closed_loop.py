@@ -180,6 +180,17 @@ def test_origin_shift_by_external_offsets(linuxcnc, capsys):
     assert np.all(np.abs(residual[resting]) <= MARGIN * promise(record)[resting] + 0.5 * COUNT)
 
 
+def test_four_emergency_stops_leave_the_axis_where_it_is(linuxcnc, capsys):
+    """Once each reset moved it by the whole correction: the correction ramped out while the drive held."""
+    there = "G21 G90 G61\nF30000\nG1 X450\nG4 P0.5\nM2\n"
+    record = linuxcnc("stops", "hal", machines.too_long_at_plus_x(), program=there, stops=4)
+    places = np.array(record.facts["stops"])
+    with capsys.disabled():
+        print(f"\nfour emergency stops at X = 450: motor told {places[0]:.6f} mm, moved {1e3 * np.ptp(places):.4f} um")
+    assert len(places) == 5 and places[0] == pytest.approx(450.0 - 0.009, abs=1e-4)
+    assert np.ptp(places) < 1e-5  # mm
+
+
 @pytest.mark.parametrize("way", ["screw", "hal"])
 def test_ten_um_too_long_goes_ten_um_less_far(linuxcnc, way):
     """The sign, in the real controller: at X = +500 the motor is told to go 10 um less far."""

@@ -70,6 +70,18 @@ def run_program():
     wait("the program", idle, PLAN["program_s"])
 
 
+def emergency_stops(count):
+    """Where the motor of joint 0 is told to be before the first stop, and after each one and going on."""
+    places = [hal.get_value("errpipe.command-x")]
+    for _ in range(count):
+        for state in (linuxcnc.STATE_ESTOP, linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
+            command.state(state)
+            command.wait_complete(10)
+            time.sleep(0.5)
+        places.append(hal.get_value("errpipe.command-x"))
+    return places
+
+
 def main():
     switch_on()
     started, cycles = time.monotonic(), hal.get_value("errpipe.heartbeat")
@@ -90,6 +102,7 @@ def main():
     sampler.send_signal(signal.SIGINT)
     sampler.wait(20)
     facts = {"elapsed_s": elapsed, "cycles": cycles, "rounds": rounds, "told": told}
+    facts["stops"] = emergency_stops(PLAN["stops"]) if PLAN["stops"] else []
     facts["overruns"] = hal.get_value("sampler.0.overruns")
     for name in ("errpipe", "motion-controller", "servo-thread"):
         facts[name + ".tmax"] = hal.get_value(name + ".tmax")

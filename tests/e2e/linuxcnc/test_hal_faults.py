@@ -1,0 +1,102 @@
+"""Random sequences of faults through the exported component in LinuxCNC's realtime thread, beside the reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.kernels.table_cycle import HOLD, OFF
+from errpipe.tables.reference import Evaluator
+from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
+from tests.e2e.linuxcnc import session
+from tests.e2e.linuxcnc.test_hal_component import stream
+from tests.faults import sequences
+
+pytestmark = [
+    pytest.mark.toolchain,
+    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
+]
+
+CYCLES = 7000
+UNCONNECTED = 1e31  # what a pin reads that nobody drives: not sane, so missing
+PRINT_UM = 1e-9  # halsampler prints six decimals of nm
+STREAM = """loadrt threads name1=servo-thread period1=1000000
+loadrt streamer depth=8000 cfg=fffbbb
+loadrt errpipe
+loadrt scale count=2
+setp scale.0.gain 1e6
+setp scale.1.gain 1e6
+loadrt sampler depth=8000 cfg=ffuu
+addf streamer.0 servo-thread
+addf errpipe servo-thread
+addf scale.0 servo-thread
+addf scale.1 servo-thread
+addf sampler.0 servo-thread
+net x streamer.0.pin.0 => errpipe.in-x
+net nut streamer.0.pin.1 => errpipe.in-t-nut
+net column streamer.0.pin.2 => errpipe.in-t-column
+net on streamer.0.pin.3 => errpipe.enable
+net home streamer.0.pin.4 => errpipe.homed
+net off streamer.0.pin.5 => errpipe.off
+net cx errpipe.correction-x => scale.0.in
+net cz errpipe.correction-z => scale.1.in
+net cxn scale.0.out => sampler.0.pin.0
+net czn scale.1.out => sampler.0.pin.1
+net s errpipe.status => sampler.0.pin.2
+net r errpipe.rejected-t-nut => sampler.0.pin.3
+"""
+
+
+def faults() -> np.ndarray:
+    """x, two sensors, enable, homed, off per cycle: the parts with faults of many sequences, short calms between."""
+    rows = []
+    for seed in range(40):
+        parts = sequences.sequence(seed)[:-1]
+        for part in parts:
+            mode = part.mode[:, None]
+            homed = np.where(mode == OFF, seed % 2, 1)  # off by one pin or by the other
+            bits = np.hstack([mode != HOLD, homed, (mode == OFF) & (homed == 1)])
+            rows.append(np.hstack([part.readings, bits]))
+    whole = np.vstack(rows)[:CYCLES].astype(float)
+    whole[:, :3] = np.where(np.abs(whole[:, :3]) < 1e6, whole[:, :3], UNCONNECTED)  # NaN fails the comparison too
+    return whole
+
+
+def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_reference(capsys):
+    made = sequences.table(0)
+    given = np.array([[float(f"{v:.9f}") for v in row] for row in faults()])
+    with session.alone() as folder:
+        (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
+        module = session.install(folder / COMPONENT)
+        try:
+            found, _, _ = stream(folder, given, STREAM, bits=3)
+        finally:
+            module.unlink()
+    assert len(found) == CYCLES and np.array_equal(np.diff(found[:, 0]), np.ones(CYCLES - 1)), "a cycle was lost"
+    corrections = 1e-3 * found[:, 1:3]
+    want, rejected = by_reference(made, given)
+    assert np.abs(corrections - want).max() < PRINT_UM
+    assert found[-1, 4] == rejected > 0
+    slew = np.array([o.slew for o in made.outputs]) * sequences.CYCLE
+    steps = np.abs(np.diff(corrections, axis=0, prepend=np.zeros((1, 2))))
+    size = np.abs(corrections) / np.array([o.magnitude for o in made.outputs])
+    largest = f"largest step {(steps / slew).max():.6f} of the slew, size {size.max():.6f} of the magnitude"
+    with capsys.disabled():
+        print(f"\nHAL: {CYCLES} cycles of faults, {largest}")
+    assert np.all(steps <= slew + PRINT_UM) and size.max() <= 1.0 + 1e-9
+    held = (given[:, 3] == 0) & (given[:, 4] == 1) & (given[:, 5] == 0)
+    assert held.sum() > 100 and steps[held].max() < PRINT_UM
+
+
+def by_reference(made, given: np.ndarray) -> tuple[np.ndarray, int]:
+    """Corrections, um, and the nut's refused readings; one that does not change is not new where it may go stale."""
+    evaluator, out = Evaluator(made), []
+    names, last = [i.name for i in made.inputs], [0.0] * 3
+    for x, nut, column, on, homed, off in given.tolist():
+        readings = dict(zip(names, (x, nut, column), strict=True))
+        stale = {i.name for i in made.inputs if i.stale_after_s is not None}
+        new = {n: v for (n, v), before in zip(readings.items(), last, strict=True) if n not in stale or v != before}
+        last = list(readings.values())
+        cycle = evaluator.cycle(new, enable=bool(homed and not off), hold=bool(homed and not off and not on))
+        out.append(list(cycle.correction.values()))
+    return 1e3 * np.array(out), cycle.rejected["T nut"]
