@@ -110,6 +110,11 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
             _unchanged(path, document.get("sha256", {}).get(row["file"]))
             files[path.name] = path.read_text(encoding="utf-8")
         lost = losses(table, target, files)
+        if not document.get("sha256") and not ("losses" in rows[0] and _comparable(lost, rows[0])):
+            raise VerifyError(
+                f"{folder / name}: cannot be verified: export.json keeps no checksum of its files and no "
+                "losses to compare; export again"
+            )
         if not _same(lost, rows[0]):
             before = rows[0]["error"]
             raise VerifyError(f"{folder / name}: now loses {told(lost)}; it lost {before} when it was exported")
@@ -117,10 +122,16 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
     return checks
 
 
+def _comparable(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
+    """Whether a loss was measured on the states of the export's."""
+    then = {x["axis"]: x for x in row.get("losses", lost)}
+    return all(x.get("states") == y["states"] for x in then.values() for y in lost)
+
+
 def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     """Whether a loss is that of the export. One measured on other states, by another version, cannot be compared."""
     then = {x["axis"]: x for x in row.get("losses", lost)}
-    if any(x.get("states") != y["states"] for x in then.values() for y in lost):
+    if not _comparable(lost, row):
         return set(then) == {x["axis"] for x in lost}
     return set(then) == {x["axis"] for x in lost} and all(
         abs(x[key] - then[x["axis"]][key]) <= SAME_UM for x in lost for key in ("largest_um", "rms_um", "table_rms_um")
