@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from errpipe.fitting.thermal_season import SeasonModel
 
 COMPETITION = "competition.json"
+MOST_OPERANDS = 48  # of one sum; a table takes 64
 
 
 class ThermalFamily(Family):
@@ -197,9 +198,12 @@ def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
         for _, gain, node in entrant.parts(groups):
             key = node.model_dump_json()
             merged[key] = (merged.get(key, (0.0, node))[0] + weight * gain, node)
-    if not merged:
-        return d.Constant(value=0.0)
-    return d.Affine(weights=tuple(g for g, _ in merged.values()), of=tuple(n for _, n in merged.values()))
+    parts = list(merged.values()) or [(1.0, d.Constant(value=0.0))]
+    sums = [
+        d.Affine(weights=tuple(g for g, _ in some), of=tuple(n for _, n in some))
+        for some in (parts[k : k + MOST_OPERANDS] for k in range(0, len(parts), MOST_OPERANDS))
+    ]
+    return sums[0] if len(sums) == 1 else d.Affine(weights=(1.0,) * len(sums), of=tuple(sums))
 
 
 def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> float:

@@ -92,6 +92,19 @@ def test_the_table_gives_the_mixture_back() -> None:
     assert_allclose(table_values(table, model, fitted)["E_Z"], found, atol=1e-3)
 
 
+def test_a_mixture_of_more_parts_than_a_sum_may_have_compiles() -> None:
+    """Sixteen sensors and their lags: some hundred drivers."""
+    plain = machine(7, runs=2, seasons=("winter", "spring"))
+    rng = np.random.default_rng(7)
+    more = {f"T_{k}": plain.array("T_bed") + rng.normal(0, 0.1, len(plain)) for k in range(13)}
+    place = Column(role="temperature", unit="degC", location="machine bed")
+    fitted = plain.with_columns(more, dict.fromkeys(more, place))
+    family = Lagged(component="E_Z")
+    model = family.fit(fitted).model
+    table = compile_model(model, CompileOptions())
+    assert_allclose(table_values(table, model, fitted)["E_Z"], family.train(fitted).values(fitted), atol=1e-3)
+
+
 def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
     recording, family = machine(4, runs=4), Auto(component="E_Z")
     fitted = family.fit(recording)
