@@ -30,6 +30,14 @@ Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage in any
 At = typer.Option(
     [], "--at", metavar="INPUT=VALUE", help="Value of one input, in its canonical unit. Repeatable.", show_default=False
 )
+SecretKey = typer.Option(
+    ..., "--key", envvar="ERRPIPE_KEY", metavar="FILE", help="The secret key (errpipe keygen).", show_default=False
+)
+PublicKey = typer.Option(
+    ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="Whose signatures count.", show_default=False
+)
+Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.", show_default=False)
+Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601; default: now.", show_default=False)
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
 
 

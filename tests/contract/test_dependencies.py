@@ -16,7 +16,6 @@ IMPORTED = {
     "nptdms": "nptdms",
     "python-calamine": "python_calamine",
 }
-PENDING = {"cryptography"}  # signatures of the registry
 FREE = r"MIT|BSD|Apache|PSF|Python Software Foundation|ISC|Zlib|HPND|CC0|0BSD|MPL|Mozilla|Unlicense|Public Domain"
 # Told by hand where the metadata does not say: distribution -> where the licence stands.
 BY_HAND = {"fmpy": "BSD-2-Clause (LICENSE of the distribution)"}
@@ -31,11 +30,7 @@ def licence_of(name: str, found) -> str:
 @pytest.mark.parametrize("extra", [group for group in declared() if group != "dev"])
 def test_every_dependency_is_imported(extra: str) -> None:
     used = {name.split(".")[0] for module, path in modules() for _, name in imports(path.read_text(), module)}
-    idle = [
-        n
-        for n in map(name_of, declared()[extra])
-        if n not in PENDING and IMPORTED.get(n, n.replace("-", "_")) not in used
-    ]
+    idle = [n for n in map(name_of, declared()[extra]) if IMPORTED.get(n, n.replace("-", "_")) not in used]
     assert idle == [], f"nothing imports {idle}"
 
 

@@ -1,0 +1,26 @@
+"""`errpipe keygen`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    folder: Path = typer.Argument(..., metavar="DIR", help="Where errpipe.key (secret) and errpipe.pub are written."),
+    json: bool = Json,
+) -> None:
+    """Make a pair of keys for signing, in minisign's format.
+
+    The secret key has no password: keep it where only the one who signs can read it. A key is never overwritten.
+
+    \b
+    Example:
+      errpipe keygen keys
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("keygen", stage_module("signing").keygen(folder), as_json=json)

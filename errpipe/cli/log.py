@@ -1,0 +1,33 @@
+"""`errpipe log`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json, PublicKey
+
+
+def command(
+    registry: Path = typer.Argument(..., metavar="REGISTRY", help="Folder of the registry.", show_default=False),
+    machine: str | None = typer.Argument(None, metavar="MACHINE", help="One machine only.", show_default=False),
+    at: str | None = typer.Option(
+        None, "--at", metavar="TIME", help="What was on the machine then, such as 2026-03-03.", show_default=False
+    ),
+    file: Path | None = typer.Option(
+        None, "--file", metavar="TABLE", help="Which entries this table belongs to.", show_default=False
+    ),
+    public_key: Path = PublicKey,
+    json: bool = Json,
+) -> None:
+    """Say what was on a machine, when, and why; every signature is checked.
+
+    \b
+    Example:
+      errpipe log registry 7 --at 2026-03-03 --public-key keys/errpipe.pub
+      errpipe log registry --file found-on-the-controller.ect --public-key keys/errpipe.pub
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("log", stage_module("signing").log(registry, machine, at, file, public_key), as_json=json)

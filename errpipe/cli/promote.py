@@ -1,0 +1,33 @@
+"""`errpipe promote`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
+
+
+def command(
+    registry: Path = typer.Argument(..., metavar="REGISTRY", help="Folder of the registry.", show_default=False),
+    machine: str = typer.Argument(..., metavar="MACHINE", help="Name of the machine.", show_default=False),
+    table: Path = typer.Argument(..., metavar="TABLE", help="The table that it gets (.ect).", show_default=False),
+    why: str = Why,
+    key: Path = SecretKey,
+    public_key: Path = PublicKey,
+    time: str | None = Time,
+    json: bool = Json,
+) -> None:
+    """Put a table on record as the one that is on a machine.
+
+    Of two who promote at once one wins, and the other is told (exit 4).
+
+    \b
+    Example:
+      errpipe promote registry 7 table.ect --why "new spindle" --key keys/errpipe.key --public-key keys/errpipe.pub
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    done = stage_module("signing").promote(registry, machine, table, why, key, public_key, time)
+    print_answer("promote", done, as_json=json)

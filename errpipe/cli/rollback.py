@@ -1,0 +1,38 @@
+"""`errpipe rollback`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
+
+
+def command(
+    registry: Path = typer.Argument(..., metavar="REGISTRY", help="Folder of the registry.", show_default=False),
+    machine: str = typer.Argument(..., metavar="MACHINE", help="Name of the machine.", show_default=False),
+    to: int | None = typer.Option(
+        None, "--to", metavar="ENTRY", help="Number of an entry; default: the last other table.", show_default=False
+    ),
+    out: Path | None = typer.Option(
+        None, "--out", metavar="FILE", help="Where to write the table that is back.", show_default=False
+    ),
+    why: str = Why,
+    key: Path = SecretKey,
+    public_key: Path = PublicKey,
+    time: str | None = Time,
+    json: bool = Json,
+) -> None:
+    """Put a machine's earlier table back on record.
+
+    Nothing is removed from the history: going back is a new entry.
+
+    \b
+    Example:
+      errpipe rollback registry 7 --out table.ect --why "worse in the cold" --key errpipe.key --public-key errpipe.pub
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    done = stage_module("signing").rollback(registry, machine, to, out, why, key, public_key, time)
+    print_answer("rollback", done, as_json=json)

@@ -1,0 +1,26 @@
+"""`errpipe sign`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json, SecretKey
+
+
+def command(
+    file: Path = typer.Argument(..., metavar="FILE", help="A table, or any other file.", show_default=False),
+    key: Path = SecretKey,
+    comment: str = typer.Option("", "--comment", metavar="TEXT", help="Signed along with the file, such as a machine."),
+    json: bool = Json,
+) -> None:
+    """Sign a file; `minisign` can check the signature, too.
+
+    \b
+    Example:
+      errpipe sign out/axis/export/table.ect --key keys/errpipe.key --comment "machine 7"
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("sign", stage_module("signing").sign(file, key, comment), as_json=json)

@@ -1,0 +1,27 @@
+"""`errpipe verify-signature`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json, PublicKey
+
+
+def command(
+    file: Path = typer.Argument(
+        ..., metavar="FILE", help="The file; its signature is FILE.minisig.", show_default=False
+    ),
+    public_key: Path = PublicKey,
+    json: bool = Json,
+) -> None:
+    """Check a file's signature: unsigned, touched or of another key is exit 6.
+
+    \b
+    Example:
+      errpipe verify-signature out/axis/export/table.ect --public-key keys/errpipe.pub
+    """
+    from errpipe.cli.output import print_answer, stage_module
+
+    print_answer("verify-signature", stage_module("signing").verify_signature(file, public_key), as_json=json)

@@ -1,0 +1,154 @@
+"""Signatures and the registry: what was on which machine, since when and why; promote, roll back, look up."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe.errors import UsageError, VerifyError
+from errpipe.registry import minisign
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    from errpipe.registry.store import Entry, Registry
+
+MAX_WHY = 500  # characters of a reason
+
+
+def keygen(folder: Path) -> dict[str, Any]:
+    """A new key pair in a folder. Raises UsageError where there is one already."""
+    secret, public = minisign.write_pair(minisign.generate(), folder)
+    key = minisign.read_public(public).name
+    return {
+        "key": key,
+        "secret": str(secret),
+        "public": str(public),
+        "says": [f"{secret}: keep it secret", f"{public}: give it away"],
+    }
+
+
+def sign(file: Path, secret: Path, comment: str) -> dict[str, Any]:
+    """Sign a file; a table's identity goes into the trusted comment. Raises VerifyError for a key that is none."""
+    key = minisign.read_secret(secret)
+    words = [
+        f"file {file.name}",
+        *([f"table {identity(file)}"] if file.suffix == ".ect" else []),
+        *([comment] if comment else []),
+    ]
+    beside = minisign.sign_file(file, key, ", ".join(words))
+    return {"signature": str(beside), "key": key.public.name, "says": [f"{beside}: signed by {key.public.name}"]}
+
+
+def verify_signature(file: Path, public: Path) -> dict[str, Any]:
+    """The trusted comment of a file's signature. Raises VerifyError where it is unsigned, touched or of another key."""
+    key = minisign.read_public(public)
+    comment = minisign.verify_file(file, key)
+    return {"key": key.name, "comment": comment, "says": [f"{file}: signed by {key.name}: {comment}"]}
+
+
+def identity(table: Path) -> str:
+    """The name by which a controller shows a table. Raises VerifyError where it is none."""
+    from errpipe.tables import ect
+
+    return ect.fingerprint(_artefacts.read_table(table))
+
+
+def promote(
+    registry: Path, machine: str, table: Path, why: str, secret: Path, public: Path, time: str | None
+) -> dict[str, Any]:
+    """Put a table on record as the one of a machine. Raises GateError where another writer was first."""
+    from errpipe import files
+    from errpipe.registry.store import MAX_OBJECT_BYTES
+
+    store = _registry(registry, public)
+    past = store.history(machine)
+    name = identity(table)
+    data = files.read(table, MAX_OBJECT_BYTES, UsageError)
+    done = store.append(machine, "promote", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
+    return _row(done, store) | {"says": [f"machine {machine}: table {name} is entry {done.number}"]}
+
+
+def rollback(
+    registry: Path,
+    machine: str,
+    to: int | None,
+    out: Path | None,
+    why: str,
+    secret: Path,
+    public: Path,
+    time: str | None,
+) -> dict[str, Any]:
+    """Put the table of an earlier entry back on record (default: the last one that differs), and write it to a file."""
+    from errpipe import jsonfile
+
+    store = _registry(registry, public)
+    past = store.history(machine)
+    if not past:
+        raise UsageError(f"machine {machine} has no history in {registry}")
+    earlier = [e for e in past if e.table != past[-1].table] if to is None else [e for e in past if e.number == to]
+    if not earlier:
+        raise UsageError(f"machine {machine}: no earlier table to go back to (entries: 1 to {len(past)})")
+    data = store.table(earlier[-1].table)
+    done = store.append(machine, "rollback", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
+    if out is not None:
+        jsonfile.write_bytes(out, data)
+    return _row(done, store) | {
+        "says": [f"machine {machine}: entry {done.number} is again the table of entry {earlier[-1].number}"]
+    }
+
+
+def log(registry: Path, machine: str | None, at: str | None, file: Path | None, public: Path) -> dict[str, Any]:
+    """A machine's history, what was on it at a time, or which entries a file found on a controller belongs to."""
+    store = _registry(registry, public)
+    rows = [
+        _row(e, store) for name in ([machine] if machine is not None else store.machines()) for e in store.history(name)
+    ]
+    if file is not None:
+        wanted = identity(file)
+        rows = [row for row in rows if row["identity"] == wanted]
+        if not rows:
+            raise VerifyError(f"{file}: table {wanted} was never on record in {registry}")
+    if at is not None:
+        then = _time(at)
+        last = {row["machine"]: row for row in rows if row["time"] <= then}
+        rows = list(last.values())
+    lines = [
+        f"{r['machine']} {r['number']:>4}  {r['time']}  {r['action']:<8}  table {r['identity']}  {r['why']}"
+        for r in rows
+    ]
+    return {"entries": rows, "says": lines or ["no entries"]}
+
+
+def _registry(folder: Path, public: Path) -> Registry:
+    from errpipe.registry.store import Registry
+
+    return Registry(folder, minisign.read_public(public))
+
+
+def _row(entry: Entry, store: Registry) -> dict[str, Any]:
+    from errpipe.tables import ect
+
+    data = store.table(entry.table)
+    try:
+        name = ect.fingerprint(ect.loads(data))
+    except VerifyError:  # a JSON twin
+        name = entry.table[:8]
+    return entry.plain() | {"identity": name}
+
+
+def _why(text: str) -> str:
+    if not text.strip() or len(text) > MAX_WHY or not text.isprintable():
+        raise UsageError(f"--why: one printable line of at most {MAX_WHY} characters is needed")
+    return text.strip()
+
+
+def _time(text: str | None) -> str:
+    """A time as UTC, ISO 8601; now, where none is said. A record of when is the one place where a clock belongs."""
+    if text is None:
+        return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    try:
+        said = datetime.fromisoformat(text)
+    except ValueError:
+        raise UsageError(f"{text!r} is not a time (allowed: such as 2026-03-03 or 2026-03-03T14:00:00Z)") from None
+    return (said if said.tzinfo else said.replace(tzinfo=UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,245 @@
+"""The registry loses nothing, hides nothing, and refuses whatever was touched; signatures are minisign's."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from errpipe.cli.app import main
+from errpipe.errors import DataError, GateError, UsageError, VerifyError
+from errpipe.registry import minisign
+from errpipe.registry.store import Registry
+from errpipe.tables import ect
+from tests.unit.targets import machines
+
+
+@pytest.fixture(scope="module")
+def key() -> minisign.SecretKey:
+    return minisign.generate()
+
+
+@pytest.fixture
+def where(tmp_path: Path, key: minisign.SecretKey) -> Path:
+    minisign.write_pair(key, tmp_path / "keys")
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "one.ect")
+    ect.write(machines.wavy_both_directions(), tmp_path / "two.ect")
+    return tmp_path
+
+
+def run(where: Path, *words: str | Path, capsys: Any) -> tuple[int, dict[str, Any]]:
+    """Exit code and JSON document of one command line, with the keys where a verb takes them."""
+    keys = ["--public-key", where / "keys/errpipe.pub"]
+    if words[0] in ("promote", "rollback"):
+        keys += ["--key", where / "keys/errpipe.key"]
+    capsys.readouterr()
+    code = main([str(w) for w in (*words, *keys, "--json")])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_what_was_on_machine_7_and_why(where: Path, capsys: Any) -> None:
+    reg = where / "reg"
+    for day, table in (("2026-01-10", "one.ect"), ("2026-03-01", "two.ect")):
+        words = ("promote", reg, "7", where / table, "--why", f"recorded on {day}", "--time", day)
+        assert run(where, *words, capsys=capsys)[0] == 0
+    words = ("rollback", reg, "7", "--why", "worse in the cold", "--time", "2026-03-05", "--out", where / "back.ect")
+    assert run(where, *words, capsys=capsys)[0] == 0
+    assert (where / "back.ect").read_bytes() == (where / "one.ect").read_bytes()
+    _, document = run(where, "log", reg, "7", capsys=capsys)
+    assert [e["action"] for e in document["result"]["entries"]] == ["promote", "promote", "rollback"]
+    _, document = run(where, "log", reg, "7", "--at", "2026-03-03", capsys=capsys)
+    (entry,) = document["result"]["entries"]
+    assert entry["number"] == 2 and entry["why"] == "recorded on 2026-03-01"
+    _, document = run(where, "log", reg, "--file", where / "one.ect", capsys=capsys)
+    assert [e["number"] for e in document["result"]["entries"]] == [1, 3]
+    ect.write(machines.bent(), where / "stranger.ect")
+    assert run(where, "log", reg, "--file", where / "stranger.ect", capsys=capsys)[0] == 6
+
+
+def filled(where: Path, key: minisign.SecretKey, entries: int = 3) -> Registry:
+    store = Registry(where / "reg", key.public)
+    for n in range(entries):
+        store.append("7", "promote", f"table {n}".encode(), f"because {n}", "2026-01-01T00:00:00Z", key, n)
+    return store
+
+
+def test_whatever_is_touched_is_refused(where: Path, key: minisign.SecretKey) -> None:
+    """Every byte of every file counts: one bit turned anywhere, one file gone or put in another's place."""
+    filled(where, key)
+    sound = where / "sound"
+    (where / "reg").rename(sound)
+
+    def refused(change: Any) -> bool:
+        shutil.rmtree(where / "reg", ignore_errors=True)
+        shutil.copytree(sound, where / "reg")
+        change()
+        store = Registry(where / "reg", key.public)
+        try:
+            history = store.history("7")
+            for entry in history:
+                store.table(entry.table)
+        except VerifyError:
+            return True
+        return len(history) != 3
+
+    rng = random.Random(3)
+    for file in sorted(p.relative_to(sound) for p in sound.rglob("*") if p.is_file()):
+        target = where / "reg" / file
+        data = (sound / file).read_bytes()
+        first = data.index(b"\n") + 1 if file.suffix == ".minisig" else 0  # the first line of a signature is not signed
+        for at in {rng.randrange(first, len(data)) for _ in range(6)}:
+            turned = data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :]
+
+            def write(target: Path = target, turned: bytes = turned) -> None:
+                target.unlink()
+                target.write_bytes(turned)
+
+            assert refused(write), (file, at)
+        assert refused(lambda target=target: target.unlink()), file
+    entries = where / "reg" / "machines" / "7"
+    assert refused(lambda: (entries / "000002").rename(entries / "000004"))
+    assert refused(lambda: shutil.copy(entries / "000001", entries / "000004"))
+    assert not refused(lambda: None)
+
+
+def test_a_name_that_leaves_the_registry_is_refused(where: Path, key: minisign.SecretKey) -> None:
+    for machine in ("../x", "", "a/b", ".", "..", "a\nb"):
+        with pytest.raises(UsageError):
+            Registry(where / "reg", key.public).history(machine)
+
+
+def test_of_two_who_promote_at_once_one_wins_and_the_other_is_told(where: Path, key: minisign.SecretKey) -> None:
+    filled(where, key, 1)
+
+    def promote(n: int) -> str:
+        try:
+            Registry(where / "reg", key.public).append("7", "promote", b"t%d" % n, "x", "2026-01-02", key, 1)
+            return "won"
+        except GateError as err:
+            assert "another writer was first" in str(err)
+            return "told"
+
+    with ThreadPoolExecutor(8) as pool:
+        assert sorted(pool.map(promote, range(8))) == ["told"] * 7 + ["won"]
+    assert len(Registry(where / "reg", key.public).history("7")) == 2
+
+
+def killed_writers(where: Path, key: minisign.SecretKey, count: int) -> None:
+    """Writers are killed at any moment: every entry that was ever seen stays, and the history stays whole."""
+    store, rng, seen = filled(where, key, 1), random.Random(5), []
+    for n in range(count):
+        pid = os.fork()
+        if pid == 0:
+            try:
+                for _ in range(1000):
+                    after = len(store.history("7"))
+                    store.append("7", "promote", os.urandom(2000), f"kill {n}", "2026-01-01", key, after)
+            finally:
+                os._exit(0)
+        time.sleep(rng.uniform(0, 0.05))
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        now = [entry.digest for entry in store.history("7")]
+        assert now[: len(seen)] == seen
+        seen = now
+    assert all(store.table(entry.table) for entry in store.history("7"))
+
+
+def test_a_few_kills_lose_nothing(where: Path, key: minisign.SecretKey) -> None:
+    killed_writers(where, key, 15)
+
+
+@pytest.mark.slow
+def test_many_kills_lose_nothing(where: Path, key: minisign.SecretKey) -> None:
+    killed_writers(where, key, 150)
+
+
+def test_a_full_disk_is_a_message_and_loses_nothing(where: Path, key: minisign.SecretKey) -> None:
+    store = filled(where, key, 2)
+    pid = os.fork()
+    if pid == 0:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        try:
+            store.append("7", "promote", bytes(5000), "too large", "2026-01-02", key, 2)
+        except OSError as err:
+            os._exit(7 if err.filename is not None else 8)
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
+    assert len(store.history("7")) == 2 and not list((where / "reg").rglob(".new-*"))
+
+
+# ---------------------------------------------------------------- keys and signatures
+
+
+def test_a_signature_holds_for_its_bytes_and_its_key_only(where: Path, key: minisign.SecretKey) -> None:
+    table = where / "one.ect"
+    minisign.sign_file(table, key, "machine 7")
+    assert minisign.verify_file(table, key.public) == "machine 7"
+    with pytest.raises(VerifyError, match="signed by the key"):
+        minisign.verify_file(table, minisign.generate().public)
+    with pytest.raises(VerifyError, match="is not signed"):
+        minisign.verify_file(where / "two.ect", key.public)
+    beside = where / "one.ect.minisig"
+    beside.write_text(beside.read_text().replace("machine 7", "machine 8"))
+    with pytest.raises(VerifyError, match="was changed"):
+        minisign.verify_file(table, key.public)
+
+
+def test_keys_are_private_and_never_overwritten(where: Path, key: minisign.SecretKey) -> None:
+    secret = where / "keys/errpipe.key"
+    assert secret.stat().st_mode & 0o777 == 0o600
+    assert minisign.read_secret(secret) == key
+    with pytest.raises(UsageError, match="never overwritten"):
+        minisign.write_pair(key, where / "keys")
+    secret.chmod(0o644)
+    with pytest.raises(VerifyError, match="others can read"):
+        minisign.read_secret(secret)
+    for text in ("", "a\nb\n", "untrusted comment: x\n" + "A" * 300 + "\n"):
+        (where / "x.pub").write_text(text)
+        with pytest.raises((VerifyError, DataError)):
+            minisign.read_public(where / "x.pub")
+
+
+def test_the_verbs_sign_and_verify(where: Path, capsys: Any) -> None:
+    assert (
+        main(["sign", str(where / "one.ect"), "--key", str(where / "keys/errpipe.key"), "--comment", "machine 7"]) == 0
+    )
+    public = ["--public-key", str(where / "keys/errpipe.pub")]
+    assert main(["verify-signature", str(where / "one.ect"), *public]) == 0
+    assert "machine 7" in capsys.readouterr().out
+    (where / "one.ect").write_bytes((where / "two.ect").read_bytes())
+    assert main(["verify-signature", str(where / "one.ect"), *public]) == 6
+
+
+@pytest.mark.toolchain
+@pytest.mark.skipif(shutil.which("minisign") is None, reason="the program minisign is not installed")
+def test_minisign_and_errpipe_read_each_other(where: Path, key: minisign.SecretKey) -> None:
+    """The real program verifies and signs with our keys, and ours with its keys."""
+
+    def program(*words: str | Path) -> str:
+        done = subprocess.run(["minisign", *map(str, words)], capture_output=True, text=True, timeout=60)
+        return done.stdout if done.returncode == 0 else f"failed: {done.stderr}"
+
+    table, keys = where / "one.ect", where / "keys"
+    minisign.sign_file(table, key, "machine 7")
+    assert "machine 7" in program("-V", "-p", keys / "errpipe.pub", "-m", table)
+    program("-S", "-s", keys / "errpipe.key", "-m", table, "-t", "by the program")
+    assert minisign.verify_file(table, key.public) == "by the program"
+    program("-G", "-W", "-p", where / "m.pub", "-s", where / "m.key")
+    (where / "m.key").chmod(0o600)
+    theirs = minisign.read_secret(where / "m.key")
+    assert theirs.public == minisign.read_public(where / "m.pub")
+    minisign.sign_file(where / "two.ect", theirs, "by errpipe")
+    assert "by errpipe" in program("-V", "-p", where / "m.pub", "-m", where / "two.ect")
+    table.write_bytes(table.read_bytes() + b"x")
+    assert program("-V", "-p", keys / "errpipe.pub", "-m", table).startswith("failed")
