@@ -148,7 +148,7 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
         for colour, (name, values) in zip(itertools.cycle(FINDINGS), trace.contributions.items(), strict=False):
             text = UNNAMED if name == "unknown" else name.replace("_", " ")
             axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=text)
-        axes[0].legend(loc="upper right", fontsize=8)
+        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8)
         axes[1].plot(x[rows], trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
         axes[1].sharey(axes[0])
         axes[1].legend(loc="upper right", fontsize=8)

@@ -9,8 +9,9 @@ from pydantic import Field
 
 from errpipe.errors import VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
-from errpipe.stages import _artefacts
+from errpipe.stages import _artefacts, _plausible
 from errpipe.stages.identify import IDENTIFICATION, MACHINE
+from errpipe.validation.codes import Code
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
@@ -38,6 +39,13 @@ class ExportVolumetric(Stage):
     )
     lattice_tool: float = Field(100.0, ge=0, description="Length of that tool.", json_schema_extra={"unit": "mm"})
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
+    limit: float | None = Field(
+        None,
+        gt=0,
+        description="Largest plausible correction of an axis; default: 0.5 mm, or 1/1000 of the travel.",
+        json_schema_extra={"unit": "um"},
+    )
+    allow: tuple[Code, ...] = Field((), description="Implausible corrections that are true, by name.")
     ungated: bool = Field(
         False, description="Export an identification too that is not expected to make the machine better."
     )
@@ -63,6 +71,7 @@ class ExportVolumetric(Stage):
         errors = summary.errors(chain, document)
         turning = reversals(document)
         table = compile_machine(chain, errors, jsonfile.fingerprint(document), context.title, self.error_bound, turning)
+        _plausible.refuse_table(table, self.allow, self.limit)
         worst, allowed = largest_difference(chain, errors, table, turning), bound(chain, table)
         prove(worst, allowed)
         ect.write(table, context.folder / _artefacts.TABLE)

@@ -97,7 +97,7 @@ def _data(file: str) -> str:
 
 def _filled(text: str, template: Template, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@."""
-    words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "6", "ISO": "true"}
+    words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}"
     words["TARGETS"] = f"[{', '.join(targets or template.targets)}]"
     backlash = True
@@ -130,7 +130,7 @@ def _facts(folder: Path) -> dict[str, Any]:
     side = recording.name("direction", axis=axis)
     both = side is not None and np.unique(recording.array(side)).size > 1
     runs = len(recording.run_labels())
-    words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(6, targets // 2)))}
+    words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
     words["ISO"] = "true" if both and runs >= 2 else "false"
     return {"words": words, "both_directions": both}

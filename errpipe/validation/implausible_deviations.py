@@ -138,7 +138,8 @@ def reversed_sign(r: Response) -> Finding | None:
     rec, axis = r.recording, r.component.axis
     if r.component.kind not in ("positioning", "angular positioning") or axis is None or r.per_unit is None:
         return None
-    actual, command = rec.name("position", axis=axis), rec.name("command", axis=axis)
+    command = rec.name("command", axis=axis)
+    actual = rec.name("actual", axis=axis) or rec.name("position", axis=axis)
     if actual is None or command is None:
         return None
     true = r.per_unit * (rec.array(actual) - rec.array(command))[r.rows]

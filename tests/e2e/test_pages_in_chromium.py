@@ -26,12 +26,20 @@ MEASURE = """<script>addEventListener('load', () => {
   for (const t of document.querySelectorAll('p, td, th, figcaption, span, code, a'))
     smallest = Math.min(smallest, parseFloat(getComputedStyle(t).fontSize));
   document.body.dataset.smallest = smallest;
-  document.body.dataset.width = document.documentElement.scrollWidth;
+  document.body.dataset.over = document.documentElement.scrollWidth - window.innerWidth;
 })</script>"""
 
 
 def browse(page: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    line = [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", *options]
+    line = [
+        str(BROWSER),
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--hide-scrollbars",
+        "--enable-logging=stderr",
+        *options,
+    ]
     return subprocess.run([*line, page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
 
 
@@ -54,6 +62,6 @@ def test_pages(pages: list[Path], tmp_path: Path) -> None:
         seen = browse(copy, "--window-size=390,2000", "--dump-dom")
         assert "CONSOLE" not in seen.stderr
         assert float(re.search(r'data-smallest="([\d.]+)"', seen.stdout)[1]) >= 9.0
-        assert int(re.search(r'data-width="(\d+)"', seen.stdout)[1]) <= 390
+        assert int(re.search(r'data-over="(-?\d+)"', seen.stdout)[1]) <= 0, "the page is wider than the phone"
         browse(page, f"--print-to-pdf={tmp_path / 'page.pdf'}")
         assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")

@@ -28,6 +28,18 @@ def test_a_template_is_checked(name: str, tmp_path: Path, monkeypatch: pytest.Mo
     assert main(["init", "--template", name, "work ä"]) == 2
 
 
+def test_a_refused_export_writes_the_report_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "--template", "laser-iso230", "work"]) == 0
+    assert main(["run", "work/pipeline.yaml", "--out", "out", "--set", "export.limit=3 um"]) == 4
+    page = (tmp_path / "out/report/report.html").read_text(encoding="utf-8")
+    assert "Refused:" in page and "[beyond-limit]" in page and "What will happen" not in page
+    assert not (tmp_path / "out/export").exists()
+    assert main(["run", "work/pipeline.yaml", "--out", "out"]) == 0
+    page = (tmp_path / "out/report/report.html").read_text(encoding="utf-8")
+    assert "Refused:" not in page and "will be told to go" in page and "ISO 230-2 chart" in page
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TEMPLATES)
 def test_a_template_runs_end_to_end(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

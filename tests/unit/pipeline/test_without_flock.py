@@ -11,6 +11,7 @@ import pytest
 from errpipe.pipeline.lock import alone
 
 
+@pytest.mark.filterwarnings("ignore:only soft file lock")
 def test_two_runs_wait_for_each_other_without_flock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fcntl", None)
     waited, order = threading.Event(), []
