@@ -48,9 +48,12 @@ def uneven_waves(waves: np.ndarray, x: np.ndarray) -> Slack:
         yield wave * polynomials[:, 2], 0.15
 
 
+LEAST_TURNS = 6.0  # of a wave, from which its harmonics are offered: of fewer they could draw any bump
+
+
 def higher_harmonics(x: np.ndarray, period: float) -> Slack:
     """Multiples of a wave along x: a wave that is no sine is one finding."""
-    for k in (2, 3, 4):
+    for k in (2, 3, 4) if np.ptp(x) > LEAST_TURNS * period else ():
         angle = 2 * np.pi * k / period * x
         yield np.sin(angle), 0.4
         yield np.cos(angle), 0.4

@@ -63,10 +63,12 @@ class LocalWear(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[LocalWear]:
-        if direction_of(component) is None and not is_radial(component):
-            return
         own = own_axis(component)
-        for axis in axes_acting(recording, component) if is_radial(component) else axes(recording):
+        positioning = own is not None and component == f"E{own}{own}"  # of a rotary axis, too
+        if direction_of(component) is None and not is_radial(component) and not positioning:
+            return
+        along = axes_acting(recording, component) if is_radial(component) or positioning else axes(recording)
+        for axis in along:
             if own is None or axis == own:
                 low, high = travel(recording, axis)
                 yield cls(axis=axis, radial=is_radial(component), length=high - low)

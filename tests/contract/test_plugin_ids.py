@@ -77,7 +77,12 @@ KINDS = (
         },
     ),
     Kind("formats", "FORMATS", {}, {}),
-    Kind("targets", "TARGETS", {}, {}),
+    Kind(
+        "targets",
+        "TARGETS",
+        {},
+        {"stages/init.py": "the targets that a new project starts with; they should say so themselves"},
+    ),
     Kind("cleaning", "RULES", {}, {}),
     # stages are not listed: their kinds (fit, clean, report) are everyday words; they are linked by artefact types
 )
