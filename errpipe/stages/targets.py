@@ -37,8 +37,8 @@ def targets() -> dict[str, Any]:
 
 
 def _described(row: dict[str, Any]) -> str:
-    told = f"{row['name']:<22} {row['confidence']:<13} {row['controller']}\n    {row['sign']}; {row['limits']}"
-    return told + (f"\n    goes with {', '.join(row['goes_with'])}" if row["goes_with"] else "")
+    line = f"{row['name']:<22} {row['confidence']:<13} {row['controller']}\n    {row['sign']}; {row['limits']}"
+    return line + (f"\n    goes with {', '.join(row['goes_with'])}" if row["goes_with"] else "")
 
 
 def compare_targets(table: Path) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
             {
                 "file": f"{target.name}/{name}",
                 "what": target.controller,
-                "error": told(lost),
+                "error": in_words(lost),
                 "read_back": "compared",
                 "losses": lost,
             }
@@ -175,7 +175,7 @@ def _companions(table: CompensationTable, target: Any, others: Sequence[str]) ->
     _, read = write_together(table, [target, *chosen(others)])
     return (
         f"\nLoad these files only together with those of {', '.join(others)}: what they say is left out here.\n"
-        f"Together they leave {told(_loss_rows(table, read))}.\n"
+        f"Together they leave {in_words(_loss_rows(table, read))}.\n"
     )
 
 
@@ -216,7 +216,7 @@ def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list
     return _loss_rows(table, target.read_back(files))
 
 
-def told(lost: list[dict[str, Any]]) -> str:
+def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
     seen = f" um on {lost[0]['states']} states" if lost else " nothing: no axis is moved"
     return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} largest seen" for x in lost) + seen
@@ -337,5 +337,5 @@ def _moves(read: Any) -> list[str]:
 def _line(row: dict[str, Any]) -> str:
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
-    told = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, {row['largest_um']:.3g} largest seen"
-    return f"{row['target']:<22} {row['axis']}  {told}"
+    loss = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, {row['largest_um']:.3g} largest seen"
+    return f"{row['target']:<22} {row['axis']}  {loss}"

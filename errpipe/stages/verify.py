@@ -95,7 +95,7 @@ def every_state(model: ErrorModel, seed: int = 1) -> Recording:
 
 
 def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -> list[str]:
-    from errpipe.stages.targets import chosen, losses, told
+    from errpipe.stages.targets import chosen, in_words, losses
 
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in document["files"]:
@@ -117,8 +117,8 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
             )
         if not _same(lost, rows[0]):
             before = rows[0]["error"]
-            raise VerifyError(f"{folder / name}: now loses {told(lost)}; it lost {before} when it was exported")
-        checks.append(f"{name}: read back as the controller does; loses {told(lost)}")
+            raise VerifyError(f"{folder / name}: now loses {in_words(lost)}; it lost {before} when it was exported")
+        checks.append(f"{name}: read back as the controller does; loses {in_words(lost)}")
     return checks
 
 
