@@ -17,6 +17,7 @@ from .folder import Array, Sheet
 
 EXPLAINS = 0.97  # as in the first generator and the public sample's key
 RULED_OUT = 18.0  # sum of squares left, in variances of the noise: chi-square of 9, a reading counted as half
+BUMPS = (0.1, 0.2, 0.4, 0.7)  # widths of worn stretches, in half travels: on a few places a bow and a bump are one
 Form = tuple[str, tuple[str, ...], Array]  # effect, drivers, columns (rows, k)
 
 
@@ -111,6 +112,9 @@ def _places(sheet: Sheet, value: dict[str, Array]) -> Iterator[Form]:
         yield "squareness", (p,), u[:, None]
         yield "straightness", (p,), np.column_stack([u**2, u**3])
         yield "gravity_sag", (p,), np.column_stack([u, u**2])
+        for centre in np.linspace(-1, 1, 9):
+            for width in BUMPS:
+                yield "local_wear", (p,), np.exp(-0.5 * ((u - centre) / width) ** 2)[:, None]
         for q in places:
             if q != p:
                 yield "angular_abbe", (p, q), np.column_stack([value[q], value[q] * u])
