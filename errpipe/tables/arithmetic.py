@@ -1,7 +1,7 @@
 """exp, ln and power from + - * / and comparisons alone, so that every evaluator gets the same bits.
 
 A controller has no mathematics library that all agree on: these three are written out, step by step, in
-`schemas/ect-1.md`, and the same steps stand in the Numba kernel, in `ect.c` and in the function block.
+`schemas/ect-2.md`, and the same steps stand in the Numba kernel, in `ect.c` and in the function block.
 Errors against the true value, measured in tests: exp 1 ulp, ln 3 ulp, power 1e-14 relative.
 """
 

@@ -1,4 +1,4 @@
-"""EXP, LN and POWER of the compensation table, from section 9 of `schemas/ect-1.md`, in binary64 and in binary32."""
+"""EXP, LN and POWER of the compensation table, from section 9 of `schemas/ect-2.md`, in binary64 and in binary32."""
 
 import math
 import struct

@@ -541,7 +541,7 @@ def motion() -> tuple[t.CompensationTable, list[dict], list[int]]:
         for m in (None, 20.0)
     ]
     limits += [{"acceleration": 4.0 / TICK**2}, {"slew": 1.0 / TICK, "acceleration": 0.25 / TICK**2}]
-    limits += [{"magnitude": 0.5}]
+    limits += [{"magnitude": 0.5}, {"magnitude": 0.5, "acceleration": 0.125 / TICK**2}]
     table = t.CompensationTable(
         position_cycle_s=TICK,
         slow_every=1,
@@ -565,11 +565,23 @@ def motion() -> tuple[t.CompensationTable, list[dict], list[int]]:
     slopes = np.cumsum(np.repeat(r.integers(-40, 41, 16), r.integers(1, 8, 16))) / 8.0
     way += np.cumsum(overshoots()).tolist()
     way += [*map(float, walk), *map(float, jumps), *map(float, slopes)]
+    retreat = [*[0.0] * 12, 1.0, 3.0, 6.0, 10.0, 14.0, 18.0, *[-10.0] * 20, *[0.0] * 12]  # too fast to stop at 20
+    way += [*retreat, *(-v for v in retreat)]
+    way += [*[0.0] * 9, 0.125, 0.375, *[-0.25] * 6, *[0.0] * 6, -0.125, -0.375, *[0.25] * 6]
     enable = [1] * len(way)
     enable[100:104], enable[-60:-45] = [0] * 4, [0] * 15
     for at, cycles in ((14, 3), (40, 2), (101, 2), (150, 5), (300, 1), (330, 9)):
         enable[at : at + cycles] = [HOLD] * cycles
     return table, rows(a=[float(v) for v in way]), enable
+
+
+def bounded() -> tuple[t.CompensationTable, list[dict]]:
+    """One output that is on its way too fast to stop before its magnitude when the goal turns back: it stops at it."""
+    table, _, _ = motion()
+    one = table.outputs[0].model_copy(update={"magnitude": 0.75, "acceleration": 0.125 / TICK**2, "slew": None})
+    table = t.CompensationTable.model_validate(table.model_dump() | {"ramp_s": 0.0, "outputs": (one.model_dump(),)})
+    way = [*[0.0] * 4, -0.125, -0.375, -0.6875, *[0.5] * 12, *[0.0] * 8]
+    return table, rows(a=[*way, *(-v for v in way), *[0.75] * 12, *[-0.75] * 16])
 
 
 def overshoots() -> list[float]:

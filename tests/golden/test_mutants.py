@@ -21,9 +21,10 @@ SAME = {
         _lag: before >= s.y -> before > s.y
         _direction: u >= s.m -> u > s.m
         _direction: u <= s.m -> u < s.m
-        _fade: over > 0 -> over >= 0
-        _fade: over > 0 -> True
-        _fade: s.value < r.valid_low -> s.value <= r.valid_low
+        _take_over: s.now < r.valid_low -> s.now <= r.valid_low
+        _take_over: over > 0 -> over >= 0
+        _rate: s.raw - s.anchor > reach -> s.raw - s.anchor >= reach
+        _limit: abs(s.c) > output.magnitude -> abs(s.c) >= output.magnitude
         _move: goal > x + step -> goal >= x + step
         _move: goal < x - step -> goal <= x - step
         exp: y >= 0 -> y > 0
@@ -51,6 +52,7 @@ SAME = {
         _read: 2 -> 3 in r.flags & 2
         _replace: 32 -> 33 in r.flags & 32
         _limit: goal > 0 -> goal >= 0
+        _limit: s.c > 0 -> s.c >= 0
         _limit: 6 -> 7 in output.flags & 6
     """,
     "e^700 is no result either: what it is for is not sane": """
@@ -63,7 +65,15 @@ SAME = {
         ln: degree - 2 -> degree + 2
         ln: degree - 2 -> degree
     """,
-    "numbers of faults and sources, and bit 0, are not told apart by a vector": """
+    "what is left of an input is 1 at most, and every table of the vectors has one": """
+        _fade: 1.0 -> 2.0 in target = 1.0
+        _take_over: 1.0 -> 2.0 in self.number(1.0)
+    """,
+    "numbers of faults, sources and refused readings, and bit 0, are not told apart by a vector": """
+        _judge: reading is not None -> True
+        _judge: reading is not None -> False
+        _rate: s.rejected += 1 -> pass
+        _rate: 1 -> 2 in s.rejected += 1
         _judge: 0 -> 1 in (0, 0, 0.0)
         _judge: 1 -> 2 in s.fault = 1
         _judge: 2 -> 3 in s.fault = 2

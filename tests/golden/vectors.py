@@ -56,6 +56,7 @@ NAMES = (
     "motion",
     "doubts",
     "slowly",
+    "bounded",
     "mixed-1",
     "mixed-28",
     "mixed-81",
@@ -281,7 +282,16 @@ def mixed(seed: int) -> Block:
 def blocks() -> Iterator[Block]:
     """All blocks, in the order of the file."""
     yield from (straight(), curves(), thermal(), reversal(), limits(), volumetric(), mixed(6), mixed(13))
-    for make in (edges.readings, edges.fading, edges.operations, edges.sums, edges.motion, edges.doubts, edges.slowly):
+    for make in (
+        edges.readings,
+        edges.fading,
+        edges.operations,
+        edges.sums,
+        edges.motion,
+        edges.doubts,
+        edges.slowly,
+        edges.bounded,
+    ):
         yield block(make.__name__, *make())
     yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))
 
