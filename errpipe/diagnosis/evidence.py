@@ -90,9 +90,11 @@ class Table:
 
     def _put(self, block: np.ndarray) -> np.ndarray:
         """Store a block's columns, shared ones once; returns their indices. Products are not formed yet."""
-        where, fresh = [], []
+        where: list[int] = []
+        fresh: list[int] = []
         for j in range(block.shape[1]):
-            digest = hashlib.blake2b(np.ascontiguousarray(block[:, j], dtype=float), digest_size=16).digest()
+            column = np.ascontiguousarray(block[:, j], dtype=float)
+            digest = hashlib.blake2b(column.data, digest_size=16).digest()
             at = self._seen.setdefault(digest, self.width + len(fresh))
             if at == self.width + len(fresh):
                 fresh.append(j)

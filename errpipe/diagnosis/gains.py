@@ -34,10 +34,10 @@ def excess(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tu
     spread = A @ np.linalg.solve(scene.M, A.T)
     held = np.zeros(rows.shape[0], dtype=bool)
     aim = np.zeros(rows.shape[0])
-    at, first, cost = A @ b, None, 0.0
+    at, cost = A @ b, 0.0
+    first = np.abs(at) > LIMIT * 1.001
     for _ in range(rows.shape[0]):
         beyond = (np.abs(at) > LIMIT * 1.001) & ~held
-        first = beyond.copy() if first is None else first
         if not beyond.any():
             break
         held |= beyond

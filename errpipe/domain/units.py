@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from errpipe.domain.recording import ROLE_UNITS, UNITLESS_BY_DEFAULT
 
@@ -73,7 +74,7 @@ class Conversion:
         """True where the written unit is already canonical."""
         return self.zero == 0.0 and self.factor == 1.0
 
-    def __call__(self, value: float) -> float:
+    def __call__(self, value: Any) -> Any:
         """One number or an array, converted."""
         return value if self.identity else (value - self.zero) * self.factor
 

@@ -120,7 +120,8 @@ def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
 
 def _forward(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> list[list[int]]:
     """Places of each size: at every step the one that leaves least of groups left out (of all rows for one group)."""
-    labels, places = np.unique(group), []
+    labels = np.unique(group)
+    places: list[int] = []
     out: list[list[int]] = []
     for _ in range(most):
         left = {}

@@ -27,20 +27,21 @@ def derive(columns: dict[str, Any], raw: Mapping[str, np.ndarray], rows: int, ma
     raw: the numbers as they stand in the table, by column.
     """
     out = dict(columns)
-    ways = {n: c for n, c in manifest.columns.items() if c.derived is not None}
-    for name, c in ways.items():
+    ways = {n: (c, c.derived) for n, c in manifest.columns.items() if c.derived is not None}
+    for name, (c, way) in ways.items():
         convert = units.conversion(c.role, c.unit)
-        if c.derived.of is not None:
-            value = c.derived.factor * raw[c.derived.of] + c.derived.offset
-        elif c.derived.constant is not None:
-            value = np.full(rows, c.derived.constant)
+        if way.of is not None:
+            value = way.factor * raw[way.of] + way.offset
+        elif way.constant is not None:
+            value = np.full(rows, way.constant)
         else:
             continue
         out[name] = value if convert is None else convert(value)
-    for name, c in ways.items():
-        if c.derived.minus is not None:
-            first, second = c.derived.minus
-            rotary = units.conversion(manifest.columns[first].role, manifest.columns[first].unit).unit == "deg"
+    for name, (_, way) in ways.items():
+        if way.minus is not None:
+            first, second = way.minus
+            converted = units.conversion(manifest.columns[first].role, manifest.columns[first].unit)
+            rotary = converted is not None and converted.unit == "deg"
             out[name] = (URAD_PER_DEG if rotary else UM_PER_MM) * (out[first] - out[second])
     return {n: out[n] for n, c in manifest.columns.items() if n in out and c.role != "ignore"}
 

@@ -147,7 +147,7 @@ def _is_log(p: Proposal, axis: str) -> bool:
 def _log_of_an_axis(p: Proposal, axis: str) -> None:
     """Velocity, acceleration and direction from the command, and an ideal axis as the simulation."""
     command, time = p.first("command", axis), p.first("time")
-    if command is None or p.entries[command].get("unit", "mm") not in ("mm", "deg"):
+    if command is None or time is None or p.entries[command].get("unit", "mm") not in ("mm", "deg"):
         return
     scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
     t, x = p.data[time] * scale, p.data[command]

@@ -504,7 +504,7 @@ def run_profiles(profiles, values, same_grid, inputs, out):
                 s = float(last)
             j = int(s)
             if j > last - 1:
-                j = last - 1
+                j = last - 1  # type: ignore[assignment]
             f = s - j
         left, right = values[first + j], values[first + j + 1]
         out[p] = (left + f * (right - left)) * profile.scale

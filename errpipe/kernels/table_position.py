@@ -313,9 +313,9 @@ def evaluate(
     rows = points.shape[1]
     components = 0
     for k in range(program.pairs.size):
-        components = max(components, np.int64(program.pairs[k].component) + 1)
+        components = max(components, np.int64(program.pairs[k].component) + 1)  # type: ignore[assignment]
     for k in range(program.terms.size):
-        components = max(components, np.int64(program.terms[k].component) + 1)
+        components = max(components, np.int64(program.terms[k].component) + 1)  # type: ignore[assignment]
     inputs = np.zeros((program.inputs.size, BLOCK))
     nodes = np.empty((program.nodes.size, BLOCK))
     for n in range(program.nodes.size):

@@ -33,7 +33,9 @@ class Writer:
 
     def _clear(self) -> None:
         self.points: list[Sequence[float | None]] = []
-        self.rotary: dict[int, Sequence[float]] = {}  # number of a point -> its A, B, C, NaN where not written
+        self.rotary: dict[
+            int, Sequence[float] | np.ndarray
+        ] = {}  # number of a point -> its A, B, C, NaN where not written
         self.given: list[tuple[bool, bool, bool]] = []
         self.prefix: list[str] = []
         self.comments: dict[int, str] = {}
@@ -74,7 +76,7 @@ class Writer:
             self.comments[len(self.points)] = " ".join(block.comments)
         for n, point in enumerate(points):
             if any(rotary):
-                self.rotary[len(self.points)] = np.where(rotary, point[3:], np.nan)
+                self.rotary[len(self.points)] = np.where(rotary, point[3:], np.nan).tolist()
             self.points.append(point[:3])
             self.given.append((x, y, z))
             self.prefix.append(prefix if n == 0 else "")
@@ -85,16 +87,17 @@ class Writer:
     def flush(self) -> None:
         """Write all that was collected. Raises DataError where the table has no value."""
         texts = self._moves() if self.points else []
-        out, done = [], 0
+        out: list[str | None] = []
+        done = 0
         for before, line in self.lines:
             out += texts[done:before]
             out.append(line)
             done = before
         out += texts[done:]
-        out = [text for text in out if text is not None]
-        self.blocks += len(out)
-        if out:
-            self.write("\n".join(out) + "\n")
+        kept = [text for text in out if text is not None]
+        self.blocks += len(kept)
+        if kept:
+            self.write("\n".join(kept) + "\n")
         self._clear()
 
     def _moves(self) -> list[str | None]:

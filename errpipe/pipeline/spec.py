@@ -67,7 +67,7 @@ def pipeline_model(stages: tuple[type[Stage], ...]) -> type[Options]:
     for stage in stages:
         groups.setdefault(_kind(stage), []).append(stage)
     kinds: Any = tuple(_told_apart(group, group[0].variant_key) for group in groups.values())
-    union = _told_apart(kinds, "kind")
+    union: Any = _told_apart(kinds, "kind")
     model = create_model(
         "Pipeline",
         __base__=_Header,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from errpipe.pipeline.stage import Stage
 from errpipe.stages import fit
 from errpipe.stages.clean import Clean
 from errpipe.stages.diagnosis import Diagnose
@@ -16,7 +17,7 @@ from errpipe.stages.simulate_test import SimulateTest
 from errpipe.stages.simulate_with import SimulateWith
 from errpipe.stages.validate import Validate
 
-STAGES = (
+STAGES: tuple[type[Stage], ...] = (
     Clean,
     Diagnose,
     Export,

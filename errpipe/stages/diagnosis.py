@@ -45,7 +45,7 @@ class Diagnose(Stage):
         family = _artefacts.family_in(before) if before is not None else None
         existing = family if isinstance(family, Terms) else None
         decisions = _acceptance.decide(found, recording, self.accept, whole=existing is not None)
-        if family is None or existing is not None:
+        if before is None or family is None or existing is not None:
             model, spec, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
             notes = [
                 f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"

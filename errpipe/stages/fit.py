@@ -42,7 +42,9 @@ class Fit(Stage):
 
 def _stage_of(family: type[Family]) -> type[Fit]:
     """The stage of one family: its options beside those of every stage."""
-    stage = create_model(f"Fit{family.__name__}", __base__=(family, Fit), __module__=__name__, __doc__=family.__doc__)
+    name: Any = f"Fit{family.__name__}"
+    made = create_model(name, __base__=(family, Fit), __module__=__name__, __doc__=family.__doc__)
+    stage: Any = made
     stage.of = family
     stage.former_kinds = (
         {family.former_kind: f"kind: fit, family: {family.family_name()}"} if family.former_kind else {}

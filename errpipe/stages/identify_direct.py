@@ -19,7 +19,7 @@ class IdentifyDirect(Identify):
     before it, for `validate`, `export`, `report` and `errpipe predict`.
     """
 
-    kind: Literal["identify_direct"]
+    kind: Literal["identify_direct"]  # type: ignore[assignment]  # a stage of its own kind, with the same options
     modes: int = Field(20, ge=2, le=40, description="Waves per error motion; they are shrunk to what the data say.")
     takes: ClassVar[Mapping[str, Need]] = Identify.takes
     gives: ClassVar[tuple[str, ...]] = ("identified_machine", "error_model")

@@ -22,6 +22,7 @@ import uuid
 import zlib
 from collections.abc import Mapping
 from importlib import resources
+from typing import Any
 from xml.sax.saxutils import escape
 
 from errpipe.domain.table import CompensationTable
@@ -135,9 +136,10 @@ def _bytes_at(match: re.Match[str]) -> str:
 
 def _shown(table: CompensationTable) -> str:
     """What stands above the bytes: the table's name, and the places of readings and corrections with their names."""
+    arrays: Any = (("afReading", table.inputs), ("afCorrection", table.outputs))
     lines = [
         f"   {kind}[{n}]: {plain(part.name)}, {plain(unit) or '-'}, name DWORD#16#{name_number(part.name):08X}"
-        for kind, parts in (("afReading", table.inputs), ("afCorrection", table.outputs))
+        for kind, parts in arrays
         for n, part in enumerate(parts)
         for unit in [getattr(part, "correction_unit", None) or part.unit]
     ]
@@ -181,11 +183,12 @@ def _example(table: CompensationTable) -> str:
 
     As read from Beckhoff's manuals (TF50x0 NC PTP, position correction; Tc2_MC2, AXIS_REF); not run here.
     """
+    arrays: Any = (table.inputs, table.outputs)
     moved = next((o for o in table.outputs if o.axis), table.outputs[0])
     names = "\n".join(
         f"    {number}: DWORD#16#{name_number(part.name):08X} {plain(part.name)}"
-        for kind in (table.inputs, table.outputs)
-        for number, part in enumerate(kind)
+        for parts in arrays
+        for number, part in enumerate(parts)
     )
     text = resources.files("errpipe.targets").joinpath("st", "P_EctExample.st").read_text(encoding="utf-8")
     first = next((i for i in table.inputs if i.kind == "position"), table.inputs[0] if table.inputs else moved)

@@ -95,7 +95,7 @@ class Scale(Listed):
         typical = next(p for p in term.nonlinear() if p.name == name).typical
         low, high = self.limits(term, recording)
         if not 0 < low < high < np.inf:
-            return geometric(*typical, RATIO)
+            return geometric(typical[0], typical[1], RATIO)
         inner = max(low, typical[0] / 1.5), min(high, typical[1] * 1.5)
         if inner[0] >= inner[1]:
             return geometric(low, high, COARSE_RATIO)

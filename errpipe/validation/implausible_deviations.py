@@ -255,8 +255,9 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
 
 def _line(r: Response) -> tuple[float, float]:
     """Slope of the deviation over the position, and rms of what the line leaves (the mean of each direction apart)."""
-    group = np.zeros(r.rows.size) if r.direction is None else r.direction
-    x, y = r.position - _means(r.position, group), r.deviation - _means(r.deviation, group)
+    group = np.zeros(r.rows.size) if r.direction is None else np.asarray(r.direction)
+    position = np.asarray(r.position)
+    x, y = position - _means(position, group), r.deviation - _means(r.deviation, group)
     slope = float(x @ y) / max(float(x @ x), 1e-300)
     return slope, float(np.sqrt(np.mean((y - slope * x) ** 2)))
 
@@ -291,7 +292,7 @@ def _regular(values: np.ndarray) -> bool:
 def _alike(r: Response, key: np.ndarray, label: float) -> bool:
     """Whether one group's curve over position has the shape of the others'."""
     mine, others = key == label, key != label
-    levels = np.round(r.position, 3)
+    levels = np.round(np.asarray(r.position), 3)
     shared = np.intersect1d(levels[mine], levels[others])
     if shared.size < 5:
         return False
@@ -302,7 +303,7 @@ def _alike(r: Response, key: np.ndarray, label: float) -> bool:
 
 def _curve(r: Response, side: float) -> dict[float, float]:
     rows = r.direction == side
-    levels, code = np.unique(np.round(r.position[rows], 3), return_inverse=True)
+    levels, code = np.unique(np.round(np.asarray(r.position)[rows], 3), return_inverse=True)
     if not levels.size:
         return {}
     run_free = r.deviation[rows] - _means(r.deviation[rows], r.run[rows])

@@ -173,7 +173,7 @@ def documents(
     progress(0.3, "seasons left out, beside runs left out")
 
     def train(recording: Recording, component: str, rows: np.ndarray) -> Any:
-        return family.train(recording, rows)
+        return family.train(recording, rows)  # type: ignore[attr-defined]  # seasonal families have it
 
     out = {"seasons": table(recording, component, train, family.scheme)}
     if any(recording.manifest.columns[n].of == "day" for n in recording.names("group")):

@@ -25,7 +25,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The samples with a time column. Raises DataError naming the line that does not fit."""
-    rows: list[list[Cell]] = []
+    rows: list[list[float]] = []
     notes = []
     width = overruns = 0
     for n, line in enumerate(path.read_text(encoding="latin-1").splitlines(), 1):
@@ -37,9 +37,10 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             continue
         values = [number(word, comma=False) for word in words]
         width = width or len(values)
-        if len(values) != width or None in values:
+        numbers = [float(v) for v in values if v is not None and not isinstance(v, str)]
+        if len(numbers) != width or len(values) != width:
             raise DataError(f"{path}:{n}  {line[:60]!r} is not {width} numbers")
-        rows.append(list(values))
+        rows.append(numbers)
     if overruns:
         notes.append(f"{overruns} overruns: samples were lost there")
     counted = len(rows) > 2 and all(rows[i + 1][0] == rows[i][0] + 1 for i in range(min(len(rows) - 1, 200)))
@@ -56,4 +57,5 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     if len(names) != width:
         names = ["t [s]", *(f"pin.{i}" for i in range(width - 1))]
         notes.append(f"the file names no columns: --names says them, {width - 1} of them, such as x_cmd,x_fb")
-    return [Sheet(path.stem, rows, names, notes).limited()]
+    cells: list[list[Cell]] = [[*row] for row in rows]
+    return [Sheet(path.stem, cells, names, notes).limited()]

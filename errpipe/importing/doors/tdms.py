@@ -54,5 +54,5 @@ def _sheet(group) -> Sheet:
     if step and not any(h.lower().startswith("time") for h in header):
         header.insert(0, "time [s]")
         columns.insert(0, (float(step) * np.arange(length)).tolist())
-    rows = [[c[i] if i < len(c) else None for c in columns] for i in range(length)]
+    rows: list[list[str | float | None]] = [[c[i] if i < len(c) else None for c in columns] for i in range(length)]
     return Sheet(group.name, rows, header)
