@@ -24,6 +24,11 @@ TABLE = "table.ect"
 TWIN = "table.json"
 
 
+def ungated_title(title: str) -> str:
+    """Title of a table that was exported although nothing showed that it helps; at most 127 characters."""
+    return f"{UNGATED}: {title}"[:127]
+
+
 def recording_in(folder: Path) -> Recording:
     """The recording a stage (or a person) left in a folder."""
     from errpipe.formats import manifest_folder

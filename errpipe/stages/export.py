@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from errpipe.validation.gate import Passed
 
 
-TITLE_LENGTH = 127  # characters of a table's title
-
-
 class Export(CompileOptions, Stage):
     """Compile the model into a compensation table and the files of controllers."""
 
@@ -81,7 +78,7 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
     from errpipe.validation.gate import Passed, pass_gate
 
     if options.ungated:
-        title = f"{_artefacts.UNGATED}: {model.title}"[:TITLE_LENGTH]
+        title = _artefacts.ungated_title(model.title)
         return Passed(model.model_copy(update={"title": title}), (), ())
     return pass_gate(model, _artefacts.validations_of(model, context.every("validation").values()))
 

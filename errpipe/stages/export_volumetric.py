@@ -70,7 +70,8 @@ class ExportVolumetric(Stage):
             expected_to_help(document)
         errors = summary.errors(chain, document)
         turning = reversals(document)
-        table = compile_machine(chain, errors, jsonfile.fingerprint(document), context.title, self.error_bound, turning)
+        title = _artefacts.ungated_title(context.title) if self.ungated else context.title
+        table = compile_machine(chain, errors, jsonfile.fingerprint(document), title, self.error_bound, turning)
         _plausible.refuse_table(table, self.allow, self.limit)
         worst, allowed = largest_difference(chain, errors, table, turning), bound(chain, table)
         prove(worst, allowed)
