@@ -33,9 +33,7 @@ class Writer:
 
     def _clear(self) -> None:
         self.points: list[Sequence[float | None]] = []
-        self.rotary: dict[
-            int, Sequence[float] | np.ndarray
-        ] = {}  # number of a point -> its A, B, C, NaN where not written
+        self.rotary: dict[int, list[float]] = {}  # number of a point -> its A, B, C, NaN where not written
         self.given: list[tuple[bool, bool, bool]] = []
         self.prefix: list[str] = []
         self.comments: dict[int, str] = {}
