@@ -40,4 +40,4 @@ def pipeline_file() -> Path:
 
     package = Path(errpipe.__file__).parent
     beside = package.parent / "pipelines" / PIPELINE
-    return beside if beside.is_file() else package / "pipelines" / PIPELINE
+    return beside if beside.is_file() else package / "stages" / "templates" / PIPELINE
