@@ -16,7 +16,7 @@ def command(
     public_key: Path = PublicKey,
     json: bool = Json,
 ) -> None:
-    """Check a file's signature: unsigned, touched or of another key is exit 6.
+    """Check a file's signature: unsigned, changed or foreign is exit code 6.
 
     \b
     Example:
