@@ -25,8 +25,9 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
-from errpipe.terms._base import Parameter, Term, sessions
+from errpipe.terms._base import Parameter, Term
 
 
 class HumiditySwelling(Term):
