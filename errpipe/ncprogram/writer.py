@@ -139,7 +139,7 @@ class Writer:
         self.largest = max(self.largest, float(np.abs(command - wanted).max()))
         return command - zero
 
-    def _angles(self, angles: Sequence[float]) -> str:
+    def _angles(self, angles: Sequence[float] | np.ndarray) -> str:
         """Words of the rotary axes, which are not corrected."""
         assert self.emitted is not None
         words = []
