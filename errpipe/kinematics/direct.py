@@ -34,22 +34,29 @@ class Laser:
 
     dead_path: mm from the interferometer to where it was reset; misalignment: urad of the beam against the axis;
     offset: mm from the beam to the functional point (X, Y, Z); wavelength_corrected: whether the laser's own
-    weather station corrected the displacement (then the dead path alone remains).
+    weather station corrected the displacement (then the dead path alone remains); display_air: degC, hPa, % of the
+    air whose index an uncorrected display used; without it, that of the record's first reading.
     """
 
     dead_path: float = 0.0
     misalignment: float = 0.0
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wavelength_corrected: bool = True
+    display_air: tuple[float, float, float] | None = None
+    zero_each_run: bool = False  # the display was set to zero anew at the start of each run
 
 
-def index_change(temperature=None, pressure=None, humidity=None) -> np.ndarray | float:
-    """n / n_first - 1 of the air along a record (degC, hPa, %), against its first reading."""
+def index_change(temperature=None, pressure=None, humidity=None, since=None) -> np.ndarray | float:
+    """n / n_0 - 1 of the air along a record (degC, hPa, %); n_0 of its first reading, or of the air `since`.
+
+    What was not recorded is taken to be as it was at n_0.
+    """
     total: np.ndarray | float = 0.0
-    for values, slope in ((temperature, PER_KELVIN), (pressure, PER_HPA), (humidity, PER_PERCENT)):
+    air = ((temperature, PER_KELVIN), (pressure, PER_HPA), (humidity, PER_PERCENT))
+    for k, (values, slope) in enumerate(air):
         if values is not None:
             values = np.asarray(values, dtype=float)
-            total = total + slope * (values - values[np.isfinite(values)][0])
+            total = total + slope * (values - (values[np.isfinite(values)][0] if since is None else since[k]))
     return total
 
 
@@ -59,13 +66,15 @@ def corrected(
     laser: Laser,
     *,
     air: np.ndarray | float = 0.0,
+    display: np.ndarray | float | None = None,
     reset: float | None = None,
     turn: np.ndarray | None = None,
     direction: Sequence[float] = (1.0, 0.0, 0.0),
 ) -> np.ndarray:
     """Deviation of the functional point, um, from the displayed one.
 
-    position (mm), deviation (um): as displayed; air: n / n_used - 1; reset: position at which the laser was set
+    position (mm), deviation (um): as displayed; air: n / n_reset - 1; display: n / n_used - 1 of the index that an
+    uncorrected display used (default: air); reset: position at which the laser was set
     to zero (first one where left out); turn (n, 3): angular motion of the axis there, urad, about X, Y, Z;
     direction: of the axis.
     """
@@ -75,7 +84,7 @@ def corrected(
     air = np.asarray(air, dtype=float)
     true = shown - laser.dead_path * 1e3 * air
     if not laser.wavelength_corrected:
-        true = true / (1.0 + air)
+        true = true / (1.0 + (air if display is None else np.asarray(display, dtype=float)))
     true = true / np.cos(laser.misalignment * 1e-6)
     out = true - travelled * 1e3
     return out if turn is None else out + _abbe(turn, laser, np.asarray(direction))
@@ -222,13 +231,20 @@ def without_beam_errors(
         raise DataError(f"lasers.{component}: a straightness has an offset alone; dead path and cosine are of EXX")
     if kind == "straightness":
         return value
+    if laser.display_air is not None and laser.wavelength_corrected:
+        raise DataError(
+            f"lasers.{component}: display_air is of a display that was not corrected; say wavelength_corrected: false"
+        )
     needs = "dead path" if laser.dead_path else "" if laser.wavelength_corrected else "wavelength"
     if needs and not any(_air_columns(recording)):
         raise DataError(
             f"lasers.{component}: to correct the {needs}, record the air: temperature, pressure or humidity "
             "(a column whose location says air)"
         )
-    return corrected(position, value, laser, air=_air(recording, rows) if needs else 0.0)
+    if not needs:
+        return corrected(position, value, laser)
+    display = None if laser.display_air is None else _air(recording, rows, laser.display_air)
+    return corrected(position, value, laser, air=_air(recording, rows), display=display)
 
 
 def direction_of(chain: Chain | None, component: str) -> np.ndarray:
@@ -255,9 +271,10 @@ def _air_columns(recording: Recording) -> list[str | None]:
     return found
 
 
-def _air(recording: Recording, rows: np.ndarray) -> np.ndarray | float:
-    """Index change of the air along some rows, against the first of them."""
-    return index_change(*(None if n is None else recording.array(n)[rows] for n in _air_columns(recording)))
+def _air(recording: Recording, rows: np.ndarray, since: tuple[float, float, float] | None = None) -> np.ndarray | float:
+    """Index change of the air along some rows, against the first of them or the air `since`."""
+    columns = (None if n is None else recording.array(n)[rows] for n in _air_columns(recording))
+    return index_change(*columns, since=since)
 
 
 def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | None:

@@ -3,7 +3,7 @@
 A row reads one component at one position, in um or urad. The beam's own errors are taken out first (`direct`);
 what is left unknown is solved for together with the components, so that every interval knows of it:
 
-* zero      of each record.
+* zero      of each record; of each run, where the laser was set to zero anew.
 * slope     of a straightness: how the straightedge lay; of two records against one square it is one turn, and
             what the two differ by is the squareness of the machine.
 * reversal  up minus down, as a line over the travel, where a record was made from both sides.
@@ -39,7 +39,8 @@ class Record:
     """Readings of one component in one recording.
 
     position (n,) mm or deg; value (n,) um or urad, the beam's errors out; side (n,) +1 coming from below; rows: of
-    the recording; noise: of one reading; label: of the recording, where there are several.
+    the recording; noise: of one reading; label: of the recording, where there are several; zero (n,): number of the
+    zero that each reading counts from.
     """
 
     component: str
@@ -50,6 +51,7 @@ class Record:
     rows: np.ndarray
     noise: float
     label: str
+    zero: np.ndarray
 
 
 def is_direct(recording: Recording) -> bool:
@@ -126,7 +128,24 @@ def _record(recording: Recording, component: str, laser, label: str, take) -> Re
     if not kept.any():
         return None
     p, value, side = position[rows][kept], value[kept], side[kept]
-    return Record(component, axis, p, value, side, number[kept], _repeatability(p, value, side), label)
+    zero = np.zeros(len(p), dtype=int)
+    if laser is not None and laser.zero_each_run:
+        zero = np.unique(recording.run_codes()[number[kept]], return_inverse=True)[1]
+    noise = _repeatability(p, value - _zeros(p, value, side, zero), side)
+    return Record(component, axis, p, value, side, number[kept], noise, label, zero)
+
+
+def _zeros(p: np.ndarray, value: np.ndarray, side: np.ndarray, zero: np.ndarray) -> np.ndarray:
+    """What each reading's zero is off by against the first one's, by least squares over targets and sides."""
+    if not zero.any():
+        return np.zeros(len(p))
+    _, cell = np.unique(np.column_stack([direct.targets_of(p)[1], side]), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    design = np.column_stack(
+        [cell[:, None] == np.arange(cell.max() + 1), zero[:, None] == np.arange(1, zero.max() + 1)]
+    )
+    found = np.linalg.lstsq(design.astype(float), value, rcond=None)[0]
+    return np.r_[0.0, found[cell.max() + 1 :]][zero]
 
 
 def _repeatability(p: np.ndarray, value: np.ndarray, side: np.ndarray) -> float:
@@ -165,7 +184,8 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     middle = chain.travel[chain.axes.index(r.axis)].mean()
     away = (r.position - middle) * 1e-3
     tag = f"{r.label} {r.component}".strip()
-    value, columns = r.value.copy(), [(f"{tag}: zero", o.SHIFT, np.ones(n))]
+    zeros = [(f"{tag}: zero" + (f" {k + 1}" if r.zero.any() else ""), r.zero == k) for k in np.unique(r.zero)]
+    value, columns = r.value.copy(), [(name, o.SHIFT, own_rows.astype(float)) for name, own_rows in zeros]
     if kind == "straightness":
         turn = turns.get(r.component)
         if turn is None:

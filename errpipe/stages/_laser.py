@@ -37,13 +37,22 @@ class Beam(Options):
     wavelength_corrected: bool = Field(
         True, description="Whether the laser's own weather station corrected the displacement."
     )
+    display_air: tuple[float, float, float] | None = Field(
+        None,
+        description="Temperature (degC), pressure (hPa) and humidity (%) of the air whose refractive index a display "
+        "without weather station was fixed at, often 20, 1013.25, 50. Left out: that of the record's first reading.",
+    )
+    zero_each_run: bool = Field(False, description="Whether the display was set to zero anew at the start of each run.")
 
 
 def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
     """The set-ups as the corrections take them."""
     from errpipe.kinematics.direct import Laser
 
-    return {name: Laser(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for name, b in beams.items()}
+    return {
+        name: Laser(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected, b.display_air, b.zero_each_run)
+        for name, b in beams.items()
+    }
 
 
 LASERS: Any = Field(

@@ -42,6 +42,21 @@ def test_warmer_air_makes_the_reading_short():
     assert_allclose(direct.corrected(P, shown * 1e3, laser, air=air), 0.0, atol=1e-6)
 
 
+def test_a_display_fixed_at_another_index_is_wrong_in_proportion():
+    """Fixed at 20 degC and 1013.25 hPa, used at 28 degC and 960 hPa: 1e6 x (-0.93 x 8 - 0.27 x 53.25) = -21.8 um/m."""
+    fixed = (20.0, 1013.25, 50.0)
+    weather = {"temperature": np.full(17, 28.0), "pressure": np.full(17, 960.0)}
+    display = direct.index_change(**weather, since=fixed)
+    shown = P * (1 + display) - P
+    assert shown[-1] / (P[-1] - P[0]) * 1e6 == pytest.approx(-21.8, abs=0.05)
+    laser = direct.Laser(wavelength_corrected=False, display_air=fixed)
+    here = direct.index_change(**weather)
+    assert_allclose(direct.corrected(P, shown * 1e3, laser, air=here, display=display), 0.0, atol=1e-6)
+    # without the key the same record keeps all of it, for the weather did not change during it
+    left = direct.corrected(P, shown * 1e3, direct.Laser(wavelength_corrected=False), air=here)
+    assert left[-1] == pytest.approx(-21.8 * 0.8, abs=0.05)
+
+
 def test_dead_path_is_an_offset_that_follows_the_weather():
     air = direct.index_change(pressure=np.linspace(1000, 1010, 17))
     shown = 1000.0 * air * 1e3  # 1 m dead path, um
