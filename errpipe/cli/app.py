@@ -41,6 +41,7 @@ VERBS = (
     "measure",
     "place",
     "plan-day",
+    "synthesis",
     "retrain",
     "keygen",
     "sign",
