@@ -46,8 +46,8 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
 def _terms(chain: Chain, k: int) -> list[dict[str, Any]]:
     """Per component that acts on direction k: a constant arm and one per symbol, mm; displacements: factor 1.
 
-    The Jacobian of a chain of linear axes is affine in positions and tool, so its value at one place and its steps along
-    each symbol are all of it.
+    The Jacobian of a chain of linear axes is affine in positions and tool, so its value at one place and its steps
+    along each symbol are all of it.
     """
     import numpy as np
 
