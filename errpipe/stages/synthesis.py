@@ -34,9 +34,7 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
         "terms": count,
         "outputs": outputs,
     }
-    lines = [
-        f"{chain.machine.name}: {len(chain.components)} components, {count} terms; um from um, and from urad x arm in mm / 1000"
-    ]
+    lines = [f"{chain.machine.name}: {len(chain.components)} components, {count} terms; um, urad x arm in mm / 1000"]
     for name, terms in outputs.items():
         lines.append(f"{name} =")
         lines += [f"  {_text(term)}" for term in terms]
