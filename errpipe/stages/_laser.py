@@ -41,6 +41,7 @@ class Beam(Options):
         None,
         description="Temperature (degC), pressure (hPa) and humidity (%) of the air whose refractive index a display "
         "without weather station was fixed at, often 20, 1013.25, 50. Left out: that of the record's first reading.",
+        json_schema_extra={"unit": "degC, hPa, %"},
     )
     zero_each_run: bool = Field(False, description="Whether the display was set to zero anew at the start of each run.")
 
