@@ -55,7 +55,7 @@ def unreached(sources: Mapping[str, str], templates: str = "") -> set[str]:
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and len(node.value) < 200:
                 words.update(re.findall(r"\w+", node.value))
         defined |= {n.name for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
-    return {name for name in defined if not words[name]}
+    return {name for name in defined if not words[name] and not name.startswith("__")}
 
 
 def sources() -> dict[str, str]:
