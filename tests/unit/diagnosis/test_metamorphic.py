@@ -17,16 +17,7 @@ FAST = {
     ("friction", "axis C"),
 }
 # What does not hold yet, and what is said instead. Take a line out when it holds.
-KNOWN_FAILURES = {
-    ("wave", "positions 1e-3"): "waves are searched for in millimetres: no_mismatch on a travel of 0.5 mm",
-    ("wave", "positions 1e3"): "the same on a travel of 500 m",
-    ("wave", "axis C"): "the amplitude is stated in um where the response is in urad",
-    ("lost motion", "axis C"): "the lost motion is stated in um where the response is in urad",
-    ("lost motion", "rows thinned"): "friction_hysteresis is named, without a size",
-    ("lag", "times 1e-3"): "time constants are searched for in seconds: thermal_drift for a lag of 3 s",
-    ("lag", "times 1e3"): "unknown for a lag of 35 days",
-    ("friction", "torque in N m"): "the friction torque is stated in N",
-}
+KNOWN_FAILURES = {("friction", "torque in N m"): "the friction torque is stated in N"}
 
 
 def said(response: dict, size: float, unit: str) -> str:
