@@ -25,7 +25,7 @@ $(SETUP): pyproject.toml
 	  { echo 'Python 3.11 or newer is needed: make PYTHON=python3.12 setup' >&2; exit 1; }
 	@test -x $(BIN)/python || { echo 'making $(VENV)'; $(PYTHON) -m venv $(VENV); }
 	@echo 'installing errpipe and its development extras into $(VENV)'
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.[dev]'
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) --editable '.[dev]'
 	@touch $(SETUP)
 
 demo: $(SETUP) ## run the main job on a simulated machine
