@@ -274,7 +274,8 @@ def _air_columns(recording: Recording) -> list[str | None]:
 def _air(recording: Recording, rows: np.ndarray, since: tuple[float, float, float] | None = None) -> np.ndarray | float:
     """Index change of the air along some rows, against the first of them or the air `since`."""
     columns = (None if n is None else recording.array(n)[rows] for n in _air_columns(recording))
-    return index_change(*columns, since=since)
+    temperature, pressure, humidity = columns
+    return index_change(temperature, pressure, humidity, since)
 
 
 def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | None:

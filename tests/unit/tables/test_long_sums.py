@@ -1,0 +1,27 @@
+"""A sum of more operands than a node of the table takes is lowered to a sum of sums."""
+
+from __future__ import annotations
+
+import pytest
+
+from errpipe.domain import driver as d
+from errpipe.domain import table as t
+from errpipe.drivers.lowering import MOST_OPERANDS, Nodes
+
+
+@pytest.mark.parametrize("count", [MOST_OPERANDS, MOST_OPERANDS + 1, 3 * MOST_OPERANDS + 5])
+def test_a_long_sum_keeps_every_operand_and_weight(count: int) -> None:
+    names = [f"T{k}" for k in range(count)]
+    nodes = Nodes({n: t.TableInput(name=n, kind="temperature", unit="degC", default=20.0) for n in names}, 1.0)
+    total = d.Affine(
+        offset=7.0, weights=tuple(float(k + 1) for k in range(count)), of=tuple(d.Input(name=n) for n in names)
+    )
+    last = nodes.compile(total)
+    values: list[float] = []
+    for node in nodes.nodes:
+        if isinstance(node, t.InputNode):
+            values.append(1.0)
+        elif isinstance(node, t.AffineNode):
+            assert len(node.of) <= MOST_OPERANDS
+            values.append(node.offset + sum(w * values[o] for w, o in zip(node.weights, node.of, strict=True)))
+    assert values[last] == pytest.approx(7.0 + count * (count + 1) / 2)
