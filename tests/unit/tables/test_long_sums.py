@@ -12,7 +12,8 @@ from errpipe.drivers.lowering import MOST_OPERANDS, Nodes
 @pytest.mark.parametrize("count", [MOST_OPERANDS, MOST_OPERANDS + 1, 3 * MOST_OPERANDS + 5])
 def test_a_long_sum_keeps_every_operand_and_weight(count: int) -> None:
     names = [f"T{k}" for k in range(count)]
-    nodes = Nodes({n: t.TableInput(name=n, kind="temperature", unit="degC", default=20.0) for n in names}, 1.0)
+    reading = {"kind": "sensor", "unit": "degC", "low": 0.0, "high": 60.0, "default": 20.0}
+    nodes = Nodes({n: t.TableInput.model_validate({"name": n, **reading}) for n in names}, 1.0)
     total = d.Affine(
         offset=7.0, weights=tuple(float(k + 1) for k in range(count)), of=tuple(d.Input(name=n) for n in names)
     )
