@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+
+if TYPE_CHECKING:
+    from errpipe.pipeline.runner import Step
+    from errpipe.pipeline.spec import Pipeline
 
 
 def command(
@@ -65,36 +71,31 @@ def command(
         raise
     finally:
         reporter.clear()
-    if depfile is not None:
-        from errpipe import jsonfile
-        from errpipe.pipeline.depfile import depfile as rule
-        from errpipe.pipeline.depfile import inputs_of
-
-        target = depfile_target or str(stamp or folder / "errpipe.lock")
-        stages = [spec.stage(step.name) for step in steps]
-        jsonfile.write_text(depfile, rule(target, inputs_of(spec, stages)))
-    if stamp is not None:
-        from errpipe.pipeline.depfile import touch
-
-        touch(stamp)
-    result = {
-        "title": spec.title,
-        "out": str(folder),
-        "stages": [
-            {
-                "name": s.name,
-                "kind": s.kind,
-                "action": s.action,
-                "reasons": s.reasons,
-                "outputs": s.outputs,
-                "written": s.written,
-                "summary": dict(s.summary),
-            }
-            for s in steps
-        ],
-    }
+    _for_make(spec, folder, steps, depfile, depfile_target, stamp)
+    result = {"title": spec.title, "out": str(folder), "stages": [_plain(step) for step in steps]}
     lines = [
         f"{s.name}: {', '.join(f'{k} {short_value(v)}' for k, v in s.summary.items())}" for s in steps if s.summary
     ]
     pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
     print_result("run", result, [*lines, *pages], as_json=json)
+
+
+def _plain(step: Step) -> dict[str, Any]:
+    """One stage of the JSON document."""
+    names = ("name", "kind", "action", "reasons", "outputs", "written")
+    return {name: getattr(step, name) for name in names} | {"summary": dict(step.summary)}
+
+
+def _for_make(
+    spec: Pipeline, folder: Path, steps: Sequence[Step], depfile: Path | None, target: str | None, stamp: Path | None
+) -> None:
+    """Write the inputs as a rule, and touch the stamp."""
+    from errpipe import jsonfile
+    from errpipe.pipeline import depfile as make
+
+    if depfile is not None:
+        stages = [spec.stage(step.name) for step in steps]
+        name = target or str(stamp or folder / "errpipe.lock")
+        jsonfile.write_text(depfile, make.depfile(name, make.inputs_of(spec, stages)))
+    if stamp is not None:
+        make.touch(stamp)

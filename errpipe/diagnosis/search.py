@@ -103,10 +103,10 @@ class Search:
 
     def _improves(self, other: list[tuple[int, float]], chosen, place: int, worth: float) -> bool:
         """Is another member in one place better: plainly so beside the others, else as a whole?"""
-        more = self._beside(other, place) - self._beside(chosen, place)
+        more = self._with_candidate(other, place) - self._with_candidate(chosen, place)
         return more > 0 if abs(more) > BETTER else self.joint(other) > worth + 0.1
 
-    def _beside(self, chosen: list[tuple[int, float]], place: int) -> float:
+    def _with_candidate(self, chosen: list[tuple[int, float]], place: int) -> float:
         """Gain of one member beside all the others."""
         i = chosen[place][0]
         return float(self.score(chosen[:place] + chosen[place + 1 :], [i]).gain[0] + self.prior[i])

@@ -158,7 +158,7 @@ def compile_chain(machine: Machine) -> Chain:
 def _axis(b: _Builder, machine: Machine, name: str, column: int) -> None:
     axis = machine.axes[name]
     vec, point = machine.direction(name), axis.reference
-    work = machine.carries(name) == "workpiece"
+    work = machine.moved_by(name) == "workpiece"
     inverse = work and axis.errors_of == "carriage"
     linear = axis.kind == "linear"
     own = _own_letter(name, vec, linear)
@@ -190,7 +190,7 @@ def _spindle(b: _Builder, machine: Machine) -> None:
     parts = [(f"{d}0S", LETTERS[d]) for d in "XYZ"] if s.growth else []
     if s.tilt:
         parts += [(f"{d}0S", _UNIT[d]) for d in "ABC" if _UNIT[d] != LETTERS[along]]
-    b.error(s.position, parts, inverse=machine.carries("spindle") == "workpiece")
+    b.error(s.position, parts, inverse=machine.moved_by("spindle") == "workpiece")
 
 
 def _own_letter(name: str, vec: Vector, linear: bool) -> str:

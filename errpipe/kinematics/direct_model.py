@@ -80,7 +80,7 @@ def _curve(name: str, axis: str, curve: Mapping[str, Any]) -> list[FittedTerm]:
 
 def _reversal(axis: str, reversal: Mapping[str, Any]) -> list[FittedTerm]:
     """Up minus down as a gap, and as a change of it along the axis; only what its interval does not exclude."""
-    value, slope = records.told(reversal)
+    value, slope = records.reversal_line(reversal)
     unit, out = str(reversal["unit"]), []
     if value:
         out.append(_fitted(Backlash(axis=axis), [-value], unit, float(reversal["half_width95"])))

@@ -229,7 +229,7 @@ def _both_ways(r: Record) -> bool:
 def sense(chain: Chain, axis: str) -> float:
     """-1 where the machine file counts an axis' errors as those of a carriage that holds the workpiece."""
     machine = chain.machine
-    against = machine.axes[axis].errors_of == "carriage" and machine.carries(axis) == "workpiece"
+    against = machine.axes[axis].errors_of == "carriage" and machine.moved_by(axis) == "workpiece"
     return -1.0 if against else 1.0
 
 
@@ -317,7 +317,7 @@ def reversals(chain: Chain, setup: Mapping[str, tuple[float, float]]) -> dict[st
     return out
 
 
-def told(reversal: Mapping[str, float | str]) -> tuple[float, float]:
+def reversal_line(reversal: Mapping[str, float | str]) -> tuple[float, float]:
     """Reversal at the middle and its change per metre, each 0 where its interval does not exclude it."""
     pairs = (("value", "half_width95"), ("per_metre", "per_metre_half_width95"))
     value, slope = (float(reversal[v]) if abs(float(reversal[v])) > float(reversal[h]) else 0.0 for v, h in pairs)

@@ -110,7 +110,7 @@ def _curve_at(value: Callable[[np.ndarray], np.ndarray] | float, p: np.ndarray) 
 
 
 def _sense(chain: Chain, axis: str) -> float:
-    against = chain.machine.axes[axis].errors_of == "carriage" and chain.machine.carries(axis) == "workpiece"
+    against = chain.machine.axes[axis].errors_of == "carriage" and chain.machine.moved_by(axis) == "workpiece"
     return -1.0 if against else 1.0
 
 

@@ -147,7 +147,7 @@ def reversals(document: Mapping[str, Any]) -> dict[str, tuple[float, float, floa
     """What an identification knows of each axis turning round: what its interval does not exclude to be nothing."""
     from errpipe.kinematics import records
 
-    return {n: (*records.told(r), float(r["middle"])) for n, r in document.get("reversal", {}).items()}
+    return {n: (*records.reversal_line(r), float(r["middle"])) for n, r in document.get("reversal", {}).items()}
 
 
 def compile_machine(

@@ -135,7 +135,7 @@ def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) 
     out = []
     targets = with_something_to_add(table, chosen(list(dict.fromkeys(names))))
     for target in targets:
-        others = _beside(target, targets)
+        others = _sibling_names(target, targets)
         files = target.write_beside(table, others)
         lost = losses(table, target, files)
         for name, text in files.items():
@@ -162,7 +162,7 @@ def with_something_to_add(table: CompensationTable, targets: Sequence[Any]) -> l
     left = list(targets)
     for target in targets:
         try:
-            target.write_beside(table, _beside(target, left))
+            target.write_beside(table, _sibling_names(target, left))
         except NothingToAddError:
             left.remove(target)
     return left
@@ -179,7 +179,7 @@ def _companions(table: CompensationTable, target: Any, others: Sequence[str]) ->
     )
 
 
-def _beside(target: Any, targets: Sequence[Any]) -> list[str]:
+def _sibling_names(target: Any, targets: Sequence[Any]) -> list[str]:
     """Names of the other targets of an export that go with one."""
     return [o.name for o in targets if o is not target and (o.name in target.goes_with or target.name in o.goes_with)]
 

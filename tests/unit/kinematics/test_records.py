@@ -131,7 +131,7 @@ def test_both_ways_are_one_curve_and_a_reversal():
     assert reversal["value"] == pytest.approx(seen, abs=0.1) and abs(seen) > 1.0
     assert abs(reversal["per_metre"]) < 3 * reversal["per_metre_half_width95"]
     assert largest_gap(chain, values, found) < 0.12
-    assert records.told(reversal)[0] == reversal["value"]
+    assert records.reversal_line(reversal)[0] == reversal["value"]
 
 
 def test_squareness_from_two_straightness_records_and_the_square_s_own_error():
