@@ -187,7 +187,9 @@ class Table:
         program = pack.program(self.table)
         names = tuple(i.name for i in self.table.inputs)
         outputs = tuple(o.name for o in self.table.outputs)
-        return Cycle(table_cycle.cycle.compiled, program, pack.state(program), names, outputs, table_cycle.ON)
+        # Once another kernel was compiled, the module holds the dispatcher itself in place of the kernel.
+        function = getattr(table_cycle.cycle, "compiled", table_cycle.cycle)
+        return Cycle(function, program, pack.state(program), names, outputs, table_cycle.ON)
 
     def plot(self) -> str:
         """The correction of the first axes as text, for a terminal."""

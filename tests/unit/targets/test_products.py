@@ -147,18 +147,12 @@ def test_two_outputs_of_one_axis_add_up_in_every_format():
     """10 um and 4 um too long at X = +500: every format moves X by -14 um, and its loss counts both."""
     table = machines.two_outputs()
     for target in TARGETS:
-        if target.name in (
-            "klipper_sections",
-            "beckhoff_crosscomp",
-            "beckhoff_temperature",
-            "sinumerik_temperature",
-            "beckhoff_volumetric",
-        ):  # the last takes components, not outputs
+        if "screw" not in target.holds or target.name == "beckhoff_volumetric":  # takes components, not outputs
             continue
         read = target.read_back(target.write(table))
         at = {"X": np.array([0.0, 500.0]), "Y": np.zeros(2), "Z": np.zeros(2)}
         ends = read.correction("X", at, np.ones(2), {"T": np.full(2, 20.0)})
-        assert 1e3 * (ends[1] - ends[0]) == pytest.approx(-14.0, abs=1.1 if target.name == "fanuc_pitch" else 0.1)
+        assert 1e3 * (ends[1] - ends[0]) == pytest.approx(-14.0, abs=target.rounding_um + 0.1)
         (lost,) = _sample.loss(table, read)
         assert lost.table_rms == pytest.approx(14.0 / np.sqrt(3), rel=0.1), target.name
-        assert lost.rms < 8.0, target.name
+        assert lost.rms < 8.0 or not target.keeps_level, target.name  # zero where the control counts from
