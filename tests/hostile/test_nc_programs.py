@@ -219,5 +219,5 @@ def test_memory_does_not_grow_with_the_program_and_time_in_proportion(table: Pat
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         assert done.returncode == 0, done.stderr
         spent.append(after.ru_utime - before.ru_utime)
-    assert after.ru_maxrss < 500_000  # kB, of the largest child so far
+    assert after.ru_maxrss < 1_000_000  # kB, of the largest child so far, in any test of this worker
     assert spent[1] < 6 * spent[0]

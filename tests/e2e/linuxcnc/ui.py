@@ -102,7 +102,7 @@ def main():
     sampler.send_signal(signal.SIGINT)
     sampler.wait(20)
     facts = {"elapsed_s": elapsed, "cycles": cycles, "rounds": rounds, "told": told}
-    facts["stops"] = emergency_stops(PLAN["stops"]) if PLAN["stops"] else []
+    facts["stops"] = emergency_stops(PLAN["stops"]) if PLAN.get("stops") else []
     facts["overruns"] = hal.get_value("sampler.0.overruns")
     for name in ("errpipe", "motion-controller", "servo-thread"):
         facts[name + ".tmax"] = hal.get_value(name + ".tmax")

@@ -22,7 +22,7 @@ def example() -> Any:
 
 @pytest.mark.slow
 def test_a_year_promotes_when_it_should_and_names_the_sensor(example: Any, tmp_path: Path) -> None:
-    found = example.year(tmp_path / "year", seed=3, every=12)
+    found = example.year(tmp_path / "year", seed=3, every=10)
     assert found["worse_promotions"] == 0
     nights = [p["night"] for p in found["promotions"]]
     assert any(example.BEARING < n <= example.BEARING + 60 for n in nights), nights
