@@ -36,6 +36,7 @@ VERBS = (
     "export",
     "verify",
     "targets",
+    "compare",
     "compare-targets",
     "correct",
     "measure",

@@ -1,0 +1,44 @@
+"""`errpipe compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    old: Path = typer.Argument(..., metavar="OLD", help="Table, model, recording, diagnosis or run folder."),
+    new: Path = typer.Argument(..., metavar="NEW", help="Another one of that kind."),
+    max_um: float | None = typer.Option(
+        None,
+        "--max-um",
+        min=0.0,
+        metavar="UM",
+        help="Largest difference allowed; beyond it exit 4.",
+        show_default=False,
+    ),
+    figure: Path | None = typer.Option(
+        None, "--figure", metavar="FILE", help="Write a figure of the difference (SVG).", show_default=False
+    ),
+    json: bool = Json,
+) -> None:
+    """Say what changed between two, where, and by how many um.
+
+    Tables and models are asked on the same states all over the validity of both.
+
+    \b
+    Example:
+      errpipe compare out/champion out/retrain/run --max-um 5
+      errpipe compare before.ect out/export/table.ect --figure change.svg
+    """
+    from errpipe.cli.output import print_result, stage_module
+
+    found = stage_module("compare").compare(old, new, max_um, figure)
+    says = found.pop("says")
+    code = 4 if found["within"] is False else 0
+    print_result("compare", found, says, as_json=json, code=code)
+    if code:
+        raise typer.Exit(code)

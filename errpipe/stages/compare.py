@@ -1,0 +1,353 @@
+"""`errpipe compare`: what changed between two artefacts of a kind, where, and by how many micrometres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe import jsonfile
+from errpipe.errors import DataError, VerifyError
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.table import CompensationTable
+    from errpipe.validation.changes import Change, Compensation
+
+VERSION = 1
+DIAGNOSIS = "diagnosis.json"
+LONGEST_LIST = 12  # lines of one kind in a text; the JSON document has all
+
+
+@dataclass
+class Comparison:
+    """kind: of what. says: sentences. parts: plain data. largest, rms: um (urad, N), None where nothing tells."""
+
+    kind: str
+    says: list[str] = field(default_factory=list)
+    parts: dict[str, Any] = field(default_factory=dict)
+    largest: float | None = None
+    rms: float | None = None
+    changes: list[tuple[str, Change]] = field(default_factory=list)
+
+    def grow(self, largest: float, rms: float) -> None:
+        """Take in the figures of one part."""
+        self.largest, self.rms = max(self.largest or 0.0, largest), max(self.rms or 0.0, rms)
+
+
+def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | None = None) -> dict[str, Any]:
+    """The document of `errpipe compare`: kind, what changed, largest_um, rms_um, within (None without a limit).
+
+    Raises DataError where the two are not of one kind or nothing is known of one, VerifyError for a damaged one.
+    """
+    kinds = kind_of(Path(old)), kind_of(Path(new))
+    correcting = {"table", "model"}
+    if kinds[0] != kinds[1] and not set(kinds) <= correcting:
+        raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
+    found = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](Path(old), Path(new))
+    found.says = found.says or ["nothing changed"]
+    within = None
+    if max_um is not None:
+        within = found.largest is not None and found.largest <= max_um
+        seen = "no figure tells how far they differ" if found.largest is None else f"at most {found.largest:.4g}"
+        found.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
+    if figure is not None:
+        from errpipe.stages._compare_page import draw
+
+        jsonfile.write_text(figure, draw(found.changes))
+        found.says.append(str(figure))
+    plain = {"compare": VERSION, "kind": found.kind, "largest_um": found.largest, "rms_um": found.rms, "within": within}
+    return {**plain, **found.parts, "says": found.says}
+
+
+def kind_of(path: Path) -> str:
+    """table, model, recording, diagnosis or run folder. Raises DataError for anything else."""
+    if path.is_dir():
+        if (path / "errpipe.lock").is_file():
+            return "run folder"
+        if (path / "recording.yaml").is_file():
+            return "recording"
+        raise DataError(f"{path}: a folder with neither errpipe.lock (a run) nor recording.yaml (a recording)")
+    if not path.is_file():
+        raise DataError(f"{path}: there is no such file or folder")
+    if path.name == "recording.yaml":
+        return "recording"
+    if path.suffix == ".ect":
+        return "table"
+    value = jsonfile.read(path) if path.suffix == ".json" else None
+    if isinstance(value, dict):
+        for key, kind in (("table", "table"), ("error_model", "model"), ("diagnosis", "diagnosis")):
+            if key in value:
+                return kind
+    raise DataError(f"{path}: not a table, model, recording, diagnosis or run folder")
+
+
+# ---------------------------------------------------------------- tables and models
+
+
+def _tables(old: Path, new: Path) -> Comparison:
+    from errpipe.validation import changes
+
+    before, after = _artefacts.read_table(old), _artefacts.read_table(new)
+    out = Comparison("table")
+    _settings(out, before, after)
+    _fields(out, changes.of_table(before), changes.of_table(after))
+    return out
+
+
+def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -> None:
+    """What a table says beside its curves: identity, inputs, outputs and their limits, cycles."""
+    from errpipe.tables import ect
+
+    names = ect.fingerprint(old), ect.fingerprint(new)
+    out.parts["identity"] = list(names)
+    if names[0] != names[1]:
+        out.says.append(f"table {names[0]} -> {names[1]}")
+    for what, pair in (("input", (old.inputs, new.inputs)), ("output", (old.outputs, new.outputs))):
+        before, after = ({part.name: part.model_dump(mode="json") for part in parts} for parts in pair)
+        _keys(out, what, before, after)
+        for name in (n for n in before if n in after and before[n] != after[n]):
+            for key in (k for k in before[name] if before[name][k] != after[name][k]):
+                out.says.append(f"{what} {name}: {key} {_short(before[name][key])} -> {_short(after[name][key])}")
+    for key in ("machine", "title", "position_cycle_s", "thermal_cycle_s"):
+        if getattr(old, key) != getattr(new, key):
+            out.says.append(f"{key}: {_short(getattr(old, key))} -> {_short(getattr(new, key))}")
+
+
+def _models(old: Path, new: Path) -> Comparison:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.tables import by_component
+    from errpipe.validation import changes
+
+    before, after = _artefacts.model_or_table(old), _artefacts.model_or_table(new)
+    out = Comparison("model")
+    if isinstance(before, ErrorModel) and isinstance(after, ErrorModel):
+        _parameters(out, before, after)
+        _ranges(out, dict(before.validity.ranges), dict(after.validity.ranges))
+    seen: list[Compensation] = [
+        changes.of_model(one) if isinstance(one, ErrorModel) else changes.of_table(by_component(one))
+        for one in (before, after)
+    ]
+    _fields(out, *seen)
+    return out
+
+
+def _parameters(out: Comparison, old: ErrorModel, new: ErrorModel) -> None:
+    before, after = _by_parameter(old), _by_parameter(new)
+    _keys(out, "parameter", before, after)
+    moved = []
+    for name in (n for n in before if n in after):
+        a, b = before[name], after[name]
+        if a.value == b.value:
+            continue
+        inside = a.ci95 is not None and a.ci95[0] <= b.value <= a.ci95[1]
+        within = None if a.ci95 is None else inside
+        moved.append({"parameter": name, "old": a.value, "new": b.value, "unit": a.unit, "within_ci95": within})
+        word = "" if within is None else ", inside its 95 % interval" if inside else ", outside its 95 % interval"
+        out.says.append(f"{name}: {a.value:.4g} -> {b.value:.4g} {a.unit}{word}")
+    out.parts["parameters"] = moved
+
+
+def _by_parameter(model: ErrorModel) -> dict[str, Any]:
+    """ "COMPONENT term(its settings).parameter" -> parameter, of every compensated term."""
+    out = {}
+    for component in model.components:
+        for term in component.terms:
+            settings = ", ".join(str(v) for k, v in term.term.items() if k != "term" and isinstance(v, str))
+            for p in term.parameters:
+                out[f"{component.component} {term.term['term']}({settings}).{p.name}"] = p
+    return out
+
+
+def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
+    """Largest and rms difference per response, with the place."""
+    from errpipe.validation import changes
+
+    found = changes.compare(old, new)
+    out.parts["changes"] = [asdict(c) for c in found]
+    for c in found:
+        out.grow(c.largest, c.rms)
+        out.changes.append((c.component, c))
+        if c.largest == 0.0:
+            out.says.append(f"{c.component}: the same")
+            continue
+        place = ", ".join(f"{name} = {value:.5g}" for name, value in c.at.items())
+        out.says.append(f"{c.component}: differs by at most {c.largest:.4g} {c.unit} ({c.rms:.4g} rms over validity)")
+        out.says.append(f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}")
+        if c.goes_with and c.share > 0.1:
+            means = [b[1] for b in c.by_bin]
+            low, high = means.index(min(means)), means.index(max(means))
+            out.says.append(
+                f"    {c.share:.0%} of it goes with {c.goes_with}: on average {means[low]:+.3g} {c.unit} near "
+                f"{c.by_bin[low][0]:.4g}, {means[high]:+.3g} near {c.by_bin[high][0]:.4g}"
+            )
+
+
+# ---------------------------------------------------------------- recordings, diagnoses, run folders
+
+
+def _recordings(old: Path, new: Path) -> Comparison:
+    from errpipe.validation import changes
+
+    before, after = (_artefacts.recording_in(p.parent if p.is_file() else p) for p in (old, new))
+    out = Comparison("recording")
+    _keys(out, "column", before.manifest.columns, after.manifest.columns)
+    for name, column in before.manifest.columns.items():
+        if name in after.manifest.columns and column != after.manifest.columns[name]:
+            out.says.append(f"column {name}: is declared differently")
+    _keys(out, "run", dict.fromkeys(before.run_labels()), dict.fromkeys(after.run_labels()))
+    if len(before) != len(after):
+        out.says.append(f"rows: {len(before)} -> {len(after)}")
+    shared = changes.shared_runs(before, after)
+    moved = changes.rows_changed(before, after) if shared else {}
+    out.parts |= {"shared_runs": shared, "columns": moved}
+    for name, figures in moved.items():
+        unit = before.manifest.columns[name].unit or ""
+        out.says.append(
+            f"{name}: {figures['rows']} rows of shared runs differ, by at most {figures['largest']:.4g} {unit}"
+        )
+    if shared:
+        errors = [moved[n] for n in before.names("error") if n in moved]
+        out.grow(max((e["largest"] for e in errors), default=0.0), max((e["rms"] for e in errors), default=0.0))
+    return out
+
+
+def _diagnoses(old: Path, new: Path) -> Comparison:
+    before, after = _diagnosis(old), _diagnosis(new)
+    out = Comparison("diagnosis", parts={"responses": {}})
+    _keys(out, "response", before, after)
+    for name in (n for n in before if n in after):
+        a, b = before[name], after[name]
+        if a.verdict != b.verdict:
+            out.says.append(f"{name}: {a.verdict} -> {b.verdict}")
+        effects = [{f.effect: f for f in r.findings} for r in (a, b)]
+        for effect in dict.fromkeys([*effects[0], *effects[1]]):
+            was, now = (side.get(effect) for side in effects)
+            size = [f.rms_um if f is not None else 0.0 for f in (was, now)]
+            out.grow(abs(size[1] - size[0]), abs(size[1] - size[0]))
+            _finding(out, name, effect, was, now, a.unit)
+        figures = [r.holdout.rms_after_um for r in (a, b)]
+        if figures[0] != figures[1]:
+            out.says.append(f"{name}: {figures[0]:.4g} -> {figures[1]:.4g} {a.unit} rms left on held-out rows")
+        out.grow(0.0, 0.0)
+        out.parts["responses"][name] = {
+            "verdict": [a.verdict, b.verdict],
+            "effects": [sorted(side) for side in effects],
+            "rms_left": figures,
+        }
+    return out
+
+
+def _finding(out: Comparison, name: str, effect: str, was: Any, now: Any, unit: str) -> None:
+    if was is None or now is None:
+        word, f = ("is new", now) if was is None else ("is gone", was)
+        out.says.append(f"{name}: {effect} {word} ({f.rms_um:.3g} {unit} rms, confidence {f.confidence:.2f})")
+        return
+    values = {p.name: p for p in was.parameters}
+    for p in now.parameters:
+        if p.name in values and values[p.name].value != p.value:
+            out.says.append(f"{name}: {effect}.{p.name} {values[p.name].value:.4g} -> {p.value:.4g} {p.unit}")
+    if abs(was.confidence - now.confidence) >= 0.005:
+        out.says.append(f"{name}: {effect} confidence {was.confidence:.2f} -> {now.confidence:.2f}")
+
+
+def _diagnosis(path: Path) -> dict[str, Any]:
+    from pydantic import ValidationError
+
+    from errpipe.domain.diagnosis import Diagnosis
+
+    try:
+        return {r.component: r for r in Diagnosis.model_validate(jsonfile.read(path)).responses}
+    except ValidationError as err:
+        raise VerifyError(f"{path}: not a diagnosis: {err.errors()[0]['msg']}") from None
+
+
+def _run_folders(old: Path, new: Path) -> Comparison:
+    """Stages whose parameters, inputs or code differ, and every artefact that both runs left and that differs."""
+    from errpipe.pipeline.lock import changes, read_lock
+
+    before, after = read_lock(old), read_lock(new)
+    out = Comparison("run folder", parts={"stages": {}})
+    _keys(out, "stage", before, after)
+    for name in (n for n in before if n in after):
+        reasons = changes(before[name], after[name])
+        reasons = [r for r in reasons if not r.startswith("input ") or "/" not in r.split()[1]] or reasons[:3]
+        out.says += [f"{name}: {reason}" for reason in reasons]
+        files = [f for f in before[name].outputs if f in after[name].outputs]
+        parts = {}
+        for file in files:
+            same = before[name].outputs[file] == after[name].outputs[file]
+            part = _part(out, name, file, old / name / file, new / name / file, same)
+            if part is not None:
+                parts[file] = part
+        out.parts["stages"][name] = {"reasons": reasons, "artefacts": parts}
+    return out
+
+
+ARTEFACTS = (_artefacts.TABLE, _artefacts.MODEL, DIAGNOSIS, "recording.yaml")
+
+
+def _part(out: Comparison, stage: str, file: str, old: Path, new: Path, same: bool) -> dict[str, Any] | None:
+    """Figures of one artefact of a run. Recordings speak for themselves only: their rows are no compensation."""
+    if file == _artefacts.VALIDATION:
+        return _validation(out, stage, old, new)
+    if file not in ARTEFACTS:
+        return None
+    if same and file != "recording.yaml":
+        if file in (_artefacts.TABLE, _artefacts.MODEL):
+            out.grow(0.0, 0.0)
+        return None
+    found = HOW[kind_of(old)](old, new)
+    if file in (_artefacts.TABLE, _artefacts.MODEL) and found.largest is not None:
+        out.grow(found.largest, found.rms or 0.0)
+        out.changes += [(f"{stage}: {name}", c) for name, c in found.changes]
+    out.says += [f"{stage}: {line}" for line in found.says]
+    return {"largest_um": found.largest, "rms_um": found.rms, **found.parts}
+
+
+def _validation(out: Comparison, stage: str, old: Path, new: Path) -> dict[str, Any]:
+    """Held-out rms of every response, before and after."""
+    sides = [{c["component"]: c for c in jsonfile.read(p)["components"]} for p in (old, new)]
+    found = {}
+    for name in (n for n in sides[0] if n in sides[1]):
+        a, b = (side[name]["rms_after"] for side in sides)
+        found[name] = [a, b]
+        if a != b:
+            out.says.append(f"{stage}: {name} {a:.4g} -> {b:.4g} {sides[0][name]['unit']} rms on held-out rows")
+    return found
+
+
+HOW: Mapping[str, Callable[[Path, Path], Comparison]] = {
+    "table": _tables,
+    "model": _models,
+    "recording": _recordings,
+    "diagnosis": _diagnoses,
+    "run folder": _run_folders,
+}
+
+
+# ---------------------------------------------------------------- words
+
+
+def _keys(out: Comparison, what: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """What only one of the two has."""
+    gone, added = [n for n in old if n not in new], [n for n in new if n not in old]
+    out.parts.setdefault("only_in_old", {})[what] = gone
+    out.parts.setdefault("only_in_new", {})[what] = added
+    for names, word in ((gone, "only in the old one"), (added, "only in the new one")):
+        if names:
+            more = f" and {len(names) - LONGEST_LIST} more" if len(names) > LONGEST_LIST else ""
+            out.says.append(f"{what} {word}: {', '.join(names[:LONGEST_LIST])}{more}")
+
+
+def _ranges(out: Comparison, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    for name in (n for n in old if n in new and tuple(old[n]) != tuple(new[n])):
+        a, b = old[name], new[name]
+        out.says.append(f"validity of {name}: {a[0]:.5g} .. {a[1]:.5g} -> {b[0]:.5g} .. {b[1]:.5g}")
+
+
+def _short(value: Any) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else jsonfile.dumps(value, indent=None).strip()
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,222 @@
+"""How far two compensations differ: both asked on the same states of a machine, over the validity box of the two.
+
+Half of the states are drawn uniformly (the rms is theirs), half with the ends of each range drawn more often. Each is a
+run of its own: the machine stands at rest in the middle of the box (axes anywhere, so that it is approached from both
+sides), jumps to the state, and stays there; it is looked at 1 s, 1 min, 10 min, 1 h, 10 h and 30 years later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain.table import CompensationTable
+from errpipe.fitting.components import evaluate
+from errpipe.tables import batch
+
+AFTER = np.array([0.0, 1.0, 60.0, 600.0, 3600.0, 36000.0, 1e9])  # s after the jump; the first row stands before it
+STATES = 4000  # a bump of 1/200 of the travel is missed by all of them in 1 of 10^6 comparisons
+ENDS = 0.15  # share of the second half at each end of a range: corners of a box of five inputs are then among them
+BINS = 10  # parts of an input's range in which differences are summed up
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """A model or table as a function of readings.
+
+    roles: input -> role (of a recording or of a table's input); ranges: input -> validity; units: response -> unit;
+    relative: whether it counts from the start of each run.
+    """
+
+    roles: Mapping[str, str]
+    ranges: Mapping[str, Range]
+    units: Mapping[str, str]
+    values: Callable[[States], Mapping[str, np.ndarray]]
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class States:
+    """Runs of a machine: readings by input, (rows,); time in s; a run's number per row."""
+
+    readings: Mapping[str, np.ndarray]
+    time: np.ndarray
+    run: np.ndarray
+
+
+@dataclass(frozen=True)
+class Change:
+    """How far one response differs, in its unit. at: readings where it differs most.
+
+    goes_with: the input that explains most of the difference, with its share of the variance; by_bin: that input's
+    value, the difference's mean, least and largest in each part of its range.
+    """
+
+    component: str
+    unit: str
+    largest: float
+    rms: float
+    at: Mapping[str, float]
+    old: float
+    new: float
+    goes_with: str
+    share: float
+    by_bin: tuple[tuple[float, float, float, float], ...]
+
+
+def of_model(model: ErrorModel) -> Compensation:
+    """An error model as it stands, without what fades outside validity."""
+    kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
+
+    def values(states: States) -> Mapping[str, np.ndarray]:
+        columns = {"run": Column(role="run"), "t": Column(role="time", unit="s"), **kinds}
+        frame = pd.DataFrame(
+            {"run": states.run.astype(str), "t": states.time, **{n: states.readings[n] for n in kinds}}
+        )
+        manifest = Manifest(recording=1, tables=("states.csv",), columns=columns, constants=model.constants)
+        return evaluate(model, Recording(manifest, frame))
+
+    ranges = {name: model.validity.ranges.get(name, (0.0, 1.0)) for name in kinds}
+    units = {c.component: c.unit for c in model.components}
+    return Compensation({n: k.role for n, k in kinds.items()}, ranges, units, values, model.datum == "run_start")
+
+
+def of_table(table: CompensationTable) -> Compensation:
+    """A table as a controller runs it: the deviation behind each of its outputs."""
+
+    def values(states: States) -> Mapping[str, np.ndarray]:
+        columns = {i.name: states.readings[i.name] for i in table.inputs}
+        return batch.evaluate(table, columns, states.time, states.run).deviation
+
+    ranges = {i.name: i.valid or _profile_span(table, i.name) or (i.default, i.default) for i in table.inputs}
+    units = {o.name: o.unit for o in table.outputs}
+    return Compensation({i.name: i.kind for i in table.inputs}, ranges, units, values)
+
+
+def _profile_span(table: CompensationTable, name: str) -> Range | None:
+    ends = [(p.start, p.start + p.step * (len(p.values) - 1)) for p in table.profiles if p.input == name]
+    return (min(e[0] for e in ends), max(e[1] for e in ends)) if ends else None
+
+
+def draw(old: Compensation, new: Compensation, seed: int = 1) -> States:
+    """States over the union of both validity boxes."""
+    rng = np.random.default_rng(seed)
+    roles = {**old.roles, **new.roles}
+    readings = {}
+    for name in sorted(roles):
+        spans = [c.ranges[name] for c in (old, new) if name in c.ranges]
+        low, high = min(s[0] for s in spans), max(s[1] for s in spans)
+        state, before = (_drawn(rng, roles[name], low, high) for _ in range(2))
+        moving = roles[name] in ("position", "command", "actual", "direction")
+        first = before if moving else np.full(STATES, (low + high) / 2)
+        readings[name] = np.column_stack([first, *[state] * (AFTER.size - 1)]).ravel()
+    return States(readings, np.tile(AFTER, STATES), np.repeat(np.arange(STATES), AFTER.size))
+
+
+def _drawn(rng: np.random.Generator, role: str, low: float, high: float) -> np.ndarray:
+    if role == "direction":
+        return np.where(rng.random(STATES) < 0.5, 1.0, -1.0)
+    ends, inside = rng.random(STATES), rng.uniform(low, high, STATES)
+    ends[: STATES // 2] = 0.5
+    values = np.where(ends < ENDS, low, np.where(ends > 1.0 - ENDS, high, inside))
+    return np.round(values) if role == "coolant" else values
+
+
+def compare(old: Compensation, new: Compensation, seed: int = 1) -> list[Change]:
+    """One change per response of either; a response that one of them lacks is zero there."""
+    states = draw(old, new, seed)
+    before, after = (_asked(c, states, old.relative or new.relative) for c in (old, new))
+    units = {**old.units, **new.units}
+    zero = np.zeros(states.run.size)
+    return [_change(name, units[name], states, before.get(name, zero), after.get(name, zero)) for name in units]
+
+
+def _asked(of: Compensation, states: States, relative: bool) -> Mapping[str, np.ndarray]:
+    values = of.values(states)
+    if not relative or of.relative:
+        return values
+    return {name: v - np.repeat(v[:: AFTER.size], AFTER.size) for name, v in values.items()}
+
+
+def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.ndarray) -> Change:
+    judged = np.flatnonzero(np.tile(AFTER > 0, STATES) & np.isfinite(old) & np.isfinite(new))
+    gap = (new - old)[judged]
+    if gap.size == 0:
+        return Change(component, unit, 0.0, 0.0, {}, 0.0, 0.0, "", 0.0, ())
+    worst = int(judged[np.argmax(np.abs(gap))])
+    name, share, bins = _goes_with({n: v[judged] for n, v in states.readings.items()}, gap)
+    at = {n: float(v[worst]) for n, v in states.readings.items()}
+    at["seconds after a step"] = float(states.time[worst])
+    uniform = gap[judged < STATES // 2 * AFTER.size]
+    rms = float(np.sqrt(np.mean(uniform**2))) if uniform.size else 0.0
+    return Change(
+        component, unit, float(np.abs(gap).max()), rms, at, float(old[worst]), float(new[worst]), name, share, bins
+    )
+
+
+def _goes_with(
+    readings: Mapping[str, np.ndarray], gap: np.ndarray
+) -> tuple[str, float, tuple[tuple[float, float, float, float], ...]]:
+    """The input with the largest correlation ratio (Pearson 1905) to the difference, and the difference over it."""
+    best: tuple[str, float, tuple[tuple[float, float, float, float], ...]] = ("", 0.0, ())
+    total = float(np.var(gap))
+    for name, values in readings.items():
+        span = float(np.ptp(values))
+        if span == 0.0 or total == 0.0:
+            continue
+        part = np.minimum(((values - values.min()) / span * BINS).astype(int), BINS - 1)
+        rows: Sequence[np.ndarray] = [gap[part == k] for k in range(BINS)]
+        middle = [float(values[part == k].mean()) if r.size else 0.0 for k, r in enumerate(rows)]
+        between = sum(r.size * (float(r.mean()) - float(gap.mean())) ** 2 for r in rows if r.size) / gap.size
+        if between / total > best[1]:
+            bins = tuple(
+                (m, float(r.mean()), float(r.min()), float(r.max()))
+                for m, r in zip(middle, rows, strict=True)
+                if r.size
+            )
+            best = (name, between / total, bins)
+    return best
+
+
+def rows_changed(old: Recording, new: Recording) -> dict[str, dict[str, float]]:
+    """Numeric column -> rows that differ and the largest and rms difference, over the runs that both hold.
+
+    A run is shared where its label and its number of rows are the same in both.
+    """
+    labels = shared_runs(old, new)
+    columns = [n for n in old.frame.columns if n in new.frame.columns and pd.api.types.is_numeric_dtype(old.frame[n])]
+    before, after = (_rows_of(r, labels) for r in (old, new))
+    out = {}
+    for name in columns:
+        a, b = (part[name].to_numpy(dtype=float) for part in (before, after))
+        differ = ~((a == b) | (np.isnan(a) & np.isnan(b)))
+        gap = np.abs(b - a)[differ]
+        gap = gap[np.isfinite(gap)]
+        if differ.any():
+            largest = float(gap.max()) if gap.size else 0.0
+            rms = float(np.sqrt(np.sum(gap**2) / a.size))
+            out[name] = {"rows": int(differ.sum()), "largest": largest, "rms": rms}
+    return out
+
+
+def shared_runs(old: Recording, new: Recording) -> list[str]:
+    """Labels of the runs that both hold with as many rows."""
+    counts = [dict(zip(*np.unique(_labels(r), return_counts=True), strict=True)) for r in (old, new)]
+    return [label for label in dict.fromkeys(_labels(old)) if counts[0][label] == counts[1].get(label)]
+
+
+def _labels(recording: Recording) -> np.ndarray:
+    return np.asarray(recording.run_labels(), dtype=str)[recording.run_codes()]
+
+
+def _rows_of(recording: Recording, labels: Sequence[str]) -> pd.DataFrame:
+    own = _labels(recording)
+    frame = recording.frame[np.isin(own, labels)]
+    return frame.iloc[np.argsort(own[np.isin(own, labels)], kind="stable")]
