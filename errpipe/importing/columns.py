@@ -8,7 +8,10 @@ from datetime import datetime
 
 import numpy as np
 
+from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
+
+CORRECTION = r"\b(corrections?|korrektur(en|wert|werte)?|corr)\b"  # minus the deviation
 
 # What headers are called -> what they hold; English and German. The first pattern that fits wins.
 WORDS: tuple[tuple[str, str], ...] = (
@@ -27,11 +30,14 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(press|druck|baro)", "pressure"),
     (r"(humid|feucht)", "humidity"),
     (r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw)", "error"),
+    (CORRECTION, "error"),
+    (r"(straightness|geradheit)", "error"),
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (r"(target|soll|nominal|nennwert|command|\bcmd|_cmd|setpoint|demand|sollwert|ref(erence)?\b)", "command"),
     (
-        r"(actual|\bist\b|istwert|measured|messwert|reading|anzeige|feedback|\bfb\b|_fb|\bact\b|_act\b|encoder|laser|dial|indicator|uhr)",
+        r"(actual|\bist\b|istwert|measured|_meas\b|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|_fb|\bact\b|_act\b|encoder"
+        r"|laser|dial|indicator|uhr)",
         "actual",
     ),
     (r"(position|\bpos|^[xyzabcuvw]\d?$|^[xyz]$|weg|^[xyz] ?(axis|achse|-achse))", "position"),
@@ -58,42 +64,17 @@ _AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achs
 _AXIS_ABOVE = re.compile(
     r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
 )
-UP = (
-    "+",
-    "+1",
-    "1",
-    "up",
-    "auf",
-    "forward",
-    "fwd",
-    "vor",
-    "vorwärts",
-    "pos",
-    "positive",
-    "positiv",
-    "↑",
-    "hin",
-    "u",
-    "→",
+# Words of a cell or header -> from which side a target was approached; umlauts are written out before the comparison.
+UP = re.compile(
+    r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
+    r"|increasing|steigend|below|unten|aller"
 )
-DOWN = (
-    "-",
-    "-1",
-    "down",
-    "ab",
-    "backward",
-    "back",
-    "bwd",
-    "rück",
-    "rückwärts",
-    "neg",
-    "negative",
-    "negativ",
-    "↓",
-    "zurück",
-    "d",
-    "←",
+DOWN = re.compile(
+    r"-1?|↓|←|<+|d|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
+    r"|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben"
 )
+_FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
+FARTHEST_UM = 1e4  # um: no axis is wrong by a centimetre
 DATES = (
     "%d.%m.%Y %H:%M:%S.%f",
     "%d.%m.%Y %H:%M:%S",
@@ -136,9 +117,9 @@ def guess(column: RawColumn) -> ColumnGuess:
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     """A kind that the column's unit and values contradict gives way to what they say."""
     unit = column.unit
-    if kind == "position" and unit in ("um", "urad", "arcsec", "nm"):
+    if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _far(column):
         return "error", f"its unit ({unit}: too small for a position)"
-    if kind == "command" and unit in ("um", "nm"):
+    if kind == "command" and unit in ("um", "nm") and not _far(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
@@ -153,10 +134,45 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     return kind, ""
 
 
+def _far(column: RawColumn) -> bool:
+    """Whether values in um span more than any deviation does: positions that were logged in um."""
+    known = column.values[np.isfinite(column.values)]
+    return column.unit == "um" and known.size > 0 and float(np.ptp(known)) > FARTHEST_UM
+
+
 def axis_in(text: str) -> str | None:
     """The axis letter that a text names, or None."""
     found = _AXIS.search(text)
     return found.group(1).upper() if found else None
+
+
+# Angular errors of a horizontal axis by their usual names (ISO 230-1): the axis they turn about.
+ANGLES = {
+    "X": {"roll": "A", "pitch": "B", "yaw": "C"},
+    "Y": {"roll": "B", "pitch": "A", "yaw": "C"},
+    "Z": {"roll": "C"},  # pitch and yaw of a vertical axis have no usual assignment
+}
+
+
+def other_component(text: str, moved: str) -> str | None:
+    """EYX of 'straightness Y' along X, ECX of 'yaw'; None where a header names neither. Raises DataError for half."""
+    word = plain(text)
+    if re.search(r"straight|gerad", word):
+        across = axis_in(text)
+        if across is None or across == moved:
+            raise DataError(f"column {text!r}: a straightness across which axis? Say it with --component, such as EYX")
+        return f"E{across}{moved}"
+    for pattern, name in (
+        (r"\b(roll\w*|rollen)\b", "roll"),
+        (r"\b(pitch|nick\w*)\b", "pitch"),
+        (r"\b(yaw|gier\w*)\b", "yaw"),
+    ):
+        if re.search(pattern, word.replace("_", " ")):
+            about = ANGLES.get(moved[0], {}).get(name)
+            if about is None:
+                raise DataError(f"column {text!r}: about which axis? Say it with --component, such as EBZ")
+            return f"E{about}{moved}"
+    return None
 
 
 def axis_above(lines: list[str]) -> str | None:
@@ -168,10 +184,20 @@ def axis_above(lines: list[str]) -> str | None:
     return None
 
 
+def plain(text: object) -> str:
+    """A text in small letters without umlauts and the Unicode minus."""
+    word = str(text).strip().lower()
+    for letter, written in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("−", "-"), ("–", "-")):
+        word = word.replace(letter, written)
+    return word
+
+
 def side(text: object) -> float | None:
-    """+1 or -1 of a word for a direction, or None."""
-    word = str(text).strip().lower().removesuffix(".0").rstrip(".")
-    return 1.0 if word in UP else -1.0 if word in DOWN else None
+    """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
+    word = plain(text).removesuffix(".0").rstrip(".:")
+    left = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
+    word = left[0] if len(left) == 1 else word
+    return 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
 
 
 def _side(column: RawColumn) -> np.ndarray | None:

@@ -6,7 +6,6 @@ Nothing is computed here that the manifest does not state or a note tell.
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 
@@ -17,22 +16,30 @@ from errpipe.importing import columns as guessing
 from errpipe.importing import settle, wide
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
+from errpipe.importing.sheet import label
 
-PLAIN_UNITS = {"inch": ("mm", 25.4), "thou": ("mm", 0.0254)}  # of errors and readings, which the manifest has in mm
+# Units of readings which the manifest does not have -> the unit it has, and the factor.
+PLAIN_UNITS = {
+    "inch": ("mm", 25.4),
+    "thou": ("mm", 0.0254),
+    "tenths of a thou": ("mm", 0.00254),
+    "1/100 mm": ("mm", 0.01),
+}
 
 
 def propose(layout: Layout, options: ImportOptions) -> Proposal:
     """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
+    layout = wide.turned(_rows_of_one_axis(layout, options))
     proposal = Proposal(notes=list(layout.notes))
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _said(c, options) or guessing.guess(c) for c in layout.columns}
     proposal.facts.update(_facts(layout.above))
-    axis = options.axis or _axis(layout, guesses)
+    found = wide.find(layout, guesses)
+    axis = options.axis or _axis(layout, guesses, found)
     if axis is None:
         axis = "X"
         proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
-    found = wide.find(layout, guesses)
     if found is not None:
         _wide(layout, guesses, found, axis, options, proposal)
     else:
@@ -60,6 +67,32 @@ def _facts(above: list[str]) -> dict[str, str]:
     return found
 
 
+def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
+    """Rows of one axis where a column names the axis of each row. Raises DataError where it is not said which one."""
+    for c in layout.columns:
+        filled = {str(cell).strip() for cell in c.cells if cell not in (None, "")}
+        letters = {text.upper() for text in filled}
+        if not filled or c.numeric or not all(re.fullmatch(r"[XYZABCUVW]\d?", letter) for letter in letters):
+            continue
+        axis = options.axis or min(letters)
+        if len(letters) > 1 and options.axis is None:
+            raise DataError(
+                f"column {c.header!r} holds rows of several axes ({', '.join(sorted(letters))}): --axis says which one "
+                "is imported; one recording for each"
+            )
+        if axis not in letters:
+            raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
+        keep = np.array([str(cell).strip().upper() == axis for cell in c.cells])
+        kept = [
+            RawColumn(k.header, k.unit, [k.cells[i] for i in np.flatnonzero(keep)], k.values[keep])
+            for k in layout.columns
+            if k is not c
+        ]
+        note = f"{int(keep.sum())} of {len(keep)} rows: those with {c.header} = {axis}"
+        return Layout(kept, [f"Axis: {axis}", *layout.above], [*layout.notes, note])
+    return layout
+
+
 def _said(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
     """What `--set COLUMN.role=...` says of a column."""
     said = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
@@ -72,9 +105,10 @@ def _said(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | N
     return guessing.ColumnGuess(role, said.get("axis") or guessing.axis_in(column.header), "")
 
 
-def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> str | None:
+def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], found: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
-    named = [g.axis for g in guesses.values() if g.axis is not None and g.kind in motion]
+    runs = {c.header for c, _, _ in found.readings} if found is not None else set()
+    named = [g.axis for header, g in guesses.items() if g.axis is not None and g.kind in motion and header not in runs]
     return named[0] if named else guessing.axis_above(layout.above)
 
 
@@ -119,7 +153,10 @@ def _wide(
         p.put("direction", sides, "from the headers of the columns", role="direction", axis=axis)
     _wide_readings(layout, found, values, axis, options, p)
     for c in layout.columns:
-        if c is found.target or any(c is r for r, _, _ in found.readings):
+        if c is found.target or c is found.run or any(c is r for r, _, _ in found.readings):
+            continue
+        if any(c is s for s in found.statistics):
+            p.notes.append(f"column {c.header!r} was left out: a figure over the runs, not a reading")
             continue
         g = guesses[c.header]
         if g.kind in ("temperature", "pressure", "humidity", "feed", "spindle_speed"):
@@ -169,7 +206,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     elif g.kind == "direction":
         p.put(c.header, guessing.sides(c), why, role="direction", axis=own)
     elif g.kind in ("run", "group"):
-        p.put(c.header, [_label(x) for x in c.cells], why, role=g.kind, of=said.get("of"))
+        p.put(c.header, [label(x) for x in c.cells], why, role=g.kind, of=said.get("of"))
     elif g.kind in ("command", "position", "actual"):
         unit, why = _unit_or(unit, "deg" if own[0] in "ABC" else "mm", why)
         p.put(c.header, c.values, why, role=g.kind, axis=own, unit=unit)
@@ -177,7 +214,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         _counts(c, own, why, options, p)
     elif g.kind in ("error", "simulated"):
         component = said.get("component") or options.component or component_in(c.header)
-        _response(c, g.kind, own, options.unit or unit, why, component, p)
+        _response(c, g.kind, own, options.unit or unit, why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
         name = p.put(c.header, c.values, why, role="current", axis=own, unit=unit)
@@ -192,13 +229,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         place = said.get("location") or (c.header if g.kind == "temperature" else None)
         p.put(c.header, c.values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)
     else:
-        p.put(c.header, c.values if c.numeric else [_label(x) for x in c.cells], g.why, role="ignore")
-
-
-def _label(cell: Any) -> str:
-    if isinstance(cell, float) and cell.is_integer():
-        return str(int(cell))
-    return "" if cell is None else str(cell).strip()
+        p.put(c.header, c.values if c.numeric else [label(x) for x in c.cells], g.why, role="ignore")
 
 
 def _unit_or(unit: str | None, usual: str, why: str) -> tuple[str, str]:
@@ -210,7 +241,7 @@ def _unit_or(unit: str | None, usual: str, why: str) -> tuple[str, str]:
 def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
     stamps = guessing.seconds(c) if not c.numeric else None
     if p.first("time") is not None:
-        p.put(c.header, [_label(x) for x in c.cells], "a second clock", role="ignore")
+        p.put(c.header, [label(x) for x in c.cells], "a second clock", role="ignore")
     elif stamps is not None:
         p.put("t", stamps[0], f"{why}; dates written as s since the first row", role="time", unit="s", epoch=stamps[1])
     elif c.numeric:
@@ -223,7 +254,7 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
             unit=unit,
         )
     else:
-        p.put(c.header, [_label(x) for x in c.cells], "a date that is not understood", role="ignore")
+        p.put(c.header, [label(x) for x in c.cells], "a date that is not understood", role="ignore")
 
 
 def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Proposal) -> None:
@@ -237,9 +268,12 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
 
 
 def _response(
-    c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, p: Proposal
+    c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, moved: str, p: Proposal
 ) -> None:
     """An error or simulated column; inches are converted, a missing unit is judged by the size of the readings."""
+    if component is None:
+        component = guessing.other_component(c.header, moved)
+        why += f"; component {component} from the name and the axis {moved}" if component else ""
     if component is None:
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
@@ -250,6 +284,8 @@ def _response(
         values, why, unit = values * factor, f"{why}; {unit} written as {plain}", plain
     if unit is None:
         unit = wanted if wanted != "um" else unit_by_size(values)
+        odd = re.search(r"[\[(]([^\[\]()]{1,14})[\])]", c.header)
+        why += f"; {odd.group(1)!r} is no known unit" if odd else ""
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
     p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis)
 

@@ -11,14 +11,16 @@ import re
 
 import numpy as np
 
-from errpipe.domain import components
+from errpipe.domain import components, units
 from errpipe.errors import DataError
+from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
 
 DENSE_ROWS = 500  # rows: a log, not a test of targets
 DENSE_PLACES = 100  # different commands: a log, not a test of targets
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
+SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
 _REVERSED = re.compile(
     r"(soll\w*|nominal|nennwert|target|command\w*|cmd)\s*(-|–|−|minus|less)\s*(ist\w*|actual|measured|mess\w*|reading)"
 )
@@ -47,6 +49,7 @@ def settle_positions(p: Proposal, axis: str) -> None:
 
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
     """The error of the axis, its sign, directions, runs, and what a log of an axis needs besides."""
+    turn_readings(p)
     turn_signs(p, layout, options)
     readings_as_errors(p, axis)
     derive_error(p, axis, options)
@@ -55,6 +58,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         raise DataError(
             f"no column holds a deviation, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
+            + "".join(f"; {note}" for note in layout.notes if "--names" in note)
         )
     for name, entry in p.entries.items():
         letter = entry.pop("_axis", None)
@@ -73,26 +77,73 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
 
 
 def turn_signs(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Every error column as actual minus commanded, by what the file or the person says of its sign."""
+    """Every error column as actual minus commanded, by what the person, the two positions or the file say of it."""
     for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
         texts = " ".join([name.replace("_", " "), *(c.header for c in layout.columns), *layout.above]).lower()
         reversed_, straight = _REVERSED.search(texts), _STRAIGHT.search(texts)
-        sign = options.sign
-        if sign is None and reversed_ and not straight:
+        sign, said = options.sign, ""
+        shown = _sign_shown(p, name) if sign is None else None
+        if shown is not None:
+            turn, difference = shown
+            sign = "commanded-minus-actual" if turn else "actual-minus-commanded"
+            said = f"it is minus {difference}: the sign is turned" if turn else f"its sign is that of {difference}"
+        elif sign is None and re.search(guessing.CORRECTION, name.replace("_", " ").lower()):
+            sign, said = "commanded-minus-actual", "a correction is minus the deviation: the sign is turned"
+        elif sign is None and reversed_ and not straight:
             sign = "commanded-minus-actual"
             said = f"the file says {reversed_.group(0)!r}: the sign is turned"
         elif sign is None and straight:
             sign, said = "actual-minus-commanded", f"the file says {straight.group(0)!r}"
         elif sign is None:
             said = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
-        else:
-            said = ""
         if said:
             p.guesses[name] = f"{p.guesses.get(name, '')}; {said}".strip("; ")
         if sign == "commanded-minus-actual":
             entry = p.entries[name]
             raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")
             p.entries[name] = {**entry, "derived": {"of": raw, "factor": -1.0}}
+
+
+def turn_readings(p: Proposal) -> None:
+    """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
+    for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
+        entry = p.entries[name]
+        command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
+        if command == name or command not in p.data:
+            continue
+        slope = _slope(*(_canonical(p, n) for n in (command, name)))
+        if slope is not None and abs(slope + 1.0) < ABSOLUTE:
+            raw = p.put(f"{name}_as_read", p.data.pop(name), role="ignore")
+            p.entries[name] = {**entry, "role": "actual", "derived": {"of": raw, "factor": -1.0}}
+            p.guesses[name] = f"{raw} falls one for one as {command} rises: it counts the other way and is turned"
+
+
+def _canonical(p: Proposal, name: str) -> np.ndarray:
+    convert = units.conversion("position", p.entries[name].get("unit"))
+    return p.data[name] if convert is None else convert(p.data[name])
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
+    """Least-squares slope of y over x; None where x does not vary."""
+    good = np.isfinite(x) & np.isfinite(y)
+    return float(np.polyfit(x[good], y[good], 1)[0]) if good.sum() > 3 and np.ptp(x[good]) > 0 else None
+
+
+def _sign_shown(p: Proposal, name: str) -> tuple[bool, str] | None:
+    """Whether an error is minus the difference of the recorded positions, and that difference; None: not known."""
+    component = p.entries[name]["component"]
+    for axis in {e["axis"] for e in p.entries.values() if e.get("axis")}:
+        command, actual = p.first("command", axis), p.first("actual", axis) or p.first("position", axis)
+        if component != components.positioning(axis) or command not in p.data or actual not in p.data:
+            continue
+        x, y = _canonical(p, actual) - _canonical(p, command), p.data[name]
+        good = np.isfinite(x) & np.isfinite(y)
+        if good.sum() < 4 or min(np.ptp(x[good]), np.ptp(y[good])) == 0:
+            continue
+        r = float(np.corrcoef(x[good], y[good])[0, 1])
+        if abs(r) > SHOWN:
+            return r < 0, f"{actual} - {command} (correlation {r:.2f})"
+    return None
 
 
 def readings_as_errors(p: Proposal, axis: str) -> None:
@@ -102,15 +153,19 @@ def readings_as_errors(p: Proposal, axis: str) -> None:
         entry = p.entries[name]
         if place is None or place not in p.data or entry["component"] != components.positioning(axis):
             continue
-        x, y = p.data[place], p.data[name]
-        good = np.isfinite(x) & np.isfinite(y)
-        if good.sum() < 4 or np.ptp(x[good]) == 0:
-            continue
-        slope = float(np.polyfit(x[good], y[good], 1)[0])
-        if abs(slope - 1.0) > ABSOLUTE:
+        slope = _slope(p.data[place], p.data[name])
+        if slope is None or abs(slope - 1.0) > ABSOLUTE:
             continue
         unit = p.entries[place].get("unit", "mm")
-        p.entries[name] = {"role": "actual", "axis": axis, "unit": unit}
+        del p.entries[name]
+        p.guesses.pop(name, None)
+        name = p.put(
+            f"actual_{axis}" if name == entry["component"] else name,
+            p.data.pop(name),
+            role="actual",
+            axis=axis,
+            unit=unit,
+        )
         p.guesses[name] = f"it rises with {place} one for one: absolute readings in {unit}, not deviations"
 
 
@@ -127,11 +182,11 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
         if p.entries[command]["role"] == "position":
             p.entries[command]["role"] = "command"
         component = options.component or components.positioning(letter)
-        if component in p.entries:
-            continue
         unit = components.unit(component)
-        p.put(component, None, role="error", component=component, unit=unit, derived={"minus": [actual, command]})
-        p.guesses[component] = f"error = {actual} - {command} (actual minus commanded)"
+        name = p.put(
+            component, None, role="error", component=component, unit=unit, derived={"minus": [actual, command]}
+        )
+        p.guesses[name] = f"error = {actual} - {command} (actual minus commanded)"
 
 
 # ---------------------------------------------------------------- order of rows
@@ -185,6 +240,16 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         if len(set(runs)) > 1:
             why = "a new run each time the targets start again"
             p.put("run", runs, why, role="run")
+    if p.first("direction") is None and _repeated(x, p.data.get(p.first("run") or "")):
+        p.notes.append(
+            "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
+        )
+
+
+def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
+    """Whether most targets come more than once in a run."""
+    pairs = list(zip(runs or [""] * x.size, np.round(x, 6).tolist(), strict=True))
+    return x.size > 3 and len(set(pairs)) <= 0.6 * len(pairs)
 
 
 def motion_sides(x: np.ndarray) -> np.ndarray | None:

@@ -14,6 +14,7 @@ MINUS = str.maketrans({"−": "-", "–": "-", "\u00a0": "", "\u202f": ""})
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
+_GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,16 @@ def number(cell: Any, comma: bool) -> float | None:
         return None
     if comma and (_COMMA.fullmatch(text) or _GROUPED.fullmatch(text)):
         text = text.replace(".", "").replace(",", ".")
+    elif not comma and _GROUPED_BY_COMMAS.fullmatch(text):
+        text = text.replace(",", "")
     return float(text) if _PLAIN.fullmatch(text) else None
+
+
+def label(cell: Cell) -> str:
+    """A cell as the name of a run or group: 1.0 -> '1'."""
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return "" if cell is None else str(cell).strip()
 
 
 def decimal_comma(rows: list[list[Cell]]) -> bool:
@@ -66,5 +76,5 @@ def decimal_comma(rows: list[list[Cell]]) -> bool:
             if isinstance(cell, str) and cell:
                 text = cell.strip().translate(MINUS)
                 commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None
-                points += "." in text and _PLAIN.fullmatch(text) is not None
+                points += "." in text and (_PLAIN.fullmatch(text) or _GROUPED_BY_COMMAS.fullmatch(text)) is not None
     return commas > points

@@ -9,57 +9,84 @@ import numpy as np
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn, unit_of
+from errpipe.importing.sheet import label, number
 
-_RUN = re.compile(r"\d+")
-_SIGN = re.compile(r"([+\-−↑↓→←])\s*$")
+_TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
+_STATISTIC = re.compile(
+    r"\b(mittel\w*|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
+    r"|max\w*|min\w*|sum\w*|[smrb](?= |$))"
+)
+MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 
 
 class Wide:
-    """The target column, and the run and side (+1, -1, None) of every column of readings."""
+    """The target column, the run and side (+1, -1, None) of every column of readings, and columns of statistics.
 
-    def __init__(self, target: RawColumn, readings: list[tuple[RawColumn, str, float | None]]):
-        self.target, self.readings = target, readings
+    run: the column that names the runs where the headers do not, or None.
+    """
+
+    def __init__(
+        self,
+        target: RawColumn,
+        readings: list[tuple[RawColumn, str, float | None]],
+        statistics: list[RawColumn],
+        run: RawColumn | None = None,
+    ):
+        self.target, self.readings, self.statistics, self.run = target, readings, statistics, run
 
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
-    """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'Run 1' -> ('1', None)."""
-    text = header.strip()
+    """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
+    tokens = _TOKEN.findall(guessing.plain(header))
+    letters = [t for t in tokens if not t.isdigit()]
+    numbers = [t for t in tokens if t.isdigit()]
+    lone = len(letters) == 1 and len(tokens) <= 2  # `F1`, `1u`: elsewhere a letter is an axis or a unit
     side = None
-    sign = _SIGN.search(text)
-    if sign:
-        side = guessing.side("-" if sign.group(1) == "−" else sign.group(1))
-        text = text[: sign.start()]
-    else:
-        words = re.split(r"[\s_.\-/]+", text.lower())
-        for word in words[::-1]:
-            if not word.isdigit() and word not in ("pos", "u", "d", "ab.") and (found := guessing.side(word)):
-                side = found
-                break
-    numbers = _RUN.findall(text)
+    for k, token in enumerate(reversed(tokens)):
+        mark = not token[0].isalnum()
+        if token.isdigit() or token == "pos" or (len(token) == 1 and not mark and not lone) or (mark and k > 0):
+            continue  # a sign counts at the end alone: `Soll-Ist`, `1-2`
+        if (side := guessing.side(token)) is not None:
+            break
     return (numbers[-1] if numbers else None), side
 
 
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
     """The wide layout of a table, or None where a row is one reading."""
     numeric = [c for c in layout.columns if c.numeric]
-    targets = [
-        c for c in numeric if guesses[c.header].kind in ("command", "position") and run_and_side(c.header)[0] is None
-    ]
-    if not targets and numeric and _rises(numeric[0]):
+    places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
+    targets = [c for c in places if run_and_side(c.header) == (None, None)]
+    targets = targets or [c for c in places if run_and_side(c.header)[0] is None]
+    if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
         targets = numeric[:1]
     if len(targets) != 1:
         return None
-    readings = []
+    readings: list[tuple[RawColumn, str, float | None]] = []
+    statistics = []
     for c in numeric:
         run, side = run_and_side(c.header)
         if c is targets[0] or guesses[c.header].kind not in KINDS or (run is None and side is None):
             continue
-        readings.append((c, run or "1", side))
-    pairs = {(run, side) for _, run, side in readings}
-    if len(readings) < 2 or len(pairs) < len(readings):
+        if _STATISTIC.search(guessing.plain(c.header)):
+            statistics.append(c)
+        else:
+            readings.append((c, run or "1", side))
+    if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
+        readings = [(c, run, None) for c, run, _ in readings]
+    labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
+    named = any(run_and_side(c.header)[0] is not None for c, _, _ in readings)
+    if len(readings) < 2:
         return None
-    return Wide(targets[0], readings)
+    if len({(run, side) for _, run, side in readings}) < len(readings):
+        if len({run for _, run, _ in readings}) > 1 and all(side is None for _, _, side in readings):
+            first, other = next((a, b) for a, ra, _ in readings for b, rb, _ in readings if ra == rb and a is not b)
+            raise DataError(
+                f"columns {first.header!r} and {other.header!r} are both of one run, and neither says from which side "
+                "its targets were approached: write + and -, up and down, or fwd and rev into the header"
+            )
+        return None
+    return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None)
 
 
 def _rises(c: RawColumn) -> bool:
@@ -77,16 +104,52 @@ def unfold(found: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     rows = np.flatnonzero(keep)
     if not rows.size:
         raise DataError("no row holds a target and a reading")
-    rising = target[rows[-1]] > target[rows[0]]
+    names = ["" for _ in target] if found.run is None else [label(c) for c in found.run.cells]
     order, run, side, value = [], [], [], []
-    for c, label, way in found.readings:
-        own = rows if way is None or rising == (way > 0) else rows[::-1]
-        own = own[np.isfinite(c.values[own])]
-        order.append(own)
-        run += [label] * own.size
-        side += [np.nan if way is None else way] * own.size
-        value.append(c.values[own])
+    for name in dict.fromkeys(names[i] for i in rows):
+        block = np.array([i for i in rows if names[i] == name])
+        rising = target[block[-1]] > target[block[0]]
+        for c, number_of_run, way in found.readings:
+            own = block if way is None or rising == (way > 0) else block[::-1]
+            own = own[np.isfinite(c.values[own])]
+            order.append(own)
+            run += [name or number_of_run] * own.size
+            side += [np.nan if way is None else way] * own.size
+            value.append(c.values[own])
     return np.concatenate(order), run, np.array(side), np.concatenate(value)
+
+
+def turned(layout: Layout) -> Layout:
+    """A table with a row per run and a column per target (headers that are positions) as one reading a row."""
+    places = {c.header: v for c in layout.columns if c.numeric and (v := _place(c.header)) is not None}
+    others = [c for c in layout.columns if c.header not in places]
+    x = np.array(list(places.values()))
+    ordered = x.size > 3 and bool(np.all(np.diff(x) > 0) or np.all(np.diff(x) < 0))
+    counted = not others and np.array_equal(x, x[:1] + np.arange(x.size))  # 1, 2, 3 ...: numbers of columns
+    if not ordered or counted or any(c.numeric and guessing.guess(c).kind in MEASURED for c in others):
+        return layout
+    readings = np.stack([c.values for c in layout.columns if c.header in places], axis=1)
+    ways = next((guessing.sides(c) for c in others if guessing.guess(c).kind == "direction"), None)
+    pairs = [
+        (r, k)
+        for r in range(len(readings))
+        for k in (range(x.size) if ways is None or not (ways[r] * (x[-1] - x[0]) < 0) else range(x.size - 1, -1, -1))
+    ]
+    rows, at = np.array(pairs).T
+    columns = [RawColumn(c.header, c.unit, [c.cells[i] for i in rows], c.values[rows]) for c in others]
+    units = {c.unit for c in layout.columns if c.header in places} - {None}
+    unit = units.pop() if len(units) == 1 else None
+    columns.append(RawColumn("target", unit, [float(v) for v in x[at]], x[at]))
+    values = readings[rows, at]
+    columns.append(RawColumn("error", unit_above(layout.above), [float(v) for v in values], values))
+    note = f"a row per run, a column per target: {x.size} targets from {x.min():g} to {x.max():g}"
+    return Layout(columns, layout.above, [*layout.notes, note])
+
+
+def _place(header: str) -> float | None:
+    """A header that is nothing but a position: '50', '50,0', '-12.5'."""
+    found = number(header, comma=False)
+    return found if found is not None else number(header, comma=True)
 
 
 def unit_above(lines: list[str]) -> str | None:

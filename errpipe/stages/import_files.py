@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe.errors import DataError, UsageError
+from errpipe.errors import DataError, ErrpipeError, UsageError
 
 if TYPE_CHECKING:
     from errpipe.importing.proposed import ImportOptions, Proposal
@@ -54,15 +54,32 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
 
 
 def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path]) -> dict[str, Any]:
-    """Write the confirmed recording: `recording.yaml` with a comment beside every guess, and `recording.csv`."""
+    """Write the confirmed recording: `recording.yaml` with a comment beside every guess, and `recording.csv`.
+
+    Raises DataError and writes nothing where the reader of recordings would refuse it.
+    """
+    import tempfile
+
     from errpipe import jsonfile
     from errpipe.formats import manifest_folder
 
     manifest = _manifest(proposal, options, files)
-    jsonfile.write_text(Path(folder) / TABLE, _csv(proposal))
-    text = _commented(manifest_folder.manifest_text(manifest), proposal)
-    jsonfile.write_text(Path(folder) / manifest_folder.MANIFEST, text)
-    manifest_folder.load_manifest(Path(folder))
+    parts = {
+        TABLE: _csv(proposal),
+        manifest_folder.MANIFEST: _commented(manifest_folder.manifest_text(manifest), proposal),
+    }
+    with tempfile.TemporaryDirectory(prefix="errpipe-") as trial:
+        for name, text in parts.items():
+            jsonfile.write_text(Path(trial) / name, text)
+        try:
+            manifest_folder.read(Path(trial))
+        except ErrpipeError as err:
+            said = str(err).replace(f"{trial}/", "").replace(f"{trial}\\", "")
+            raise DataError(
+                f"{', '.join(map(str, files))}: nothing was written, for the recording would be refused: {said}"
+            ) from None
+    for name, text in parts.items():
+        jsonfile.write_text(Path(folder) / name, text)
     return {
         "folder": str(folder),
         "rows": proposal.rows,

@@ -14,6 +14,7 @@ from errpipe.importing.sheet import Cell, DoorOptions, Sheet, number
 name = "LinuxCNC halsampler"
 suffixes = (".log", ".sampler", ".txt")
 _LINE = re.compile(rb"\s*([+-]?[0-9.]+([eE][+-]?\d+)?[ \t]+)+[+-]?[0-9.]+([eE][+-]?\d+)?\s*")
+FEWEST_SAMPLES = 500  # fewer rows that nothing says are samples (counter, overrun, --period) are a table, not a log
 PERIOD = 0.001  # s: the servo period of most LinuxCNC machines
 
 
@@ -50,6 +51,14 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         notes.append(f"the first column counts samples, {period:g} s apart" + ("" if options.period else " (a guess)"))
         rows = [[period * (r[0] - rows[0][0]), *r[1:]] for r in rows]
         names = names if len(names) == width else ["t [s]", *names]
+    elif len(rows) < FEWEST_SAMPLES and not overruns and options.period is None:
+        header = names if len(names) == width else [f"column {i}" for i in range(1, width + 1)]
+        says = (
+            []
+            if len(names) == width
+            else [f"the file names no columns: --names says them, {width}, such as target,error"]
+        )
+        return [Sheet(path.stem, [[*row] for row in rows], header, says).limited()]
     else:
         rows = [[period * i, *r] for i, r in enumerate(rows)]
         names, width = ["t [s]", *names], width + 1

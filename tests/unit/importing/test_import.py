@@ -55,7 +55,7 @@ def holds_the_truth(recording: Recording) -> None:
     assert place and side
     run = recording.frame[recording.name("run")].astype(str)
     found = {
-        (r[-1], x, s): d
+        (r[-1], round(x, 6), s): d
         for r, x, s, d in zip(run, recording.array(place), recording.array(side), recording.array(error), strict=True)
     }
     for label, x, s, d in long_rows():
