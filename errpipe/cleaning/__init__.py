@@ -10,26 +10,24 @@ in the recording that came in, whatever earlier rules removed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from errpipe.cleaning._base import Action, ActionKind, Rule
-from errpipe.cleaning.gaps import Gaps
-from errpipe.cleaning.outliers import Outliers
-from errpipe.cleaning.quantisation import Quantisation
-from errpipe.cleaning.repeated_rows import RepeatedRows
-from errpipe.cleaning.stuck_sensors import StuckSensors
-from errpipe.cleaning.time_order import TimeOrder
-from errpipe.cleaning.unit_slips import UnitSlips
 from errpipe.domain.recording import Column, Frozen, Recording
+from errpipe.yamlfile import Choice
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 # In the order in which they are applied where none is named: order of rows first, sensors before responses.
-RULES: tuple[type[Rule], ...] = (TimeOrder, RepeatedRows, UnitSlips, StuckSensors, Outliers, Gaps, Quantisation)
-DEFAULT: tuple[Rule, ...] = tuple(rule() for rule in RULES)  # type: ignore[call-arg]  # each names itself
+RULES: Choice[type[Rule]] = Choice.of_files(
+    "errpipe.cleaning",
+    "rule",
+    ("time_order", "repeated_rows", "unit_slips", "stuck_sensors", "outliers", "gaps", "quantisation"),
+)
+DEFAULT: tuple[Rule, ...] = tuple(cast(Any, rule).model_construct() for rule in RULES)  # defaults need no check
 
 WHOLE_RUN = "run_before_split"  # the group column that keeps the label of a run that was split
 

@@ -53,5 +53,5 @@ def schema_of(name: str) -> dict[str, Any]:
     title, where = MODELS[name]
     module, _, attribute = where.partition(":")
     found = getattr(import_module(module), attribute)
-    model = pipeline_model(tuple(found)) if name == "pipeline" else found
+    model = pipeline_model(found) if name == "pipeline" else found
     return json_schema(model, title, written=name in WRITTEN)

@@ -16,7 +16,8 @@ import numpy as np
 
 from errpipe.diagnosis.case import Case
 from errpipe.domain.diagnosis import Finding, FoundParameter
-from errpipe.terms import TERMS, ViscousFriction
+from errpipe.terms import TERMS
+from errpipe.terms.viscous_friction import ViscousFriction
 
 SHARPNESS = (0.0, 0.3, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # mm/s
 BLOCKS = 40

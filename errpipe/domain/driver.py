@@ -85,8 +85,6 @@ Driver = Annotated[
     Constant | Input | Affine | First | Lag | Product | Power | Clip | Switch | Direction | Approach | Lookup,
     Field(discriminator="op"),
 ]
-for _node in (OfOne, OfSeveral, Affine, First, Lag, Product, Power, Clip, Switch, Lookup):
-    _node.model_rebuild()
 
 ONE = Constant(value=1.0)
 

@@ -120,7 +120,7 @@ _SPELLINGS = {
 class Frozen(BaseModel):
     """Immutable, and a key it does not know is an error."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 class Derived(Frozen):

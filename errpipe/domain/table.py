@@ -111,7 +111,7 @@ Index = Annotated[int, Field(ge=0)]
 class Part(Frozen):
     """A part of the table: immutable, no unknown keys, no NaN or infinity."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Substitute(Part):

@@ -21,8 +21,6 @@ from errpipe.fitting.validity import box, few_rows_outside
 from errpipe.terms import TERMS, Term, plain
 from errpipe.terms.run_offset import RunOffset
 
-BY_ID = {t.model_fields["term"].default: t for t in TERMS}
-
 
 def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
     """Deviations of every component in its unit, shape (rows,); NaN where an input is missing.
@@ -46,10 +44,11 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
 
 def term_of(fitted: FittedTerm) -> Term:
     """The term behind its plain data. Raises DataError on a term this version does not know."""
-    kind = BY_ID.get(fitted.term["term"])
-    if kind is None:
-        raise DataError(f"error model: the term {fitted.term['term']!r} is not known")
-    return kind.model_validate(fitted.term)
+    name = fitted.term["term"]
+    if name not in TERMS.tags:
+        raise DataError(f"error model: the term {name!r} is not known")
+    term: Term = TERMS[name].model_validate(fitted.term)
+    return term
 
 
 def from_run_start(recording: Recording, values: np.ndarray) -> np.ndarray:

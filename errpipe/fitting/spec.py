@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, model_validator
 
@@ -13,7 +13,7 @@ from errpipe.terms import TERMS, Term
 if TYPE_CHECKING:
     AnyTerm = Term
 else:
-    AnyTerm = Annotated[Union[tuple(TERMS)], Field(discriminator="term")]  # noqa: UP007  (made from the registry)
+    AnyTerm = TERMS
 
 
 class PriorSpec(Frozen):

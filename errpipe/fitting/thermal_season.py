@@ -39,7 +39,8 @@ from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, rms, since_start, slope
 from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.validity import box, distance
-from errpipe.terms import ProfileDriver, plain
+from errpipe.terms import plain
+from errpipe.terms.profile_driver import ProfileDriver
 
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction

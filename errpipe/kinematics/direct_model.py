@@ -13,7 +13,11 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParamet
 from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
 from errpipe.kinematics import direct, records
-from errpipe.terms import Backlash, Line, Offset, ProfileDriver, SmoothCurve, Term, plain
+from errpipe.terms import Line, Term, plain
+from errpipe.terms.backlash import Backlash
+from errpipe.terms.offset import Offset
+from errpipe.terms.profile_driver import ProfileDriver
+from errpipe.terms.smooth_curve import SmoothCurve
 
 SEGMENTS = 48  # of the spline that takes a curve up
 CLOSE = 0.02  # um, urad: how near the spline must come to the identified curve

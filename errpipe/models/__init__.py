@@ -1,4 +1,4 @@
-"""Model families: one file each, and one line here. A family states its options and knows how it is fitted and judged.
+"""Model families: one file each, and one word here. A family states its options and knows how it is fitted and judged.
 
 The stage `fit` offers every family; validation, export and report name none.
 """
@@ -9,21 +9,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from errpipe.models._base import Family
-from errpipe.models.auto import Auto
-from errpipe.models.direct import Direct
-from errpipe.models.lagged import Lagged
-from errpipe.models.network import Network
-from errpipe.models.nothing import Nothing
-from errpipe.models.plate import Plate
-from errpipe.models.rises import Rises
-from errpipe.models.season import Season
-from errpipe.models.terms import Terms
+from errpipe.yamlfile import Choice
 
-FAMILIES: tuple[type[Family], ...] = (Auto, Direct, Lagged, Network, Nothing, Plate, Rises, Season, Terms)
+DEFAULT = "terms"  # where a pipeline names no family
+BY_FIT = ("auto", "lagged", "network", "nothing", "plate", "rises", "season", DEFAULT)
+BY_ANOTHER_STAGE = ("direct",)
+FAMILIES: Choice[type[Family]] = Choice.of_files("errpipe.models", "family", (*BY_FIT, *BY_ANOTHER_STAGE))
 
-__all__ = ["DEFAULT", "FAMILIES", "Family", "family_of", "procedure"]
-
-DEFAULT = Terms  # where a pipeline names no family
+__all__ = ["BY_FIT", "DEFAULT", "FAMILIES", "Family", "family_of", "procedure"]
 
 
 def family_of(document: Mapping[str, Any]) -> Family:
@@ -31,10 +24,11 @@ def family_of(document: Mapping[str, Any]) -> Family:
     from errpipe.errors import VerifyError
 
     asked = {key: value for key, value in document.items() if key != "fit"}
-    for kind in FAMILIES:
-        if kind.family_name() == asked.get("family"):
-            return kind.model_validate(asked)
-    raise VerifyError(f"fit.json: the model family {asked.get('family')!r} is not known")
+    name = asked.get("family")
+    if name not in FAMILIES.tags:
+        raise VerifyError(f"fit.json: the model family {name!r} is not known")
+    family: Family = FAMILIES[name].model_validate(asked)
+    return family
 
 
 def procedure(family: Family) -> dict[str, Any]:

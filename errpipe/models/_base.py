@@ -49,16 +49,13 @@ class Fitted:
 class Family(Frozen):
     """Base of every model family; the fields of a subclass are its options, `family` is its name.
 
-    documents: names of the JSON files that its fit adds. in_fit: whether the stage `fit` fits it (a family may be
-    fitted by a stage of its own). takes_terms: whether further terms may be added to a fitted model.
-    seasonal: whether `train` gives a predictor of the deviation since the start of each run.
+    documents: names of the JSON files that its fit adds. takes_terms: whether further terms may be added to a fitted
+    model. seasonal: whether `train` gives a predictor of the deviation since the start of each run.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
-    in_fit: ClassVar[bool] = True
     takes_terms: ClassVar[bool] = False
     seasonal: ClassVar[bool] = False
-    former_kind: ClassVar[str] = ""  # kind of the stage that fitted it in pipelines of before
 
     @classmethod
     def family_name(cls) -> str:

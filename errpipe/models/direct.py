@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -30,7 +30,6 @@ class Direct(Family):
     modes: int = Field(20, ge=2, description="Waves per error motion.")
     components: tuple[str, ...] = Field(description="Components in the recording.")
     lasers: dict[str, dict[str, Any]] = Field({}, description="Laser set-up of each component.")
-    in_fit: ClassVar[bool] = False
 
     @property
     def responses(self) -> tuple[str, ...]:

@@ -37,7 +37,6 @@ class Plate(Family):
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
     )
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
-    former_kind: ClassVar[str] = "fit_plate"
 
     @property
     def responses(self) -> tuple[str, ...]:
@@ -219,7 +218,8 @@ def _lookup(name: str, positions: Any, values: Any):
 
 def _term(factors: tuple):
     from errpipe.domain.error_model import FittedParameter, FittedTerm
-    from errpipe.terms import ProfileDriver, plain
+    from errpipe.terms import plain
+    from errpipe.terms.profile_driver import ProfileDriver
 
     gain = FittedParameter(name="gain", value=1.0, unit="um")
     return FittedTerm(term=plain(ProfileDriver(driver=factors)), parameters=(gain,))

@@ -29,7 +29,6 @@ class Season(Family):
     options: SeasonOptions = Field(SeasonOptions(), description="How it is fitted; the defaults are the tested ones.")
     documents: ClassVar[tuple[str, ...]] = (CAUSES,)
     seasonal: ClassVar[bool] = True
-    former_kind: ClassVar[str] = "fit_season"
 
     @property
     def responses(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from errpipe.yamlfile import is_unit
+from errpipe.yamlfile import Choice, is_unit
 
 _NUMBER_WITH_UNIT = {"type": "string", "pattern": r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d].*$"}
 _NUMBERS = ("number", "integer")
@@ -20,7 +20,9 @@ _NUMBERS = ("number", "integer")
 def json_schema(model: type[BaseModel], title: str, *, written: bool) -> dict[str, Any]:
     """The draft-07 schema of a model, by the names used in files. written: by people, in YAML, where `20 um` counts."""
     full = TypeAdapter(model).json_schema(by_alias=True, ref_template="#/definitions/{model}")
-    defaults = getattr(model, "default_variants", {})
+    kinds: Any = getattr(model, "kinds", None)
+    members = [kinds[kind] for kind in kinds.tags] if kinds else []
+    defaults = {member.key: member.default for member in members if isinstance(member, Choice)}
     definitions = {name: _draft7(part, defaults) for name, part in sorted(full.pop("$defs", {}).items())}
     schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_draft7(full, defaults), "title": title}
     if definitions:

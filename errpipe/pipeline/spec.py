@@ -14,9 +14,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Union
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
@@ -24,7 +24,8 @@ from errpipe import yamlfile
 from errpipe.errors import ConfigError, Problem, UsageError, did_you_mean
 from errpipe.pipeline.graph import Links, link
 from errpipe.pipeline.stage import Stage
-from errpipe.yamlfile import Document, Options
+from errpipe.yamlfile import Choice, Document, Options
+from errpipe.yamlfile.annotations import tags_of
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Pipeline:
 
 
 class _Header(Options):
-    default_variants: ClassVar[Mapping[str, str]] = {}
+    kinds: ClassVar[Any] = None
     pipeline: Literal[1] = Field(description="Version of the pipeline format.")
     title: str = Field("", description="One line for people; the report shows it.")
     root: Path = Field(
@@ -60,55 +61,52 @@ class _Header(Options):
     )
 
 
+Stages = Choice[type[Stage]] | Sequence[type[Stage]]
+
+
 @lru_cache
-def pipeline_model(stages: tuple[type[Stage], ...]) -> type[Options]:
-    """The model of a whole pipeline file for these kinds of stages: a union told apart by `kind`."""
-    groups: dict[str, list[type[Stage]]] = {}
-    for stage in stages:
-        groups.setdefault(_kind(stage), []).append(stage)
-    kinds: Any = tuple(_told_apart(group, group[0].variant_key) for group in groups.values())
-    union: Any = _told_apart(kinds, "kind")
+def pipeline_model(stages: Choice[type[Stage]] | tuple[type[Stage], ...]) -> type[Options]:
+    """The model of a whole pipeline file for these kinds of stages: a choice by `kind`."""
+    kinds: Any = stages if isinstance(stages, Choice) else _by_kind(stages)
     model = create_model(
         "Pipeline",
         __base__=_Header,
         __doc__="A pipeline: stages in the order in which they stand; each reads what earlier ones wrote.",
-        stages=(tuple[union, ...], Field(min_length=1, description="The stages, in order.")),
+        stages=(tuple[kinds, ...], Field(min_length=1, description="The stages, in order.")),
     )
-    model.default_variants = {s.variant_key: s.default_variant for s in stages if s.variant_key}
+    model.kinds = kinds
     return model
 
 
-def _told_apart(choices: Sequence[Any], key: str) -> Any:
-    """A union told apart by a key, or its only member."""
-    return Annotated[Union[tuple(choices)], Field(discriminator=key)] if len(choices) > 1 else choices[0]  # noqa: UP007
+def _by_kind(stages: Sequence[type[Stage]]) -> Choice[type[Stage]]:
+    """The choice of these stages; several of one kind are a choice by their second key."""
+    groups: dict[str, list[type[Stage]]] = {}
+    for stage in stages:
+        groups.setdefault(tags_of(stage, "kind")[0], []).append(stage)
+    members: dict[str, Any] = {kind: group[0] for kind, group in groups.items()}
+    for kind, group in groups.items():
+        if len(group) > 1:
+            key = group[0].variant_key
+            variants = {tags_of(stage, key)[0]: partial(_same, stage) for stage in group}
+            members[kind] = Choice(key, variants, group[0].default_variant)
+    return Choice("kind", {kind: partial(_same, member) for kind, member in members.items()})
 
 
-def _kind(stage: type[Stage]) -> str:
-    return str(stage.model_fields["kind"].annotation.__args__[0])  # type: ignore[union-attr]
+def _same(member: Any) -> Any:
+    return member
 
 
-def _complete_variants(document: Document, stages: Sequence[type[Stage]]) -> None:
-    """Name the variant of every stage that leaves it out, and refuse kinds that are written differently now."""
-    keys = {_kind(stage): (stage.variant_key, stage.default_variant) for stage in stages if stage.variant_key}
-    former = {old: new for stage in stages for old, new in stage.former_kinds.items()}
+def _complete_variants(document: Document, kinds: Choice[type[Stage]]) -> None:
+    """Name the variant of every stage that leaves it out."""
     entries = document.value.get("stages") if isinstance(document.value, dict) else None
-    for number, entry in enumerate(entries if isinstance(entries, list) else ()):
+    for entry in entries if isinstance(entries, list) else ():
         kind = entry.get("kind") if isinstance(entry, dict) else None
-        if not isinstance(kind, str):
-            continue
-        if kind in former:
-            place = ("stages", number, "kind")
-            document.problems.append(document.problem(place, f"found {kind!r}: write {{{former[kind]}, ...}} instead"))
-        if kind in keys:
-            entry.setdefault(*keys[kind])
+        if isinstance(kind, str) and kind in kinds.tags and isinstance(kinds[kind], Choice):
+            entry.setdefault(kinds[kind].key, kinds[kind].default)
 
 
 def load_pipeline(
-    path: Path,
-    stages: tuple[type[Stage], ...],
-    *,
-    sets: Sequence[str] = (),
-    environment: Mapping[str, str] | None = None,
+    path: Path, stages: Stages, *, sets: Sequence[str] = (), environment: Mapping[str, str] | None = None
 ) -> Pipeline:
     """Read and check a pipeline file. Raises ConfigError with every problem, UsageError for a bad `--set`.
 
@@ -119,9 +117,10 @@ def load_pipeline(
     document = yamlfile.read(path, environment=os.environ if environment is None else environment)
     for text in sets:
         assign(document, text)
-    _complete_variants(document, stages)
+    model: Any = pipeline_model(stages if isinstance(stages, Choice) else tuple(stages))
+    _complete_variants(document, model.kinds)
     root = _root(path, document)
-    found: Any = document.check(pipeline_model(tuple(stages)), {"root": root})
+    found: Any = document.check(model, {"root": root})
     if found is None:
         document.raise_problems()
     links, problems = link(found.stages)

@@ -134,7 +134,6 @@ class Stage(Options):
     gives: ClassVar[tuple[str, ...]] = ()  # types of the artefacts in its folder
     variant_key: ClassVar[str] = ""  # key that tells several classes of one kind apart
     default_variant: ClassVar[str] = ""  # its value where it is not written
-    former_kinds: ClassVar[Mapping[str, str]] = {}  # kind of an older pipeline file -> what to write instead
 
     @property
     def label(self) -> str:

@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 from errpipe.pipeline.stage import Stage
-from errpipe.stages import fit
-from errpipe.stages.clean import Clean
-from errpipe.stages.diagnosis import Diagnose
-from errpipe.stages.export import Export
-from errpipe.stages.export_volumetric import ExportVolumetric
-from errpipe.stages.identify import Identify
-from errpipe.stages.identify_direct import IdentifyDirect
-from errpipe.stages.ingest import Ingest
-from errpipe.stages.report import Report
-from errpipe.stages.simulate import Simulate
-from errpipe.stages.simulate_test import SimulateTest
-from errpipe.stages.simulate_with import SimulateWith
-from errpipe.stages.validate import Validate
+from errpipe.yamlfile import Choice
 
-STAGES: tuple[type[Stage], ...] = (
-    Clean,
-    Diagnose,
-    Export,
-    ExportVolumetric,
-    *fit.STAGES,
-    Identify,
-    IdentifyDirect,
-    Ingest,
-    Report,
-    Simulate,
-    SimulateTest,
-    SimulateWith,
-    Validate,
+STAGES: Choice[type[Stage]] = Choice.of_files(
+    "errpipe.stages",
+    "kind",
+    (
+        "clean",
+        ("diagnose", "diagnosis"),
+        "export",
+        "export_volumetric",
+        "fit",
+        "identify",
+        "identify_direct",
+        "ingest",
+        "report",
+        "simulate",
+        "simulate_test",
+        ("twin", "simulate_with"),
+        "validate",
+    ),
 )

@@ -201,7 +201,7 @@ def _left(design: np.ndarray, values: np.ndarray) -> float:
 def ask(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> ModelSpec:
     """The specification with every accepted term; with an existing one, its terms too."""
     from errpipe.fitting.spec import ComponentSpec, ModelSpec
-    from errpipe.terms import Offset
+    from errpipe.terms.offset import Offset
 
     components = {c.component: c for c in existing.components} if existing is not None else {}
     for response in diagnosis.responses:

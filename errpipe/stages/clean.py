@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Union
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.cleaning import DEFAULT, RULES
+from errpipe.cleaning import DEFAULT, RULES, Rule
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 
-AnyRule = Annotated[Union[RULES], Field(discriminator="rule")]  # type: ignore[valid-type]  # noqa: UP007  (made from the registry)
+if TYPE_CHECKING:
+    AnyRule = Rule
+else:
+    AnyRule = RULES
 
 
 class Clean(Stage):

@@ -16,7 +16,7 @@ from errpipe.stages._acceptance import Accept
 OTHER_FAMILY = "the model fitted before is a {} model, which takes no further terms"
 
 
-class Diagnose(Stage):
+class Diagnosis(Stage):
     """Compare recorded and simulated values; fit what is missing, refuse what must not be compensated."""
 
     kind: Literal["diagnose"]

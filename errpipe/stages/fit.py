@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 from pydantic import create_model
 
-from errpipe.models import DEFAULT, FAMILIES, Family
+from errpipe.models import BY_FIT, DEFAULT, FAMILIES, Family
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.yamlfile import Choice
 
 
-class Fit(Stage):
+class FitStage(Stage):
     """Fit a model family on all rows of the recording."""
 
     kind: Literal["fit"]
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
     gives: ClassVar[tuple[str, ...]] = ("error_model",)
     variant_key: ClassVar[str] = "family"
-    default_variant: ClassVar[str] = DEFAULT.family_name()
+    default_variant: ClassVar[str] = DEFAULT
     of: ClassVar[type[Family]]
 
     def outputs(self) -> tuple[str, ...]:
@@ -40,16 +42,16 @@ class Fit(Stage):
         return self.of(**{name: getattr(self, name) for name in self.of.model_fields})
 
 
-def _stage_of(family: type[Family]) -> type[Fit]:
+def _stage_of(name: str) -> type[FitStage]:
     """The stage of one family: its options beside those of every stage."""
-    name: Any = f"Fit{family.__name__}"
-    made = create_model(name, __base__=(family, Fit), __module__=__name__, __doc__=family.__doc__)
+    family: Any = FAMILIES[name]
+    title: Any = f"Fit{family.__name__}"
+    made = create_model(title, __base__=(family, FitStage), __module__=__name__, __doc__=family.__doc__)
     stage: Any = made
     stage.of = family
-    stage.former_kinds = (
-        {family.former_kind: f"kind: fit, family: {family.family_name()}"} if family.former_kind else {}
-    )
     return stage
 
 
-STAGES: tuple[type[Fit], ...] = tuple(_stage_of(family) for family in FAMILIES if family.in_fit)
+Fit: Choice[type[FitStage]] = Choice(
+    FitStage.variant_key, {name: partial(_stage_of, name) for name in BY_FIT}, FitStage.default_variant
+)

@@ -83,7 +83,7 @@ def _texts(
         ".gitignore": _data("gitignore.txt"),
         ".github/workflows/errpipe.yml": _data("workflow.txt"),
         "pipeline.schema.json": jsonfile.dumps(
-            json_schema(pipeline_model(tuple(STAGES)), "errpipe pipeline, version 1", written=True)
+            json_schema(pipeline_model(STAGES), "errpipe pipeline, version 1", written=True)
         ),
     }
     if template.machine is not None:

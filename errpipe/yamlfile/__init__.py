@@ -14,12 +14,14 @@ Quantities may have their unit: in a field whose `json_schema_extra` says `"unit
 tuples and texts paths, but '5' is no number. (A `before` validator sees Python's sense instead; use `after`.)
 """
 
+from errpipe.yamlfile.choice import Choice
 from errpipe.yamlfile.document import Document, load, parse, read
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
 from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit
 
 __all__ = [
+    "Choice",
     "Document",
     "Misplaced",
     "Options",

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
+from errpipe.yamlfile.choice import Choice
+
 
 def members(annotation: Any) -> list[Any]:
     """The parts of a union without None; Annotated stripped."""
@@ -24,6 +26,8 @@ def is_model(member: Any) -> bool:
 
 def tags_of(member: Any, discriminator: str | None = None) -> list[Any]:
     """Values of the Literal fields of a model (or of the one field that tells the members apart)."""
+    if isinstance(member, Choice):
+        return list(member.tags)
     if not is_model(member):
         return []
     return [
@@ -63,6 +67,10 @@ def model_for(inside: Sequence[Any], data: Mapping[str, Any]) -> type[BaseModel]
     """The model meant by a mapping: the only one, the one most of whose Literal fields hold what is written, else the
     only one that has no such field."""
     models = [member for member in inside if is_model(member)]
+    chosen = next((member for member in inside if isinstance(member, Choice)), None)
+    if chosen is not None:
+        tag = data.get(chosen.key, chosen.default)
+        return model_for([chosen[tag]], data) if isinstance(tag, str) and tag in chosen.tags else None
     if len(models) < 2:
         return models[0] if models else None
     counts = [_matches(model, data) for model in models]

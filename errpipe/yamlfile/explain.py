@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 
 from errpipe.errors import Problem, did_you_mean
 from errpipe.yamlfile.annotations import entry_of, is_model, is_tagged, members, tags_of
+from errpipe.yamlfile.choice import Choice
 from errpipe.yamlfile.places import Place, describe
 from errpipe.yamlfile.quantities import is_unit
 
@@ -185,6 +186,10 @@ class _Trail:
         self.field: FieldInfo | None = None
         self.members = members(annotation)
         for step in location:
+            choice = self.members[0]
+            if isinstance(choice, Choice):
+                self.members = members(choice[str(step)]) if step in choice.tags else [Any]
+                continue
             if len(self.members) > 1:
                 # inside a union the next step is a tag: the discriminator's value or the name of a type
                 self.members = [m for m in self.members if is_tagged(m, step)] or [Any]

@@ -81,7 +81,7 @@ def convert(text: str, unit: str) -> float:
 class Options(BaseModel):
     """Base of every model a person writes in YAML: frozen, unknown keys refused, no infinities."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Misplaced(ValueError):

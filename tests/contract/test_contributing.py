@@ -30,12 +30,12 @@ def steps() -> list[tuple[str, str, str]]:
 
 
 def register(path: Path, lines: str) -> None:
-    """Put the import above the registry tuple and the entry at its start."""
+    """Put the import (if there is one) above the registry and the entry at its start."""
     imports = [line for line in lines.splitlines() if not line.startswith(" ")]
     entry = next(line.strip() for line in lines.splitlines() if line.startswith(" "))
     text = path.read_text(encoding="utf-8")
-    start = re.search(r"^[A-Z]+(: [^=]+)? = \(", text, re.M)
-    assert start is not None, f"{path.name} holds no registry tuple"
+    start = re.search(r"^    \(|^[A-Z]+(: [^=]+)? = \(", text, re.M)
+    assert start is not None, f"{path.name} holds no registry"
     path.write_text(
         text[: start.start()] + "\n".join(imports) + "\n\n" + start.group() + f"{entry} " + text[start.end() :],
         encoding="utf-8",

@@ -53,7 +53,10 @@ def unreached(sources: Mapping[str, str], templates: str = "") -> set[str]:
             elif isinstance(node, ast.keyword) and node.arg:
                 words[node.arg] += 1
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and len(node.value) < 200:
-                words.update(re.findall(r"\w+", node.value))
+                found = re.findall(r"\w+", node.value)
+                words.update(found)
+                # a registry names files: tool_wear is the class ToolWear
+                words.update("".join(part.capitalize() for part in word.split("_")) for word in found)
         defined |= {n.name for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
     return {name for name in defined if not words[name] and not name.startswith("__")}
 

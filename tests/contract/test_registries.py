@@ -12,6 +12,8 @@ import pytest
 
 import errpipe
 from errpipe.cli import app
+from errpipe.yamlfile import Choice
+from errpipe.yamlfile.annotations import tags_of
 
 TOP = Path(errpipe.__file__).parent
 
@@ -62,9 +64,17 @@ def test_every_plug_in_is_documented(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", REGISTRIES)
-def test_a_registry_is_a_tuple_without_doubles(package: str) -> None:
+def test_a_registry_has_no_doubles(package: str) -> None:
     registered = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
-    assert isinstance(registered, tuple) and len(set(map(id, registered))) == len(registered) > 0
+    assert isinstance(registered, tuple | Choice) and len(set(map(id, registered))) == len(registered) > 0
+
+
+@pytest.mark.parametrize("package", ["terms", "cleaning", "models", "stages"])
+def test_a_tag_of_the_registry_is_what_the_file_says(package: str) -> None:
+    registry = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
+    for tag in registry.tags:
+        members = registry[tag] if isinstance(registry[tag], Choice) else (registry[tag],)
+        assert {tags_of(member, registry.key)[0] for member in members} == {tag}
 
 
 def test_every_stage_has_its_own_kind_and_takes_what_some_stage_gives() -> None:

@@ -113,9 +113,7 @@ def test_one_file_and_one_line_are_enough_for_a_diagnosis(tmp_path: Path) -> Non
     (copy / "terms" / "humidity_swelling.py").write_text(TERM)
     registry = copy / "terms" / "__init__.py"
     text = registry.read_text()
-    text = text.replace("TERMS = (\n", "TERMS = (\n    HumiditySwelling,\n")
-    text = text.replace("\nTERMS", "\nfrom errpipe.terms.humidity_swelling import HumiditySwelling\n\nTERMS", 1)
-    registry.write_text(text)
+    registry.write_text(text.replace('        "tool_wear",\n', '        "tool_wear",\n        "humidity_swelling",\n'))
     recording = recorded(tmp_path / "recording")
     command = [sys.executable, "-m", "errpipe.cli.app", "diagnose", str(recording), "--out", str(tmp_path / "out")]
     asked = subprocess.run(

@@ -156,7 +156,7 @@ def test_a_csv_stands_in_for_the_simulation_and_a_new_one_is_noticed(tmp_path: P
 def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was(tmp_path: Path) -> None:
     from errpipe.pipeline.stage import Context
     from errpipe.simulation import folder
-    from errpipe.stages.diagnosis import Diagnose
+    from errpipe.stages.diagnosis import Diagnosis
 
     folder.write(tmp_path / "in", axis())
     (tmp_path / "season").mkdir()
@@ -164,7 +164,7 @@ def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was
     (tmp_path / "season/error_model.json").write_text("{}")
     (tmp_path / "out").mkdir()
     folders = {"recording": {"in": tmp_path / "in"}, "error_model": {"season": tmp_path / "season"}}
-    Diagnose(kind="diagnose").run(Context(tmp_path / "out", stages=folders))
+    Diagnosis(kind="diagnose").run(Context(tmp_path / "out", stages=folders))
     told = read(tmp_path / "out/acceptance.json")
     assert told["accepted"] == [] and "season model" in told["refused"][0]["reason"]
     for name in ("fit.json", "error_model.json"):
@@ -252,7 +252,8 @@ def test_an_artefact_is_fitted_beside_but_never_compensated() -> None:
 
 
 def air_term(recording: Recording) -> dict:
-    from errpipe.terms import AirRefraction, plain
+    from errpipe.terms import plain
+    from errpipe.terms.air_refraction import AirRefraction
 
     term = next(t for t in AirRefraction.bind(recording, "EXX") if "p" in t.drivers(recording))
     return {"term": plain(term), "drivers": term.drivers(recording), "compensable": False}
