@@ -30,15 +30,25 @@ def doubtful(case: Case) -> list[model.Modelled]:
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
-    """The weaker one of two findings that cancel."""
+    """The weaker one of two findings that cancel.
+
+    What gains of the simulation can play does not count: where it was fitted without the missing effect, gain and
+    effect are both far larger than the mismatch, and both are true.
+    """
     spread, out = float(np.std(case.y)), []
+    beyond = [_beyond_gains(case, m.contribution) for m in made]
     for k, m in enumerate(made):
-        for other in made[:k]:
-            sizes = [float(np.std(x.contribution)) for x in (other, m)]
+        for one in beyond[:k]:
+            sizes = [float(np.std(x)) for x in (one, beyond[k])]
             if max(sizes) > TOO_LARGE * spread and min(sizes) > 0:
-                together = np.corrcoef(other.contribution, m.contribution)[0, 1]
+                together = np.corrcoef(one, beyond[k])[0, 1]
                 out += [m] if together < CANCELLING else []
     return out
+
+
+def _beyond_gains(case: Case, contribution: np.ndarray) -> np.ndarray:
+    """The part of a contribution that datum and gains of the simulation cannot play, shape (rows,)."""
+    return contribution - case.recal @ np.linalg.lstsq(case.recal, contribution, rcond=None)[0]
 
 
 def no_size(m: model.Modelled) -> bool:

@@ -368,10 +368,6 @@ def test_the_gantry_s_bed_was_left_out(tmp_path: Path) -> None:
     assert terms(out)["thermal_drift"] and read(out / "export/export.json")["proof"][0]["largest_difference_um"] < 0.02
 
 
-@pytest.mark.xfail(
-    reason="since search ranges come from the recording, cogging takes a part of this axis' friction: 2.9 N instead of "
-    "2.3 N held out, and the damping by direction (published 161 and 236 N s/m) is not named"
-)
 @pytest.mark.slow
 @pytest.mark.realdata
 def test_the_positioning_axis_lacks_dry_friction_which_no_table_compensates(tmp_path: Path) -> None:
@@ -388,7 +384,6 @@ def test_the_positioning_axis_lacks_dry_friction_which_no_table_compensates(tmp_
     assert force["ci95"][0] <= 20.4 <= force["ci95"][1]
 
 
-@pytest.mark.xfail(reason="cogging is named before viscous friction: see the test above")
 @pytest.mark.slow
 @pytest.mark.realdata
 def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) -> None:
