@@ -52,7 +52,7 @@ def remainder(
         gains.append(float(gain[k]))
         sd = 2.0 * max(size[k], 1.0) * search.sigma * shapes[k].freedom
         active = active.plus(index[k], sd)
-        scene = type(named)(search.data, active, search.sigma)
+        scene = type(named)(search.data, active, search.noise)
     alone = base.scores(listed)[0]
     everything = max(base.rms() ** 2 - scene.rms() ** 2, 1e-12)
     share = (named.rms() ** 2 - scene.rms() ** 2) / everything

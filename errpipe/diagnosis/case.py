@@ -85,10 +85,10 @@ def needs_recalibration(case: Case) -> bool:
     full = case.search.active(case.chosen())
     m = case.nuisance.index.size
     without = Active(full.index[m:], full.sd[m:])
-    scene = Scene(case.search.data, without, case.sigma)
+    scene = Scene(case.search.data, without, case.search.noise)
     own = np.array([name.startswith("datum") for name in case.names])
     datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
-    scored = scene.score(sets, [np.ones(s.size) for s in sets])
+    scored = scene.score(sets, [np.ones(s.size) for s in sets], case.search.rows)
     return max(s.gain for s in scored) > OFF + np.log(len(sets))  # the best of so many

@@ -149,10 +149,8 @@ def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Find
         if PARTS.get(f.effect) == "dry":
             f = f.model_copy(update={"parameters": (*f.parameters, *law.force()), "says": f"{f.says} {law.says()}"})
         elif PARTS.get(f.effect) == "viscous":
-            # where the simulation holds damping, its gain stands for one damping both ways: what is left may be neither
-            told = tuple(p for p in f.parameters if p.ci95[0] * p.ci95[1] > 0)
-            says = f"{f.says} {law.says()}" if told else law.says()
-            f = f.model_copy(update={"parameters": (*told, *law.damping()), "says": says})
+            # one damping both ways, beside the simulation's own, says nothing where each way has its own
+            f = f.model_copy(update={"parameters": law.damping(), "says": law.says()})
         elif PARTS.get(f.effect) == "falling" and mends(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(

@@ -8,8 +8,9 @@ import numpy as np
 
 from errpipe.diagnosis import admit
 from errpipe.diagnosis.case import Case
+from errpipe.diagnosis.evidence import Active
 from errpipe.diagnosis.hypotheses import folds
-from errpipe.diagnosis.left_out import ZEROED, supported_by_held_out
+from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
 
@@ -66,23 +67,40 @@ def held_out(case: Case) -> HeldOut:
             chosen = supported_by_held_out(part, chosen, judged)
         names = [i for i, _ in chosen]
         rest = admit.remainder(part, library, chosen, case.free_shapes, case.places)
-        ways = [(part.active(chosen), judged.columns(names))]
+        ways = [(part.active(chosen), judged.columns(names)), _textbook(part, chosen, judged)]
         if rest.taken:
             ways.append((rest.active, judged.columns(names, rest.taken)))
-        known = [judged.mean_square(part.data, active, part.sigma, columns) for active, columns in ways]
+        known = [judged.mean_square(part.data, active, part.noise, columns) for active, columns in ways]
         way = int(np.argmin(known))
-        shaped += way
+        shaped += way == 2
         before.append(judged.zeroed(case.y[test], test))
-        after.append(judged.left(part.data, ways[way][0], part.sigma, ways[way][1], f))
-        named.append(judged.left(part.data, ways[0][0], part.sigma, ways[0][1], f))
+        by_name = int(np.argmin(known[:2]))
+        after.append(judged.left(part.data, ways[way][0], part.noise, ways[way][1], f))
+        named.append(judged.left(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         of_inputs = admit.remainder(
             part, library, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
         )
         columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
-        with_inputs.append(judged.left(part.data, of_inputs.active, part.sigma, columns, f))
+        with_inputs.append(judged.left(part.data, of_inputs.active, part.noise, columns, f))
         same.append(first is None or first in [library.hypotheses[i].effect for i in names[:1]])
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
     return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs))
+
+
+def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:
+    """Nuisances and the textbook forms alone, without what a part may add to them: their columns.
+
+    What differs from run to run says nothing of a run that was not seen.
+    """
+    active, first = part.nuisance, part.nuisance.index.size
+    kept = [*range(first)]
+    for i, size in chosen:
+        whole = part.active([(i, size)])
+        core = slice(part.nuisance.index.size, part.nuisance.index.size + part.library.cores[i])
+        active = active.plus(whole.index[core], whole.sd[core])
+        kept += range(first, first + part.library.cores[i])
+        first += part.library.indices(i).size
+    return active, judged.columns([i for i, _ in chosen])[:, kept]

@@ -113,7 +113,7 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
         return chosen
     ways = [chosen[:k] for k in range(1, len(chosen) + 1)]
     squares = [
-        judged.mean_square(search.data, search.active(w), search.sigma, judged.columns([i for i, _ in w])) for w in ways
+        judged.mean_square(search.data, search.active(w), search.noise, judged.columns([i for i, _ in w])) for w in ways
     ]
     return ways[int(np.argmin(squares))]
 
@@ -121,5 +121,5 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
 def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
     """Do shapes without a name predict rows that sit out? What differs from start to start is no mechanism's shape."""
     names = [i for i, _ in chosen]
-    without = judged.mean_square(search.data, search.active(chosen), search.sigma, judged.columns(names))
-    return judged.mean_square(search.data, rest.active, search.sigma, judged.columns(names, rest.taken)) < without
+    without = judged.mean_square(search.data, search.active(chosen), search.noise, judged.columns(names))
+    return judged.mean_square(search.data, rest.active, search.noise, judged.columns(names, rest.taken)) < without

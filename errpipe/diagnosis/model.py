@@ -49,7 +49,7 @@ def modelled(case: Case, k: int) -> Modelled:
     scene = case.search.scene(others)
     hypothesis, spans = _refine(case, scene, f.hypothesis, f.size)
     block, freedom, scale, cores = _columns(case, hypothesis)
-    b, cov = _fit(scene, block, freedom, f.size, case.sigma)
+    b, cov = _fit(scene, block, freedom, f.size, case)
     cov = cov * _dependence(case, scene, block, b)
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
@@ -125,12 +125,12 @@ def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
     return float(gain[0])
 
 
-def _fit(scene: Scene, block, freedom, size: float, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+def _fit(scene: Scene, block, freedom, size: float, case: Case) -> tuple[np.ndarray, np.ndarray]:
     S, s = _projected(scene, block)
-    sd = 2.0 * max(size, 3.0) * freedom
+    sd = 2.0 * max(size, 3.0) * freedom * case.sigma / case.search.noise
     M = S + np.diag(1.0 / sd**2)
     b = np.linalg.solve(M, s)
-    return b, sigma**2 * np.linalg.inv(M)
+    return b, case.sigma**2 * np.linalg.inv(M)
 
 
 def _dependence(case: Case, scene: Scene, block, b) -> float:

@@ -14,6 +14,8 @@ from errpipe.diagnosis.case import Case
 from errpipe.terms import search_of
 
 TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which another one must be cancelling it
+RATIO = 1.6  # factor between neighbouring values of a scale: an interval that reaches this far off a limit leaves it
+FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
 
 
@@ -24,9 +26,12 @@ def impossible(case: Case) -> list[model.Modelled]:
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
-    """Accepted findings whose size may as well be nothing beside how reality departs from them, least certain first."""
+    """Accepted findings whose size may as well be nothing, or whose scale may as well be at its limit.
+
+    Least certain first.
+    """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return sorted((m for m in made if no_size(m)), key=lambda m: m.joint)
+    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, FAR)), key=lambda m: m.joint)
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
@@ -62,13 +67,17 @@ def not_in_full(m: model.Modelled) -> bool:
     return sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * sd
 
 
-def at_its_limit(case: Case, m: model.Modelled) -> bool:
-    """Does a scale lie at the end of what the recording resolves, and outside of what machines show?"""
-    term = m.hypothesis.terms[0]
+def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
+    """Does a scale lie at the end of what the recording resolves, and outside of what machines show?
+
+    far: factor from the limit by which the other end of its interval may be off; further off, it has a value.
+    """
+    term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
     for p, value in zip(term.nonlinear(), m.hypothesis.nonlinear[0], strict=True):
         if p.name in term.fixed or p.typical[0] <= value <= p.typical[1]:
             continue
         low, high = search_of(p).limits(term, case.recording)
-        if value <= 1.001 * low or value >= 0.999 * high:
+        span = spans[p.name]
+        if (value <= 1.001 * low and span.high < far * low) or (value >= 0.999 * high and span.low > high / far):
             return True
     return False

@@ -83,7 +83,7 @@ def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
     """What the shapes without a name carry on the judged rows, and what names and shapes leave together."""
     shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
     named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
-    b = Scene(case.search.data, case.remainder.active, case.search.sigma).coefficients()
+    b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
     contribution = shapes @ b[-shapes.shape[1] :]
     return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
 

@@ -169,9 +169,14 @@ class Search:
             active = active.plus(self.library.indices(i), sd)
         return active
 
+    @property
+    def noise(self) -> float:
+        """Noise rms beside which priors stand: larger where rows are worth less than their number."""
+        return self.sigma * float(np.sqrt(self.data.n / self.rows)) if self.rows else self.sigma
+
     def scene(self, chosen: list[tuple[int, float]]) -> Scene:
         """The response with these hypotheses in place."""
-        return Scene(self.data, self.active(chosen), self.sigma)
+        return Scene(self.data, self.active(chosen), self.noise)
 
     def score(self, chosen: list[tuple[int, float]], candidates: list[int] | None = None) -> Scores:
         """What each candidate (None: every hypothesis) would add: gains and sizes."""

@@ -18,6 +18,7 @@ from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
 
 MOST_TOOLS = 40  # runs; more are not tools
+OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools (from taste: tool lives scatter so)
 
 
 class ToolWear(Term):
@@ -80,8 +81,9 @@ class ToolWear(Term):
         yield self.basis(recording, min(nonlinear[0] * 1.6, 3.0))[:, 0], 0.3
         run = recording.run_codes()
         codes = np.unique(run)
-        for code in codes if 2 <= codes.size <= MOST_TOOLS else ():  # each tool has its own rate
-            yield base[:, 0] * ((run == code) - 1.0 / codes.size), 0.4
+        for code in codes if 2 <= codes.size <= MOST_TOOLS else ():
+            own = base[:, 0] * (run == code)
+            yield own, OWN_RATE * float(np.sqrt(np.mean(own**2) / max(np.var(base[:, 0]), 1e-300)))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["wear"])),)
