@@ -111,7 +111,7 @@ class Cycle:
     step: njit function; program: read only; state: changed by every cycle; ON: the mode in which corrections act.
     After a step `state.outputs[o].correction` is what the controller adds, in the output's correction unit, and
     `state.outputs[o].deviation` is the deviation, um (urad). inputs, outputs: names in the order of the readings and
-    of the outputs.
+    of the outputs. identity: the name by which a controller shows the table.
     """
 
     step: Any
@@ -120,6 +120,7 @@ class Cycle:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     ON: int
+    identity: str
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,26 @@ class Table:
         return cls(compile_model(model, Export.model_validate({"kind": "export", **options})))
 
     @classmethod
-    def read(cls, path: str | Path) -> Table:
-        """A `.ect` file or its JSON twin. Raises VerifyError where it is damaged."""
+    def read(cls, path: str | Path, public_key: str | Path | None = None) -> Table:
+        """A `.ect` file or its JSON twin. public_key: a file; the table must be signed by it.
+
+        Raises VerifyError where the table is damaged, or is not signed by that key.
+        """
         from errpipe.tables import ect
 
+        if public_key is not None:
+            from errpipe.registry import minisign, signed
+
+            return cls(signed.read_table(Path(path), minisign.read_public(Path(public_key))))
+
         return cls(ect.read_any(Path(path)))
+
+    @property
+    def identity(self) -> str:
+        """The name by which a controller shows this table: 8 hexadecimal digits (`crc` of the C runtime)."""
+        from errpipe.tables import ect
+
+        return ect.fingerprint(self.table)
 
     def write(self, path: str | Path) -> None:
         """Write the binary `.ect` file."""
@@ -189,7 +205,7 @@ class Table:
         outputs = tuple(o.name for o in self.table.outputs)
         # Once another kernel was compiled, the module holds the dispatcher itself in place of the kernel.
         function = getattr(table_cycle.cycle, "compiled", table_cycle.cycle)
-        return Cycle(function, program, pack.state(program), names, outputs, table_cycle.ON)
+        return Cycle(function, program, pack.state(program), names, outputs, table_cycle.ON, self.identity)
 
     def plot(self) -> str:
         """The correction of the first axes as text, for a terminal."""

@@ -24,6 +24,9 @@ def command(
     allow: list[str] = typer.Option(
         [], "--allow", metavar="NAME", help="An implausible declaration that is true, by name. Repeatable."
     ),
+    public_key: Path | None = typer.Option(
+        None, "--public-key", metavar="FILE", help="Only a table that this key has signed.", show_default=False
+    ),
     json: bool = Json,
 ) -> None:
     """Write a compensation table as the files of a controller.
@@ -34,4 +37,5 @@ def command(
     """
     from errpipe.cli.output import print_answer, stage_module
 
-    print_answer("export", stage_module("targets").export(table, target, out, allow, limit), as_json=json)
+    done = stage_module("targets").export(table, target, out, allow, limit, public_key)
+    print_answer("export", done, as_json=json)

@@ -10,7 +10,11 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that `export` wrote."), json: bool = Json
+    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that `export` wrote."),
+    public_key: Path | None = typer.Option(
+        None, "--public-key", metavar="FILE", help="The table must be signed by this key.", show_default=False
+    ),
+    json: bool = Json,
 ) -> None:
     """Read exported files back and prove that they say what the model says.
 
@@ -22,4 +26,6 @@ def command(
     """
     from errpipe.cli.output import print_answer, stage_module
 
+    if public_key is not None:
+        stage_module("signing").verify_signature(folder / "table.ect", public_key)
     print_answer("verify", stage_module("verify").verify(folder), as_json=json)

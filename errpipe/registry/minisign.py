@@ -145,18 +145,27 @@ def verify(data: bytes, signature: str, key: PublicKey, shown: str) -> str:
 def sign_file(path: Path, key: SecretKey, trusted_comment: str) -> Path:
     """Write the signature beside a file."""
     data = files.read(path, MAX_SIGNED_BYTES, UsageError)
-    beside = path.with_name(path.name + SUFFIX)
-    jsonfile.write_text(beside, key.sign(data, trusted_comment))
-    return beside
+    jsonfile.write_text(beside(path), key.sign(data, trusted_comment))
+    return beside(path)
 
 
 def verify_file(path: Path, key: PublicKey) -> str:
     """The trusted comment of the signature beside a file. Raises VerifyError where there is none or it is wrong."""
-    beside = path.with_name(path.name + SUFFIX)
-    if not beside.exists():
-        raise VerifyError(f"{path}: is not signed (no {beside.name} beside it)")
     data = files.read(path, MAX_SIGNED_BYTES, VerifyError)
-    return verify(data, _text(beside), key, str(path))
+    return verify(data, signature_of(path), key, str(path))
+
+
+def beside(path: Path) -> Path:
+    """Where the signature of a file stands."""
+    return path.with_name(path.name + SUFFIX)
+
+
+def signature_of(path: Path, signature: Path | None = None) -> str:
+    """The text of a file's signature (default: the one beside it). Raises VerifyError where there is none."""
+    place = signature or beside(Path(path))
+    if not place.exists():
+        raise VerifyError(f"{path}: is not signed (no {place.name} beside it)")
+    return _text(place)
 
 
 def _text(path: Path) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -10,6 +10,7 @@ from pydantic import Field
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages._signed import SignOptions
 from errpipe.validation.codes import Code
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from errpipe.validation.gate import Passed
 
 
-class Export(CompileOptions, Stage):
+class Export(CompileOptions, SignOptions, Stage):
     """Compile the model into a compensation table and the files of controllers."""
 
     kind: Literal["export"]
@@ -63,7 +64,7 @@ class Export(CompileOptions, Stage):
         proof = compare(table, model, recording)
         from errpipe.stages.targets import checksums
 
-        files = _write(context, table, model, self.targets)
+        files = _write(context, table, model, self)
         document = {"proof": proof, "files": files, "left_out": list(passed.left_out), "judged": list(passed.judged)}
         document |= {"ungated": _artefacts.UNGATED} if self.ungated else {}
         document |= {"checks": checks, "consequences": _plausible.of_table(table)}
@@ -119,7 +120,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict
     return out
 
 
-def _write(context: Context, table: CompensationTable, model: ErrorModel, targets: Sequence[str]) -> list[dict]:
+def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:
     from errpipe.errors import GateError, VerifyError
     from errpipe.tables import ect
 
@@ -128,11 +129,12 @@ def _write(context: Context, table: CompensationTable, model: ErrorModel, target
     context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
     if ect.read(context.folder / _artefacts.TABLE) != table or ect.read_json(context.folder / _artefacts.TWIN) != table:
         raise VerifyError("export: the table read back from its file is not the table that was written")
+    remarks = options.seal(table, context.folder / _artefacts.TABLE)
     files = [
         {"file": _artefacts.TABLE, "what": "compensation table, binary", "error": "0", "read_back": "equal"},
         {"file": _artefacts.TWIN, "what": "its JSON twin", "error": "0", "read_back": "equal"},
     ]
-    if targets:
+    if options.targets:
         from errpipe.stages.targets import write_targets
 
         if not any(o.axis for o in table.outputs):
@@ -142,5 +144,5 @@ def _write(context: Context, table: CompensationTable, model: ErrorModel, target
                 f"acts_on: {{{table.outputs[0].name}: {{axis: X, factor: 0.5}}}}"
             )
 
-        files += write_targets(table, targets, context.folder)
+        files += write_targets(table, options.targets, context.folder, remarks)
     return files

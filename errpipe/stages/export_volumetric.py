@@ -10,6 +10,7 @@ from pydantic import Field
 from errpipe.errors import VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts, _plausible
+from errpipe.stages._signed import SignOptions
 from errpipe.stages.identify import IDENTIFICATION, MACHINE
 from errpipe.validation.codes import Code
 
@@ -23,7 +24,7 @@ LATTICE = "lattice.csv"
 BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
 
 
-class ExportVolumetric(Stage):
+class ExportVolumetric(SignOptions, Stage):
     """Tool length and offsets are inputs at run time; the cost of a cycle is fixed."""
 
     kind: Literal["export_volumetric"]
@@ -79,7 +80,8 @@ class ExportVolumetric(Stage):
         ect.write_json(table, context.folder / _artefacts.TWIN)
         proof = [{"component": "tool point", "largest_difference_um": worst, "bound_um": allowed}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
-        files += write_targets(table, self.targets, context.folder)
+        remarks = self.seal(table, context.folder / _artefacts.TABLE)
+        files += write_targets(table, self.targets, context.folder, remarks)
         facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": []}
         if self.lattice is not None:
             facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool)

@@ -96,19 +96,27 @@ def _best_together(table: CompensationTable) -> list[tuple[tuple[str, ...], list
 
 
 def export(
-    table: Path, names: Sequence[str], out: Path, allow: Sequence[str] = (), limit: float | None = None
+    table: Path,
+    names: Sequence[str],
+    out: Path,
+    allow: Sequence[str] = (),
+    limit: float | None = None,
+    public_key: Path | None = None,
 ) -> dict[str, Any]:
     """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads.
 
-    allow, limit: as the options of the export stage (limit in um). Raises GateError for an implausible correction.
+    allow, limit: as the options of the export stage (limit in um). public_key: the table must be signed by it, and
+    its signature goes along. Raises GateError for an implausible correction, VerifyError where it is not signed.
     """
     from errpipe import jsonfile
     from errpipe.tables import ect
 
-    found = _artefacts.read_table(table)
+    found, remarks, signature = _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
     _plausible.refuse_table(found, allow, limit)
-    files = write_targets(found, names, Path(out))
+    files = write_targets(found, names, Path(out), remarks)
     ect.write(found, Path(out) / _artefacts.TABLE)
+    if signature:
+        jsonfile.write_text(Path(out) / f"{_artefacts.TABLE}.minisig", signature)
     ect.write_json(found, Path(out) / _artefacts.TWIN)
     consequences = _plausible.of_table(found)
     document = {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files, "left_out": []}
@@ -121,6 +129,15 @@ def export(
     }
 
 
+def _signed(table: Path, public_key: Path) -> tuple[CompensationTable, tuple[str, ...], str]:
+    """A table whose signature holds, the remarks for its files, the signature."""
+    from errpipe.registry import minisign, signed
+
+    key, signature = minisign.read_public(public_key), minisign.signature_of(table)
+    found = signed.read_table(table, key)
+    return found, signed.remarks(found, signature, key), signature
+
+
 def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[str] = ()) -> dict[str, str]:
     """SHA-256 of every exported file by its path in the folder, with the checklists of the targets."""
     names = {row["file"] for row in files} | set(others)
@@ -128,15 +145,20 @@ def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[st
     return {name: hashlib.sha256(inside(folder, name, GateError).read_bytes()).hexdigest() for name in sorted(names)}
 
 
-def write_targets(table: CompensationTable, names: Sequence[str], folder: Path) -> list[dict[str, Any]]:
-    """Write the files of each named target into a folder of its own. Raises UsageError for an unknown name."""
+def write_targets(
+    table: CompensationTable, names: Sequence[str], folder: Path, remarks: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Write the files of each named target into a folder of its own. Raises UsageError for an unknown name.
+
+    remarks: lines for people, such as the table's signature; written where a format has room for comments.
+    """
     from errpipe import jsonfile
 
     out = []
     targets = with_something_to_add(table, chosen(list(dict.fromkeys(names))))
     for target in targets:
         others = _sibling_names(target, targets)
-        files = target.write_beside(table, others)
+        files = target.remarked(target.write_beside(table, others), remarks)
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)

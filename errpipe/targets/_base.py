@@ -15,6 +15,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
+from errpipe.targets._text import plain
 
 Confidence = Literal["verified", "documented", "experimental"]
 # What a format can say: an axis over its own position (one curve, or one for each direction of travel), an axis over
@@ -22,6 +23,8 @@ Confidence = Literal["verified", "documented", "experimental"]
 Holds = Literal["screw", "both directions", "cross", "bed", "reversal", "temperature"]
 # What the files of an experimental format say of themselves, as a comment.
 CAUTION = "experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use"
+
+REMARK = "errpipe remark: "  # how a comment begins that says where a file comes from
 
 
 class NothingToAddError(GateError):
@@ -155,6 +158,7 @@ class Target:
     )
     source: ClassVar[str]  # the manual or the program's source that says so
     activation: ClassVar[Sequence[str]] = ()  # what a person at the machine sets and reads back
+    remark: ClassVar[Mapping[str, str]] = {}  # end of a file's name -> a comment in it, {} standing for the text
     goes_with: ClassVar[Sequence[str]] = ()  # targets whose files the same controller adds to these (said by either)
 
     @classmethod
@@ -168,9 +172,36 @@ class Target:
         return cls.write(table)
 
     @classmethod
+    def remarked(cls, files: Mapping[str, str], lines: Sequence[str]) -> dict[str, str]:
+        """The files with lines as comments behind the first line of those that have room for comments."""
+        out = dict(files)
+        for name in files:
+            form = next((form for end, form in cls.remark.items() if name.endswith(end)), None)
+            if form is not None:
+                first, rest = files[name].split("\n", 1)
+                out[name] = "\n".join([first, *(form.format(f"{REMARK}{plain(line)}") for line in lines), rest])
+        return out
+
+    @classmethod
+    def bare(cls, files: Mapping[str, str]) -> dict[str, str]:
+        """The files without such comments, for a reader that compares every line."""
+        out = dict(files)
+        for end, form in cls.remark.items():
+            for name in (n for n in files if n.endswith(end)):
+                out[name] = "\n".join(x for x in files[name].split("\n") if not _is_remark(x, form))
+        return out
+
+    @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         """What the controller makes of the files. Raises VerifyError where it would not take them."""
         raise TypeError(f"{cls.__name__} does not read back")
+
+
+def _is_remark(line: str, form: str) -> bool:
+    """Whether a line is a remark in this form of comment, and nothing besides."""
+    _, mark, said = line.partition(REMARK)
+    said = said[: len(said) - len(form.partition("{}")[2])]
+    return bool(mark) and line == form.format(REMARK + plain(said))
 
 
 @dataclass(frozen=True)

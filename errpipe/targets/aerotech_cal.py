@@ -26,6 +26,7 @@ class AerotechCal(ScrewMap):
     sign = "a positive value moves the axis in plus (prove it on the machine)"
     limits = "equidistant; one curve for both directions; the axis' own position; no temperature"
     holds = ("screw",)
+    remark = {"": "; {}"}
     source = "help.aerotech.com/automation1, Axis Calibration (semantics); keywords from experience"
     activation = (
         "compare the keywords with the controller's own help before loading; list the file under Calibration",

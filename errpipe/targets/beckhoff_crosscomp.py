@@ -31,6 +31,7 @@ class BeckhoffCrosscomp(Target):
     limits = "1001 nodes per table; one curve per pair of axes; mean of both directions; no temperature"
     holds = ("cross",)
     rounding_um = 0.2
+    remark = {"": "# {}"}
     source = "TF5200 axis compensation, cross compensation; ISG kernel parameters kw.crosscomp"
     activation = ("lr_param.crosscomp 1 of the slave axis", "compare the slave's offset at three master positions")
     goes_with = ("beckhoff_ssfk", "beckhoff_temperature")

@@ -32,6 +32,7 @@ class CodesysBacklash(Target):
     sign = "a positive value pushes the axis further in the direction of travel (prove it on the machine)"
     limits = "lost motion only, one number an axis; nothing over the position; no temperature"
     holds = ("reversal",)
+    remark = {"": "(* {} *)"}
     source = "SM3_Basic library documentation: SMC_BacklashCompensation, SMC_BACKLASH_STARTSTATE"
     activation = (
         "declare a virtual master <axis>_Master for each axis beside the real <axis>_Slave; call it each bus cycle",

@@ -29,6 +29,7 @@ class EcmcLut(ScrewMap):
     sign = "a positive value is added to the measured position, so the loop moves the axis in minus (it is the error)"
     limits = "one curve for both directions; the axis' own position; no temperature"
     holds = ("screw",)
+    remark = {"": "# {}"}
     source = "epics-modules/ecmc: devEcmcSup/misc/ecmcLookupTable.h, devEcmcSup/motion/ecmcEncoder.cpp (readHwActPos)"
     activation = (
         "load the file as the encoder's look-up table and enable it (encoder configuration); home the axis",

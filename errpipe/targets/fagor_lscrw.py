@@ -30,6 +30,7 @@ class FagorLscrw(ScrewMap):
     limits = "1000 points; tenths of a micrometre; the axis' own position; no temperature"
     holds = ("screw", "both directions")
     keeps_level = False
+    remark = {"": "; {}"}
     source = "Fagor CNC 8055 / 8055i installation manual V02.2X, 7.5.7 (p. 328)"
     activation = (
         "axis parameters: LSCRWCOM (P15) = ON, NPOINTS (P16) = the number of points; enter the table; reset",

@@ -34,6 +34,7 @@ class HaasPitch(ScrewMap):
     holds = ("screw",)
     keeps_level = False
     rounding_um = 2.6
+    remark = {"": "# {}"}
     source = "Haas VF series manual 96-8000 (June 1999) p. 305, Lead screw compensation"
     activation = (
         "the upper end of the axis' travel must be machine zero; note the list that is there before changing it",

@@ -34,6 +34,7 @@ class KlipperSections(Target):
     sign = "a mesh value above zero lifts Z; a skew above zero moves X in minus as Y grows"
     limits = "Z over X and Y, straight squareness, one sensor for Z; no screw errors, no direction, no lag"
     holds = ("bed",)
+    remark = {"": "# {}"}
     source = "Klipper: docs/Config_Reference.md; klippy/extras bed_mesh, skew_correction, z_thermal_adjust"
     activation = (
         "[include errpipe.cfg]; BED_MESH_PROFILE LOAD=errpipe; SKEW_PROFILE LOAD=errpipe",

@@ -22,6 +22,7 @@ class Mach4ScrewMap(ScrewMap):
     sign = "a positive value moves the axis in plus: expected minus actual (prove it on the machine)"
     limits = "equidistant; the axis' own position; no temperature; direction from build 4780 on"
     holds = ("screw", "both directions")
+    remark = {"": "# {}"}
     source = "Mach4 screw mapping page of the controller's maker"
     activation = ("enter start, length and points under screw mapping; enable; compare three points from both sides",)
 

@@ -32,6 +32,7 @@ class MarlinGcode(Target):
     sign = "a mesh value above zero lifts Z; backlash pushes the axis on after a reversal (prove it on the machine)"
     limits = "Z over 5 x 5 points of X and Y, one lost motion an axis; no screw errors, no temperature"
     holds = ("bed", "reversal")
+    remark = {"": "; {}"}
     source = "Marlin: feature/backlash.cpp (add_correction_steps), docs M421, M425, M420"
     activation = (
         "MESH_BED_LEVELING or AUTO_BED_LEVELING_UBL with 5 x 5 points over the range that the file names; "

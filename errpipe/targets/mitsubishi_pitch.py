@@ -40,6 +40,7 @@ class MitsubishiPitch(ScrewMap):
     holds = ("screw",)
     keeps_level = False
     rounding_um = 1.0
+    remark = {"": "# {}"}
     source = "Mitsubishi C64 set-up manual p. 280, E68 p. II-292 (machine error compensation, incremental)"
     activation = (
         "the reference point must lie at machine coordinate 0; enter cmpax and drcax (the axis), then the numbers",

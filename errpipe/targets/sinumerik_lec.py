@@ -28,6 +28,7 @@ class SinumerikLec(ScrewMap):
     sign = "a positive value moves the axis in minus (it is the error)"
     limits = "equidistant; 200 points (808D; 840D sl: MD38000); one direction; the axis' own position"
     holds = ("screw",)
+    remark = {"": "; {}"}
     source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1 (K3); 808D manual"
     activation = (
         "MD38000 MM_ENC_COMP_MAX_POINTS at least the number of points, then power on",

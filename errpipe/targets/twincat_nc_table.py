@@ -28,6 +28,7 @@ class TwincatNcTable(ScrewMap):
     sign = "a positive value moves the axis in plus (it is added to the set point)"
     limits = "equidistant; memory of the PLC; the axis' own position; no temperature"
     holds = ("screw", "both directions")
+    remark = {"": "(* {} *)"}
     source = "Tc2_MC2: MC_TableBasedPositionCompensation, ST_PositionCompensationTableElement"
     activation = (
         "one MC_TableBasedPositionCompensation per direction, Ramp in mm/s set to the axis' creep speed",

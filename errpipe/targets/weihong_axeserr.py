@@ -29,6 +29,7 @@ class WeihongAxeserr(ScrewMap):
     sign = "a positive value means the axis went too far (it is the error); it is moved in minus"
     limits = "straight between points; the axis' own position; no temperature"
     holds = ("screw", "both directions")
+    remark = {"": "; {}"}
     source = "EasyRoute manufacturer's manual p. 68; NK200 manual p. 64, 65 (table 3-2)"
     activation = (
         "copy the file to the installation folder (NK200: from a USB disk); restart the software",
