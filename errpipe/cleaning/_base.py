@@ -5,6 +5,7 @@ A rule never changes a recording itself, so nothing can be removed without its r
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -33,14 +34,14 @@ class Action:
     values: np.ndarray | None = None
 
 
-class Rule(Options):
+class Rule(Options, ABC):
     """Base of the cleaning rules. A subclass sets `rule: Literal[name]` and finds its actions."""
 
     rule: str
 
+    @abstractmethod
     def find(self, recording: Recording) -> list[Action]:
         """What the rule would do. Raises DataError where it would remove more than its stated share."""
-        raise TypeError(f"{type(self).__name__} does not say what it looks for")
 
     def refuse_beyond(self, most: float, rows: np.ndarray, of: int, what: str, recording: Recording) -> None:
         """Raises DataError where `rows` are more than the share `most` of `of` cells or rows."""

@@ -7,6 +7,7 @@ Every family gives an error model, so one compiler lowers all of them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -46,7 +47,7 @@ class Fitted:
     summary: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Family(Frozen):
+class Family(Frozen, ABC):
     """Base of every model family; the fields of a subclass are its options, `family` is its name.
 
     documents: names of the JSON files that its fit adds. takes_terms: whether further terms may be added to a fitted
@@ -63,23 +64,23 @@ class Family(Frozen):
         return str(cls.model_fields["family"].default)
 
     @property
+    @abstractmethod
     def responses(self) -> tuple[str, ...]:
         """Components that it models."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def scheme(self) -> HoldOut:
         """Who sits out where nothing else is asked for."""
-        raise NotImplementedError
 
     @property
     def method_name(self) -> str:
         """How it is solved, for `validation.json`."""
         return self.family_name().replace("_", " ")
 
+    @abstractmethod
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row of the recording. Raises DataError, NotIdentifiable."""
-        raise NotImplementedError
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """The scheme's name and its folds; without a scheme, the family's own."""
@@ -88,9 +89,9 @@ class Family(Frozen):
         chosen = holdout.resolved(recording, self.scheme if scheme is None else scheme)
         return holdout.name(chosen), holdout.groups(recording, chosen)
 
+    @abstractmethod
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; component -> what was left."""
-        raise NotImplementedError
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """What the report adds, from the documents of the fit and `validation.json`."""

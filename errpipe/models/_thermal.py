@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -35,9 +36,9 @@ class ThermalFamily(Family):
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
     documents: ClassVar[tuple[str, ...]] = (COMPETITION,)
 
+    @abstractmethod
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Settings that compete, on the rows of a problem."""
-        raise NotImplementedError
 
     @property
     def responses(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.machine import Machine
-from errpipe.models._base import Family
+from errpipe.models._base import Family, Fitted, Progress, silent
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -47,6 +47,12 @@ class Direct(Family):
     def method_name(self) -> str:
         """How it is solved."""
         return "direct records"
+
+    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+        """Raises UsageError: its error model comes from the stage that identifies the machine."""
+        from errpipe.errors import UsageError
+
+        raise UsageError("direct records are fitted by the stage that identifies the machine")
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: whole runs where each way was run twice, else every fifth target."""

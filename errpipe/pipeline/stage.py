@@ -31,6 +31,7 @@ takes a recording and gives one stands between any two others.
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -116,7 +117,7 @@ class Context:
         return inside(self.folder, name, DataError)
 
 
-class Stage(Options):
+class Stage(Options, ABC):
     """Base of every stage. Subclasses give `kind` as a Literal and their options as fields."""
 
     kind: str
@@ -153,9 +154,9 @@ class Stage(Options):
         """Canonical parameters for the lock file: JSON values, and of a path only its last part."""
         return {key: _canonical(value) for key, value in self if key not in ("kind", "name", "source")}
 
+    @abstractmethod
     def run(self, context: Context) -> Mapping[str, Any]:
         """Do the work. Returns a few summary numbers or texts (JSON values). Raises ErrpipeError."""
-        raise TypeError(f"{type(self).__name__} does not say how it runs")
 
 
 def _canonical(value: Any) -> Any:

@@ -36,6 +36,11 @@ def recording_in(folder: Path) -> Recording:
     return manifest_folder.read(folder)
 
 
+def recordings_in(context: Context) -> dict[str, Recording]:
+    """Every recording behind the slot `recordings`, by the name of its stage."""
+    return {name: recording_in(folder) for name, folder in context.every("recordings").items()}
+
+
 def read_model(path: Path) -> ErrorModel:
     """An error model from its JSON file. Raises VerifyError where it is none."""
     from pydantic import ValidationError

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from errpipe.kinematics.identify import Identified
     from errpipe.kinematics.remaining import Remaining
     from errpipe.pipeline.stage import Context
-    from errpipe.stages.identify import Identify
+
 
 TRUTH = "truth.json"
 
@@ -28,16 +28,16 @@ class Solved:
     remaining: Remaining | None
 
 
-def solve(stage: Identify, context: Context) -> Solved:
+def solve(stage: Any, context: Context) -> Solved:
     """Read every test, solve, and say what is left. Raises DataError for a test that cannot be read."""
     from errpipe import yamlfile
     from errpipe.domain.machine import Machine
     from errpipe.kinematics import identify, observations, protocols, records, remaining, summary
     from errpipe.kinematics.chain import compile_chain
-    from errpipe.stages.identify import recordings
+    from errpipe.stages import _artefacts
 
     chain = compile_chain(yamlfile.load(stage.machine, Machine))
-    tests = recordings(context)
+    tests = _artefacts.recordings_in(context)
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
     parts = [protocols.observations(chain, r) for name, r in tests.items() if name not in single]
     if single:
@@ -78,7 +78,7 @@ def _truth(chain: Chain, context: Context) -> MachineErrors | None:
     return remaining.truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
 
 
-def _records(chain: Chain, single: Mapping[str, Any], stage: Identify) -> dict[str, dict[str, Any]]:
+def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, dict[str, Any]]:
     """What was read at each target, mean by direction, the beam's errors out: for tables and plots."""
     from errpipe.kinematics import direct
 

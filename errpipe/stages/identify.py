@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
-from errpipe.stages import _artefacts
 from errpipe.stages._laser import LASERS, SQUARES, Beam, lasers
 
 IDENTIFICATION = "identification.json"
@@ -59,8 +58,3 @@ class Identify(Stage):
     def setups(self) -> dict[str, Any]:
         """Laser set-ups as the corrections take them."""
         return lasers(self.lasers)
-
-
-def recordings(context: Context) -> dict[str, Any]:
-    """Every recording that stands before, by the name of its stage."""
-    return {name: _artefacts.recording_in(folder) for name, folder in context.every("recordings").items()}

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need
 from errpipe.stages import _artefacts
-from errpipe.stages.identify import IDENTIFICATION, Identify, recordings
+from errpipe.stages.identify import IDENTIFICATION, Identify
 
 
 class IdentifyDirect(Identify):
@@ -34,7 +34,7 @@ class IdentifyDirect(Identify):
         from errpipe.kinematics import direct, direct_model, records
         from errpipe.models.direct import Direct
 
-        tests = recordings(context)
+        tests = _artefacts.recordings_in(context)
         for name, recording in tests.items():
             if not records.is_direct(recording):
                 raise DataError(f"{self.label}: {name} holds no error motion such as EXX or EBX; `identify` reads it")

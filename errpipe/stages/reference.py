@@ -85,7 +85,9 @@ def _term(term: Any) -> Iterator[str]:
         yield f"**Effect.** `{term.reports_as}`, of the family {term.family or 'none'}  "
     if not term.compensable:
         yield "**Compensation.** Never: the effect belongs to the measurement, not to the machine.  "
-    bound = term.example().term
+    from errpipe.terms import example_of
+
+    bound = example_of(term).term
     rows = [
         (f"`{p.name}`", p.unit, f"{p.typical[0]:g} … {p.typical[1]:g}", f"{p.bounds[0]:g} … {p.bounds[1]:g}", p.meaning)
         for p in (*bound.linear(), *bound.nonlinear())

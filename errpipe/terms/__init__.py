@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from errpipe.terms._base import NEVER, Example, Parameter, Term, plain
+from errpipe.terms._example import example_of
 from errpipe.terms._profiles import Curve, Line
 from errpipe.terms._search import Signals, resolved_times, search_of
 from errpipe.terms._slack import MANY_STARTS
@@ -18,6 +19,7 @@ __all__ = [
     "Parameter",
     "Signals",
     "Term",
+    "example_of",
     "plain",
     "resolved_times",
     "search_of",

@@ -10,6 +10,7 @@ parameters. A term knows columns and units; it never knows how it will be solved
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
@@ -71,7 +72,7 @@ class Example:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
-class Term(Frozen):
+class Term(Frozen, ABC):
     """Base of all terms. A subclass sets `term: Literal[id]`, binds columns by fields, and states its basis."""
 
     term: str
@@ -92,9 +93,9 @@ class Term(Frozen):
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
     friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
 
+    @abstractmethod
     def linear(self) -> tuple[Parameter, ...]:
         """Parameters the value is linear in, in the order of the basis' columns."""
-        raise TypeError(f"{type(self).__name__} does not state its linear parameters")
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         """Parameters inside the basis that are to be solved for (those in `fixed` are left out by `free`)."""
@@ -143,9 +144,9 @@ class Term(Frozen):
         """Values of all non-linear parameters, fixed ones included."""
         return [self.fixed[p.name] if p.name in self.fixed else parameters[p.name] for p in self.nonlinear()]
 
+    @abstractmethod
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         """Names of the recording's columns that drive the term, the telling one first."""
-        raise TypeError(f"{type(self).__name__} does not state its columns")
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         """The compiled form, or None where a controller cannot or must not compensate this effect."""
@@ -177,11 +178,9 @@ class Term(Frozen):
         return {}
 
     @classmethod
-    def example(cls) -> Example:
-        """A worked case; generic tests derive the rest from it. Unless overridden, the first of its bindings."""
-        from errpipe.terms._example import first_binding
-
-        return first_binding(cls)
+    def example(cls) -> Example | None:
+        """A worked case of its own; None: the first of its bindings (see `terms.example_of`)."""
+        return None
 
     def says(self, parameters: Mapping[str, float]) -> str:
         """One plain sentence for a person, with numbers and units."""

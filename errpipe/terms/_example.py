@@ -64,6 +64,11 @@ def rows(step: float = 15.0) -> Recording:
     return Recording(manifest, pd.DataFrame({"run": run, "t": t, **values}))
 
 
+def example_of(kind: type[Term]) -> Example:
+    """The worked case that generic tests and the reference derive the rest from."""
+    return kind.example() or first_binding(kind)
+
+
 def first_binding(kind: type[Term], recording: Recording | None = None) -> Example:
     """The first sensible binding of a term to these rows. Raises LookupError where there is none."""
     recording = recording or rows()

@@ -9,14 +9,14 @@ from numpy.testing import assert_allclose
 
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.motion import position
-from errpipe.terms import TERMS, Term, plain
+from errpipe.terms import TERMS, Term, example_of, plain
 
 KINDS = {kind.model_fields["term"].default: kind for kind in TERMS}
 
 
 @cache
 def example(name):
-    return KINDS[name].example()
+    return example_of(KINDS[name])
 
 
 @pytest.fixture(params=KINDS, ids=str)
