@@ -31,8 +31,8 @@ def steps() -> list[tuple[str, str, str]]:
 
 def register(path: Path, lines: str) -> None:
     """Put the import (if there is one) above the registry and the entry at its start."""
-    imports = [line for line in lines.splitlines() if not line.startswith(" ")]
-    entry = next(line.strip() for line in lines.splitlines() if line.startswith(" "))
+    imports = [line for line in lines.splitlines() if line.startswith("from ")]
+    (entry,) = (line.strip() for line in lines.splitlines() if not line.startswith("from "))
     text = path.read_text(encoding="utf-8")
     start = re.search(r"^    \(|^[A-Z]+(: [^=]+)? = \(", text, re.M)
     assert start is not None, f"{path.name} holds no registry"
