@@ -74,6 +74,9 @@ trials-real: $(SETUP) ## diagnosis on real recordings whose repetition stands in
 trials-thermal: $(SETUP) ## thermal model families on simulated machines, judged by a season they have not seen
 	@$(BIN)/python -m trials.thermal --seed $(SEED) $(ARGS)
 
+trials-volumetric: $(SETUP) ## every measuring protocol on simulated machines: is anything exported worse than nothing?
+	@$(BIN)/python -m trials.volumetric $(ARGS)
+
 retrain-demo: $(SETUP) ## a simulated year of nightly retraining
 	@$(BIN)/python examples/retraining/year.py out/retraining --seed $(SEED) $(ARGS)
 

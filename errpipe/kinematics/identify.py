@@ -232,7 +232,7 @@ def identify(
         hyper = evidence.learn(spreads.take(told), moments, _known(sizes, power, noise), start)
         mean, cov = np.zeros(design.shape[1]), np.diag(spreads.of(hyper) ** 2)
         mean[told], cov[np.ix_(told, told)] = evidence.solve(spreads.take(told), moments, hyper)
-        bent = _bending_of_lengths(chain, model, obs, plain, mean)
+        bent = bending_of_lengths(chain, model, obs, plain, mean)
         if np.abs(bent - offset).max() < 1e-3 * hyper[-1]:
             break
         offset = bent
@@ -254,7 +254,7 @@ def identify(
     )
 
 
-def _bending_of_lengths(chain: Chain, model: Parametrisation, obs: Observations, design, mean) -> np.ndarray:
+def bending_of_lengths(chain: Chain, model: Parametrisation, obs: Observations, design, mean) -> np.ndarray:
     """True reading minus linear reading at the estimate: second order in a bar's sideways set-up error."""
     lengths = ~np.isnan(obs.socket[:, 0])
     if not lengths.any():

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from errpipe.domain.components import parse
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
@@ -90,16 +91,18 @@ class Expected:
     """What compensation by an identification is expected to do, from its posterior, less the workpiece's pose.
 
     effect_rms_um: of the identified error; left_rms_um: expected after compensating it; harm: the probability that
-    the machine is worse with it (rms over the travel).
+    the machine is worse with it (rms over the travel). axes: the same of what each linear axis corrects.
     """
 
     effect_rms_um: float
     left_rms_um: float
     harm: float
+    axes: Mapping[str, Expected]
 
-    def document(self) -> dict[str, float]:
+    def document(self) -> dict[str, Any]:
         """As JSON values."""
-        return {"effect_rms_um": self.effect_rms_um, "left_rms_um": self.left_rms_um, "probability_worse": self.harm}
+        own = {"effect_rms_um": self.effect_rms_um, "left_rms_um": self.left_rms_um, "probability_worse": self.harm}
+        return own | ({"axes": {name: axis.document() for name, axis in self.axes.items()}} if self.axes else {})
 
 
 def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
@@ -107,24 +110,44 @@ def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDG
 
     With m the identified field and the true one m + e, e ~ N(0, S), compensating leaves |e| instead of |m + e|. It is
     worse where 2 m.e < -|m|^2, so with probability Phi(-|m|^2 / (2 sqrt(m'S m))). A component that no reading knows of
-    is not compensated and counts neither before nor after.
+    is in S at its prior spread: what is left of the machine may outweigh what was corrected. Where positioning alone
+    was read (a screw compensation), it is judged along its own line, so the others count neither before nor after.
     """
     chain, prior = found.model.chain, found.model.prior
     q = places(chain, count)
     jac = synthesis.jacobian(chain, q, tip)[:, :3]
     rows = (jac[:, :, prior.component] * found.model.functions(q)[:, None, :]).reshape(3 * count, -1)
-    read = np.isin(prior.component, np.unique(prior.component[found.mean != 0.0]))
-    rows = np.where(read, rows, 0.0)
+    read = np.unique(prior.component[found.mean != 0.0])
+    if all(parse(chain.components[c]).kind == "positioning" for c in read):
+        rows = np.where(np.isin(prior.component, read), rows, 0.0)
     columns = _pose_columns(chain, q, tip, synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
-    rows = rows - pose @ (pose.T @ rows)
+    rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
+    by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(linear_motion(chain, q, tip)), rows)
+    axes = {name: _expected(found, own) for name, own in zip(linear_axes(chain), by_axis, strict=True)}
+    return replace(_expected(found, by_axis.reshape(-1, rows.shape[2]), count), axes=axes)
+
+
+def linear_axes(chain: Chain) -> tuple[str, ...]:
+    """Names of the linear axes: those that a volumetric table moves."""
+    return tuple(a for a in chain.axes if chain.machine.axes[a].kind == "linear")
+
+
+def linear_motion(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
+    """Displacement of the tool point per displacement of each linear axis, shape (n, 3, linear axes)."""
+    linear = [chain.axes.index(a) for a in linear_axes(chain)]
+    return synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
+
+
+def _expected(found: Identified, rows: np.ndarray, count: int | None = None) -> Expected:
+    """rows (readings, parameters) of a field in um; count: places that its squares are the mean over."""
+    count = len(rows) if count is None else count
     field = rows @ found.mean
     power = float(field @ field)
     along = float(np.sqrt(max(field @ (rows @ (found.covariance @ (rows.T @ field))), 0.0)))
-    left = float(np.einsum("ij,jk,ik->", rows, found.covariance, rows))
-    harm = 0.5 if along == 0.0 else 0.5 * math.erfc(power / (2 * along) / math.sqrt(2.0))
-    harm = 0.0 if along == 0.0 and power > 0.0 else harm
-    return Expected(math.sqrt(power / count), math.sqrt(left / count), harm)
+    left = float(np.einsum("ij,jk,ik->", rows, found.covariance, rows, optimize=True))
+    harm = 0.5 * math.erfc(power / (2 * along) / math.sqrt(2.0)) if along > 0.0 else 0.0
+    return Expected(math.sqrt(power / count), math.sqrt(max(left, 0.0) / count), harm, {})
 
 
 def truth_document(chain: Chain, values: Mapping[str, Any], nodes: int = 401) -> dict[str, Any]:

@@ -56,7 +56,9 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
         if len(chosen) != 1 and not need.every:
             return (), f"names {len(chosen)} stages (one is read)"
         return chosen, ""
-    if not fitting and not need.optional:
+    if need.beside and not _given(stage, need.beside, before):
+        return (), ""
+    if not fitting and not need.optional and not (need.unless and _given(stage, need.unless, before)):
         return (), f"{stage.kind} takes {_an(wanted)}, and no stage before it gives one"
     if not need.every:
         return tuple(fitting[-1:]), ""
@@ -69,6 +71,11 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
         for name in links[other.label][own]
     }
     return tuple(name for name in fitting if name not in replaced), ""
+
+
+def _given(stage: Stage, slot: str, before: Sequence[Stage]) -> bool:
+    """Whether an earlier stage gives what another slot of a stage takes."""
+    return any(stage.takes[slot].type in other.gives for other in before)
 
 
 def _unread(stages: Sequence[Stage], links: Links) -> Found:

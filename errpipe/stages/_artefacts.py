@@ -68,7 +68,7 @@ def fingerprint_of(model: ErrorModel) -> str:
 def validations_of(model: ErrorModel, folders: Iterable[Path]) -> list[dict[str, Any]]:
     """The validations among those in some stages' folders that judged this very model."""
     documents = [jsonfile.read(folder / VALIDATION) for folder in folders]
-    return [v for v in documents if v["model"] == fingerprint_of(model)]
+    return [v for v in documents if v.get("model") == fingerprint_of(model)]
 
 
 def write_model(context: Context, recording: Recording, model: ErrorModel, family: Family) -> ErrorModel:

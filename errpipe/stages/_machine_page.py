@@ -32,24 +32,21 @@ def solve(stage: Any, context: Context) -> Solved:
     """Read every test, solve, and say what is left. Raises DataError for a test that cannot be read."""
     from errpipe import yamlfile
     from errpipe.domain.machine import Machine
-    from errpipe.kinematics import identify, observations, protocols, records, remaining, summary
+    from errpipe.kinematics import identify, readings, records, remaining, summary
     from errpipe.kinematics.chain import compile_chain
     from errpipe.stages import _artefacts
 
     chain = compile_chain(yamlfile.load(stage.machine, Machine))
     tests = _artefacts.recordings_in(context)
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
-    parts = [protocols.observations(chain, r) for name, r in tests.items() if name not in single]
-    if single:
-        parts.append(records.observations(chain, single, lasers=stage.setups(), squares=stage.squares))
-    elif stage.lasers or stage.squares:
+    if not single and (stage.lasers or stage.squares):
         from errpipe.errors import UsageError
 
         raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
-    seen = observations.concatenate(parts)
+    seen, _ = readings.of_tests(chain, tests, stage.setups(), stage.squares)
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
     found = identify.identify(identify.Parametrisation.of(chain, stage.modes, stage.without), seen)
-    document = summary.document(found, seen)
+    document = summary.document(found, seen) | {"procedure": stage.procedure()}
     if single:
         each = zip(seen.label, seen.noise, strict=True)
         noise = {str(tag).split(" ")[-1]: float(size * found.noise) for tag, size in each}

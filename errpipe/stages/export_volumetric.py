@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
 
 STATES = 500
-MOST_HARM = 0.01  # of 70 simulated weak tests (14 seeds of 5 protocols) 3 were worse, with 0.03 to 0.12 stated
 ROUNDING = 2e-3  # um, as `verify` allows: gridding errors are the largest seen, and profiles are rounded to 1 nm
 LATTICE = "lattice.csv"
 BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
@@ -50,7 +49,13 @@ class ExportVolumetric(SignOptions, Stage):
     ungated: bool = Field(
         False, description="Export an identification too that is not expected to make the machine better."
     )
-    takes: ClassVar[Mapping[str, Need]] = {"identified_machine": Need("identified_machine")}
+    axes: tuple[str, ...] | None = Field(
+        None, min_length=1, description="Linear axes that the table corrects; default: all that pass the gate."
+    )
+    takes: ClassVar[Mapping[str, Need]] = {
+        "identified_machine": Need("identified_machine"),
+        "validation": Need("validation", optional=True, every=True),
+    }
     gives: ClassVar[tuple[str, ...]] = ("table",)
 
     def outputs(self) -> tuple[str, ...]:
@@ -59,7 +64,7 @@ class ExportVolumetric(SignOptions, Stage):
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
-        from errpipe.kinematics import summary
+        from errpipe.kinematics import remaining, summary
         from errpipe.kinematics.chain import compile_chain
         from errpipe.stages.targets import checksums, write_targets
         from errpipe.tables import ect
@@ -67,12 +72,11 @@ class ExportVolumetric(SignOptions, Stage):
         folder = context.needed("identified_machine")
         chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
         document = jsonfile.read(folder / IDENTIFICATION)
-        if not self.ungated:
-            expected_to_help(document)
+        axes = self._passed(context, document, chain)
         errors = summary.errors(chain, document)
         turning = reversals(document)
         title = _artefacts.ungated_title(context.title) if self.ungated else context.title
-        table = compile_machine(chain, errors, jsonfile.fingerprint(document), title, self.error_bound, turning)
+        table = compile_machine(chain, errors, jsonfile.fingerprint(document), title, self.error_bound, turning, axes)
         _plausible.refuse_table(table, self.allow, self.limit)
         worst, allowed = largest_difference(chain, errors, table, turning), bound(chain, table)
         prove(worst, allowed)
@@ -82,28 +86,32 @@ class ExportVolumetric(SignOptions, Stage):
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
         files += write_targets(table, self.targets, context.folder, remarks)
-        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": []}
+        left_out = [axis for axis in remaining.linear_axes(chain) if axis not in axes]
+        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out}
         if self.lattice is not None:
-            facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool)
+            facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool, axes)
             context.write_text(LATTICE, text)
         facts["sha256"] = checksums(context.folder, files, [_artefacts.TWIN, *([LATTICE] if self.lattice else [])])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
 
+    def _passed(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
+        """Linear axes that the table corrects. Raises UsageError for an unknown axis, GateError where none may be."""
+        from errpipe import jsonfile
+        from errpipe.errors import UsageError
+        from errpipe.kinematics import remaining
+        from errpipe.validation import machine
 
-def expected_to_help(document: Mapping[str, Any]) -> None:
-    """Raises GateError where compensating what was identified may make the machine worse; doing nothing wins then."""
-    from errpipe.errors import GateError
-
-    told = document["volumetric"]
-    if not told["probability_worse"] <= MOST_HARM:
-        measures = [m["measure"] for m in document.get("would_show", ())][:3]
-        more = f" It would help to add: {'; '.join(measures)}." if measures else ""
-        raise GateError(
-            f"export: the identification explains {told['effect_rms_um']:.3g} um rms over the travel and leaves "
-            f"{told['left_rms_um']:.3g} um open; the machine is worse with it than without with a probability of "
-            f"{told['probability_worse']:.2g} (allowed: {MOST_HARM}). Nothing was exported.{more}"
-        )
+        known = remaining.linear_axes(chain)
+        for axis in self.axes or ():
+            if axis not in known:
+                raise UsageError(f"export_volumetric: axes: {axis!r} is no linear axis (allowed: {', '.join(known)})")
+        if self.ungated:
+            return self.axes or known
+        found = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]
+        own = jsonfile.fingerprint(document)
+        judged = [v["machine"]["tests"] for v in found if v.get("machine", {}).get("identification") == own]
+        return machine.pass_gate(document, judged, self.axes)
 
 
 def bound(chain: Any, table: CompensationTable) -> float:
@@ -115,8 +123,12 @@ def bound(chain: Any, table: CompensationTable) -> float:
     return compensation.profile_bound(chain, off, chain.tip(100.0, (0.0, 0.0, 0.0)))
 
 
-def lattice(chain: Any, errors: Any, counts: tuple[int, ...], length: float) -> tuple[dict[str, Any], str]:
+def lattice(
+    chain: Any, errors: Any, counts: tuple[int, ...], length: float, axes: tuple[str, ...]
+) -> tuple[dict[str, Any], str]:
     """Deviations on a lattice over the linear axes for one tool, and how far straight lines between may be off.
+
+    axes: those that are corrected; the others' deviation is written as 0.
 
     Raises UsageError where the counts do not fit the machine.
     """
@@ -130,7 +142,8 @@ def lattice(chain: Any, errors: Any, counts: tuple[int, ...], length: float) -> 
     except ValueError as err:
         raise UsageError(f"export_volumetric: lattice: {err}") from None
     places = np.stack([g.ravel() for g in np.meshgrid(*found.grids, indexing="ij")], axis=1)
-    rows = np.column_stack([places, found.values.reshape(-1, 3)])
+    corrected = [float(letter in axes) for letter in "XYZ"]
+    rows = np.column_stack([places, found.values.reshape(-1, 3) * corrected])
     lines = [",".join([*found.axes, "E_X", "E_Y", "E_Z"])]
     lines += [",".join(f"{v + 0.0:.4f}" for v in row) for row in rows]
     facts = {
@@ -159,8 +172,12 @@ def compile_machine(
     title: str,
     error_bound: float,
     turning: Mapping[str, tuple[float, float, float]] | None = None,
+    axes: tuple[str, ...] | None = None,
 ) -> CompensationTable:
-    """The volumetric table of a machine; `turning`: reversal of a component at the middle, per metre, the middle."""
+    """The volumetric table of a machine; `turning`: reversal of a component at the middle, per metre, the middle.
+
+    axes: linear axes that it corrects (default: all).
+    """
     from errpipe import __version__, tables
     from errpipe.kinematics import compensation
 
@@ -170,6 +187,7 @@ def compile_machine(
             o.name, tuple(tables.MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
         )
         for o in compensation.outputs(chain, used=tuple(pairs))
+        if axes is None or o.axis in axes
     ]
     table = tables.compile_table(
         [tables.ComponentSource(name, chain.unit(name), found) for name, found in pairs.items()],

@@ -32,7 +32,7 @@ class Identify(Stage):
         "simulated": Need("simulated_truth", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("identified_machine",)
-    code_version: ClassVar[int] = 2
+    code_version: ClassVar[int] = 3
 
     def outputs(self) -> tuple[str, ...]:
         return (IDENTIFICATION, MACHINE, "identification.html")
@@ -54,6 +54,11 @@ class Identify(Stage):
         }
         truth = document.get("simulated_truth")
         return out | ({"true_residual_rms_um": truth["after_rms_um"]} if truth else {})
+
+    def procedure(self) -> dict[str, Any]:
+        """Options that repeat the identification on other rows, JSON values."""
+        lasers = {name: beam.model_dump(mode="json") for name, beam in self.lasers.items()}
+        return {"modes": self.modes, "without": list(self.without), "lasers": lasers, "squares": dict(self.squares)}
 
     def setups(self) -> dict[str, Any]:
         """Laser set-ups as the corrections take them."""

@@ -16,32 +16,69 @@ HELD_OUT = "held_out.parquet"
 
 
 class Validate(Stage):
-    """Refit without each group, judge on it, beside doing nothing and the noise floor."""
+    """Refit without each group, judge on it, beside doing nothing and the noise floor.
+
+    An identified machine is identified again without each line, circle, plate, socket or run of its tests.
+    """
 
     kind: Literal["validate"]
-    holdout: HoldOut | None = Field(None, description="Who sits out; default: as the fit says.")
+    holdout: HoldOut | None = Field(None, description="Who sits out of an error model's fit; default: as the fit says.")
     iso230_2: bool = Field(False, description="Add the figures of ISO 230-2 (bidirectional positioning tests).")
-    takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording"), "error_model": Need("error_model")}
+    takes: ClassVar[Mapping[str, Need]] = {
+        "recording": Need("recording"),
+        "error_model": Need("error_model", unless="identified_machine"),
+        "identified_machine": Need("identified_machine", optional=True),
+        "recordings": Need("recording", every=True, beside="identified_machine"),
+    }
     gives: ClassVar[tuple[str, ...]] = ("validation",)
 
     def outputs(self) -> tuple[str, ...]:
-        return ("validation.json", HELD_OUT)
+        return ("validation.json",)
 
     def run(self, context: Context) -> Mapping[str, Any]:
+        document: dict[str, Any] = {"components": []}
+        summary: dict[str, Any] = {}
+        folder = context.maybe("error_model")
+        if folder is not None:
+            document |= self._of_model(context, folder)
+            summary |= {c["component"]: headline(c) for c in document["components"]}
+        machine = context.maybe("identified_machine")
+        if machine is not None:
+            document["machine"] = _of_machine(context, machine)
+            summary |= {name: _between(figures) for name, figures in document["machine"]["tests"].items()}
+        context.write_json(_artefacts.VALIDATION, {**document, "inputs": context.fingerprint})
+        return summary
+
+    def _of_model(self, context: Context, folder: Path) -> dict[str, Any]:
         from errpipe.validation import held_out
 
         recording = _artefacts.recording_in(context.needed("recording"))
-        folder = context.needed("error_model")
         family, model = _artefacts.family_in(folder), _artefacts.read_model(folder / _artefacts.MODEL)
         document, rows = held_out.judged(recording, family, self.holdout, progress=context.progress)
         if self.iso230_2:
             from errpipe.validation import iso230_2
 
             document["iso230_2"] = iso230_2.figures(recording).model_dump(mode="json")
-        document["model"] = _artefacts.fingerprint_of(model)
-        context.write_json("validation.json", {**document, "inputs": context.fingerprint})
         _write_rows(context.folder / HELD_OUT, rows)
-        return {c["component"]: headline(c) for c in document["components"]}
+        return document | {"model": _artefacts.fingerprint_of(model)}
+
+
+def _of_machine(context: Context, folder: Path) -> dict[str, Any]:
+    """Figures of every test of an identified machine, and which identification they are of."""
+    from errpipe import jsonfile, yamlfile
+    from errpipe.domain.machine import Machine
+    from errpipe.stages.identify import IDENTIFICATION, MACHINE
+    from errpipe.validation import machine
+
+    document = jsonfile.read(folder / IDENTIFICATION)
+    tests = {name: _artefacts.recording_in(at) for name, at in context.every("recordings").items()}
+    found = machine.judged(yamlfile.load(folder / MACHINE, Machine), document, tests, context.progress)
+    return {"identification": jsonfile.fingerprint(document), "tests": found}
+
+
+def _between(figures: Mapping[str, Any]) -> str:
+    groups = len(figures["groups"])
+    return f"{figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on readings that sat out, {groups} groups"
 
 
 def headline(component: Mapping[str, Any]) -> str:

@@ -1,0 +1,109 @@
+"""Whole measurement groups left out of an identification, and what the rest of the readings says of them.
+
+A group is a line, diagonal, circle, plate or socket with all its repeats: runs that pass through the same places sit
+out together. What sits out keeps its own set-up (where the socket stood, how the plate lay): it is solved for on those
+rows alone, both where nothing is compensated and where the machine is, so that neither gains from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.kinematics import remaining, synthesis
+from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.identify import Parametrisation, bending_of_lengths, identify
+from errpipe.kinematics.observations import Observations
+
+CELLS = 50  # of the travel: places in one cell of this lattice are one place
+SAME = 0.5  # share of its places that a run has in common with another one of the same line, circle or plate
+MOST_GROUPS = 6  # identifications repeated; more groups sit out several at a time
+LEAST = 8  # readings of an identification
+
+
+@dataclass(frozen=True)
+class Left:
+    """One group that sat out: its label, its rows, and the readings without its set-up before and after, um (n,)."""
+
+    label: str
+    rows: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+def groups(chain: Chain, obs: Observations) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Group of each row (n,), and the groups' labels; one group means that nothing can sit out.
+
+    Runs that share most of their places are one group. Where that leaves a single one (a cloud seen with three tools),
+    each run is its own group.
+    """
+    labels, run = np.unique(obs.label.astype(str), return_inverse=True)
+    low, high = chain.travel.T
+    cell = np.round((obs.q - low) / (high - low) * CELLS).astype(int)
+    seen = [set(map(tuple, cell[run == r])) for r in range(len(labels))]
+    number = np.arange(len(labels))
+    for i, own in enumerate(seen):
+        for j in range(i):
+            if len(own & seen[j]) > SAME * min(len(own), len(seen[j])):
+                number[number == number[i]] = number[j]
+    if len(set(number)) == 1:
+        number = np.arange(len(labels))
+    _, number = np.unique(number, return_inverse=True)
+    number %= MOST_GROUPS
+    names = tuple(", ".join(labels[number == g]) for g in range(number.max() + 1))
+    return number[run], names
+
+
+def judge(
+    model: Parametrisation,
+    obs: Observations,
+    group: np.ndarray,
+    names: Sequence[str],
+    progress: Callable[[float, str], None] = lambda share, text: None,
+) -> list[Left]:
+    """Identify without each group and judge on it; an empty list where there is only one.
+
+    group (n,): number of each row's group, -1 for rows that never sit out.
+    """
+    out = []
+    for number, name in enumerate(names if len(names) > 1 else ()):
+        rest = np.flatnonzero(group != number)
+        if len(rest) < LEAST:
+            return []
+        progress(number / len(names), f"without {name}")
+        found = identify(model, obs.take(rest))
+        rows = np.flatnonzero(group == number)
+        sat_out = obs.take(rows)
+        before = _without_setup(model, sat_out, np.zeros(len(found.mean)), found.noise)
+        out.append(Left(name, rows, before, _without_setup(model, sat_out, found.mean, found.noise)))
+    return out
+
+
+def _without_setup(model: Parametrisation, obs: Observations, mean: np.ndarray, noise: float) -> np.ndarray:
+    """Readings less what a machine of these parameters reads, and less their own best set-up, um (n,)."""
+    machine = model.design(obs)
+    own = np.flatnonzero(obs.nuisance.any(axis=0))
+    scaled = obs.nuisance[:, own] * (obs.nuisance_spread[own] / (noise * obs.noise[:, None]))
+    normal = scaled.T @ scaled + np.eye(scaled.shape[1])
+    setup, bent = np.zeros(obs.nuisance.shape[1]), np.zeros(len(obs))
+    for _ in range(2):  # a bar's length is bent by the set-up itself
+        left = (obs.value - bent - machine @ mean) / (noise * obs.noise)
+        setup[own] = np.linalg.solve(normal, scaled.T @ left) * obs.nuisance_spread[own]
+        full = np.hstack([machine, obs.nuisance])
+        bent = bending_of_lengths(model.chain, model, obs, full, np.r_[mean, setup])
+    return obs.value - bent - machine @ mean - obs.nuisance @ setup
+
+
+def shares(chain: Chain, obs: Observations) -> np.ndarray:
+    """How much of the square of each reading is due to each linear axis' deviation, shape (n, linear axes).
+
+    An angle counts with the arms it has in the volume.
+    """
+    ways = remaining.linear_motion(chain, obs.q, obs.tip)
+    places = synthesis.ideal_pose(chain, remaining.places(chain))[:, 0] * 1e-3
+    x, y, z = np.var(places, axis=0)
+    moved = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])  # um2 per urad2: square of what a turn does to a place
+    along = np.einsum("nk,nka->na", obs.weights[:, :3], ways) ** 2
+    return along + np.einsum("nk,nka->na", obs.weights[:, 3:] ** 2 @ moved, ways**2)

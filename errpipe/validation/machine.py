@@ -1,0 +1,169 @@
+"""An identified machine judged on whole groups of its measurements that sat out, each axis beside doing nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.machine import Machine
+from errpipe.domain.recording import Recording
+from errpipe.errors import GateError
+from errpipe.fitting.judging import HeldOut
+from errpipe.kinematics import held_out, identify, readings, records, remaining, synthesis
+from errpipe.kinematics.chain import Chain, compile_chain
+from errpipe.kinematics.direct import Laser
+from errpipe.models.direct import Direct
+
+TIE = 0.01  # doing nothing wins within 1 %, as everywhere
+MOST_HARM = 0.01  # probability that the machine gets worse
+
+
+def judged(
+    machine: Machine,
+    document: Mapping[str, Any],
+    tests: Mapping[str, Recording],
+    progress: Callable[[float, str], None] = lambda share, text: None,
+) -> dict[str, Any]:
+    """What each test says of an identification from the rest: its groups, and rms before and after by linear axis.
+
+    document: the identification with its procedure. Readings at the tool sit out by line, circle, plate or socket;
+    records of components by run or target. A test without a second group is not in the result.
+    """
+    chain, how = compile_chain(machine), document["procedure"]
+    lasers = {n: Laser(**beam) for n, beam in how["lasers"].items()}
+    every, counts = readings.of_tests(chain, tests, lasers, how["squares"])
+    model = identify.Parametrisation.of(chain, how["modes"], tuple(how["without"]))
+    out: dict[str, Any] = {}
+    start = 0
+    for name, count in counts.items():
+        own = np.arange(start, start + count)
+        start += count
+        number, labels = held_out.groups(chain, every.take(own))
+        group = np.full(len(every), -1)
+        group[own] = number
+        left = held_out.judge(model, every, group, labels, progress)
+        if left:
+            out[name] = _at_the_tool(chain, every, left)
+    for name, recording in tests.items():
+        if name not in counts:
+            family = _family(machine, how, recording)
+            found = _of_components(chain, family, recording, progress)
+            out |= {name: found} if found else {}
+    return out
+
+
+def _at_the_tool(chain: Chain, every: Any, left: list[held_out.Left]) -> dict[str, Any]:
+    """Figures of readings at the tool, um."""
+    rows = np.concatenate([one.rows for one in left])
+    share = held_out.shares(chain, every.take(rows))
+    both = {k: np.concatenate([getattr(one, k) for one in left]) for k in ("before", "after")}
+    axes = {}
+    for a, axis in enumerate(remaining.linear_axes(chain)):
+        if share[:, a].sum() > 1e-9:
+            axes[axis] = {f"rms_{k}": float(np.sqrt(share[:, a] @ v**2 / share[:, a].sum())) for k, v in both.items()}
+    groups = [{"label": one.label, "rows": len(one.rows)} | _rms(one.before, one.after) for one in left]
+    return {"groups": groups, "axes": axes} | _rms(**both)
+
+
+def _rms(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
+    return {"rms_before": float(np.sqrt(np.mean(before**2))), "rms_after": float(np.sqrt(np.mean(after**2)))}
+
+
+def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> Direct:
+    motions = tuple(c for c in recording.components() if records.direct.is_motion(c))
+    lasers = {n: beam for n, beam in how["lasers"].items() if n in motions}
+    return Direct(machine=machine, modes=how["modes"], components=motions, lasers=lasers)
+
+
+def _of_components(chain: Chain, family: Direct, recording: Recording, progress: Any) -> dict[str, Any]:
+    """Figures of records of single components: each counts with its mean square arm in the volume, um."""
+    _, folds = family.folds(recording, None)
+    found: dict[str, list[HeldOut]] = {}
+    groups = []
+    for number, fold in enumerate(folds):
+        progress(number / len(folds), f"without {fold.label}")
+        judged_now = family.judge(recording, fold)
+        for component, one in judged_now.items():
+            found.setdefault(component, []).append(one)
+        if judged_now:
+            groups.append({"label": fold.label, "rows": int(sum(one.rows.size for one in judged_now.values()))})
+    if not found:
+        return {}
+    q = remaining.places(chain)
+    ways = np.linalg.pinv(remaining.linear_motion(chain, q))
+    arms = np.mean((ways @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
+    axes: dict[str, dict[str, float]] = {}
+    total = {"rms_before": 0.0, "rms_after": 0.0}
+    for a, axis in enumerate(remaining.linear_axes(chain)):
+        square = {"rms_before": 0.0, "rms_after": 0.0}
+        for component, parts in found.items():
+            weight = float(arms[a, chain.index(component)])
+            for key, values in (("rms_before", [p.before for p in parts]), ("rms_after", [p.after for p in parts])):
+                square[key] += weight * float(np.mean(np.concatenate(values) ** 2))
+        if square["rms_before"] > 0.0:
+            axes[axis] = {k: float(np.sqrt(v)) for k, v in square.items()}
+        total = {k: total[k] + v for k, v in square.items()}
+    return {"groups": groups, "axes": axes} | {k: float(np.sqrt(v)) for k, v in total.items()}
+
+
+def pass_gate(
+    document: Mapping[str, Any], validations: list[Mapping[str, Any]], axes: tuple[str, ...] | None = None
+) -> tuple[str, ...]:
+    """The linear axes that a table of an identification may move.
+
+    Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
+    out; an axis whose identified error is below the noise of a reading is left alone. axes: those to judge (default:
+    all). Raises GateError where no validation judged it, or where an axis or the machine may get worse.
+    """
+    if not validations:
+        raise GateError(
+            "export: nothing has judged this identification on measurements that sat out (add a `validate` stage "
+            "after it, or say `ungated: true` to export it all the same)"
+        )
+    told = document["volumetric"]
+    wanted = {n: a for n, a in told["axes"].items() if axes is None or n in axes}
+    kept = {n: a for n, a in wanted.items() if a["effect_rms_um"] > document["noise_um"]}
+    wrong = [_harmful(n, a) for n, a in kept.items() if not a["probability_worse"] <= MOST_HARM]
+    wrong = wrong or ([] if told["probability_worse"] <= MOST_HARM or axes else [_harmful("the machine", told)])
+    for validation in validations:
+        for test, figures in validation.items():
+            judged_axes = {n: figures["axes"][n] for n in kept if n in figures["axes"]}
+            wrong += [_not_better(f"{n} in {test}", f) for n, f in judged_axes.items() if _worse(f)]
+            wrong += [] if wrong or not judged_axes or not _worse(figures) else [_not_better(test, figures)]
+    if not kept:
+        wrong = ["no axis has an identified error above the noise of a reading"]
+    if wrong:
+        raise GateError(
+            f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}{_others(kept, wrong, axes)}"
+        )
+    return tuple(kept)
+
+
+def _worse(figures: Mapping[str, float]) -> bool:
+    return not figures["rms_after"] < (1.0 - TIE) * figures["rms_before"]
+
+
+def _harmful(name: str, told: Mapping[str, float]) -> str:
+    return (
+        f"{name}: identified {told['effect_rms_um']:.3g} um rms over the travel, {told['left_rms_um']:.3g} left open; "
+        f"worse with it than without with a probability of {told['probability_worse']:.2g} (allowed: {MOST_HARM})"
+    )
+
+
+def _not_better(name: str, told: Mapping[str, float]) -> str:
+    return f"{name}: {told['rms_before']:.3g} -> {told['rms_after']:.3g} um on measurements that sat out"
+
+
+def _help(document: Mapping[str, Any]) -> str:
+    measures = [m["measure"] for m in document.get("would_show", ())][:3]
+    return f" It would help to add: {'; '.join(measures)}." if measures else ""
+
+
+def _others(kept: Mapping[str, Any], wrong: list[str], axes: tuple[str, ...] | None) -> str:
+    bad = {w.split(":")[0].split(" ")[0] for w in wrong}
+    good = [n for n in kept if n not in bad]
+    return (
+        f" `axes: [{', '.join(good)}]` corrects the others alone." if good and axes is None and bad < set(kept) else ""
+    )

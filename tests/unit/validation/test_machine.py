@@ -1,0 +1,152 @@
+"""Identified machines are judged on whole groups that sat out, and nothing that may make an axis worse is exported."""
+
+from __future__ import annotations
+
+import copy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe import yamlfile
+from errpipe.cli.app import main
+from errpipe.domain.machine import Machine
+from errpipe.errors import GateError
+from errpipe.kinematics import held_out, identify, observations, readings, remaining, summary
+from errpipe.kinematics.chain import compile_chain
+from errpipe.simulation import measuring_runs, metrology
+from errpipe.validation import machine as gate
+
+TOP = Path(__file__).parents[3]
+CENTRE = TOP / "examples" / "machines" / "vertical-centre.yaml"
+MACHINE = yamlfile.load(CENTRE, Machine)
+HOW = {"modes": 12, "without": [], "lasers": {}, "squares": {}}
+
+
+def measured(protocol, seed=2):
+    chain = compile_chain(MACHINE)
+    values = metrology.smooth_machine(chain, seed)
+    runs = measuring_runs.cloud(chain, 50) if protocol == "point_cloud" else measuring_runs.PROTOCOLS[protocol](chain)
+    return chain, metrology.record(chain, values, protocol, runs, seed)
+
+
+def identified(chain, recording):
+    obs, _ = readings.of_tests(chain, {"test": recording})
+    found = identify.identify(identify.Parametrisation.of(chain), obs)
+    return summary.document(found, obs, extra=False) | {"procedure": HOW}
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    chain, recording = measured("point_cloud")
+    document = identified(chain, recording)
+    return document, gate.judged(MACHINE, document, {"test": recording})
+
+
+def test_both_senses_of_a_circle_sit_out_together():
+    chain, recording = measured("ballbar_circle")
+    obs, _ = readings.of_tests(chain, {"test": recording})
+    number, names = held_out.groups(chain, obs)
+    assert sorted(names) == [f"0.{n} {p} ccw, 0.{n} {p} cw" for n in (4, 6) for p in ("XY", "XZ", "YZ")]
+    assert all(len(set(number[obs.label == f"0.4 XY {way}"])) == 1 for way in ("cw", "ccw"))
+
+
+def test_a_cloud_passes_and_its_figures_are_of_readings_that_sat_out(cloud):
+    document, judged = cloud
+    figures = judged["test"]
+    assert len(figures["groups"]) == 3 and figures["rms_after"] < 0.2 * figures["rms_before"]
+    assert gate.pass_gate(document, [judged]) == ("X", "Y", "Z")
+
+
+def test_what_nobody_judged_is_refused(cloud):
+    with pytest.raises(GateError, match="nothing has judged this identification"):
+        gate.pass_gate(cloud[0], [])
+
+
+def test_one_axis_that_stays_as_bad_refuses_the_table_and_names_the_others(cloud):
+    """A table of all components whose X goes from 37.7 to 39.2 um on what sat out."""
+    document, judged = cloud
+    judged = copy.deepcopy(judged)
+    judged["test"]["axes"]["X"] = {"rms_before": 37.7, "rms_after": 39.2}
+    with pytest.raises(GateError, match=r"X in test: 37\.7 -> 39\.2 um.*Nothing was exported.*axes: \[Y, Z\]"):
+        gate.pass_gate(document, [judged])
+    assert gate.pass_gate(document, [judged], ("Y", "Z")) == ("Y", "Z")
+
+
+def test_one_axis_that_its_posterior_doubts_refuses_the_table(cloud):
+    document, judged = copy.deepcopy(cloud[0]), cloud[1]
+    document["volumetric"]["axes"]["Z"]["probability_worse"] = 0.3
+    with pytest.raises(GateError, match=r"Z: identified .* probability of 0\.3"):
+        gate.pass_gate(document, [judged])
+
+
+def test_an_axis_without_error_is_left_alone(cloud):
+    document = copy.deepcopy(cloud[0])
+    document["volumetric"]["axes"]["Z"] = {"effect_rms_um": 0.1, "left_rms_um": 0.1, "probability_worse": 0.4}
+    assert gate.pass_gate(document, [cloud[1]]) == ("X", "Y")
+
+
+def test_readings_that_contradict_the_rest_are_worse_where_they_sit_out():
+    """The second tool's readings have the wrong sign: what the first says of them doubles them."""
+    chain, recording = measured("point_cloud")
+    obs, _ = readings.of_tests(chain, {"test": recording})
+    second = obs.label == "tool 1"
+    obs = obs.take(np.flatnonzero(second | (obs.label == "tool 0")))
+    second = obs.label == "tool 1"
+    wrong = obs.with_value(np.where(second, -obs.value, obs.value))
+    model = identify.Parametrisation.of(chain)
+    for readings_now, better in ((obs, True), (wrong, False)):
+        left = held_out.judge(model, readings_now, second.astype(int), ("0", "1"))[1]
+        assert (np.std(left.after) < np.std(left.before)) == better
+
+
+def test_an_angle_counts_with_the_arm_it_has_in_the_volume():
+    """A level about Y moves the tool along X and Z by what the other coordinate is from the middle."""
+    chain = compile_chain(MACHINE)
+    q = chain.travel.mean(axis=1)[None]
+    level = observations.angle(chain, q, chain.tip(), (0.0, 1.0, 0.0))
+    spread = np.ptp(chain.travel, axis=1) / np.sqrt(12.0) * 1e-3
+    order = [chain.axes.index(a) for a in "XYZ"]
+    share = dict(zip(remaining.linear_axes(chain), np.sqrt(held_out.shares(chain, level)[0]), strict=True))
+    assert share["X"] == pytest.approx(spread[order[2]], rel=0.1)
+    assert share["Z"] == pytest.approx(spread[order[0]], rel=0.1) and share["Y"] < 1e-9
+
+
+PIPELINE = """pipeline: 1
+title: weak test
+stages:
+  - {{kind: simulate_test, protocol: {protocol}, machine: {machine}, seed: {seed}}}
+  - {{kind: ingest}}
+  - {{kind: identify, machine: {machine}}}
+  {validate}
+  - {{kind: export_volumetric}}
+"""
+
+
+def test_a_weak_test_ends_with_exit_code_4_and_writes_no_table(tmp_path, capsys):
+    text = PIPELINE.format(protocol="diagonal", seed=2, machine=CENTRE, validate="- {kind: validate}")
+    (tmp_path / "p.yaml").write_text(text)
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 4
+    assert "Nothing was exported" in capsys.readouterr().err
+    assert not list((tmp_path / "out").rglob("table.*"))
+
+
+def test_an_identification_that_nothing_judged_ends_with_exit_code_4(tmp_path, capsys):
+    text = PIPELINE.format(protocol="point_cloud", seed=1, machine=CENTRE, validate="")
+    (tmp_path / "p.yaml").write_text(text)
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 4
+    assert "add a `validate` stage" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_nothing_exported_is_worse_than_nothing():
+    """Three seeds of every protocol on one machine of three axes and one of five; 20 of all by the same command."""
+    asked = ["--seeds", "3", "--machines", "vertical-centre,five-axis-table-table"]
+    ran = subprocess.run(
+        [sys.executable, "-m", "trials.volumetric", *asked], cwd=TOP, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0 and "worse than nothing: 0" in ran.stdout, ran.stdout + ran.stderr
+    exported = [line.split("|")[3].strip() for line in ran.stdout.splitlines()[2:-1]]
+    assert sum(map(int, exported)) >= 12, ran.stdout

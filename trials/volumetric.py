@@ -1,0 +1,147 @@
+"""Is anything exported that makes a machine worse? Every measuring protocol on simulated machines of known truth.
+
+python -m trials.volumetric [--seeds 20] [--first 1] [--machines vertical-centre,...] [--protocols diagonal,...]
+
+Each machine is measured, identified, judged on the measurements that sat out, and passed through the gate of
+`export_volumetric`. What passes is compared with the true machine over the whole travel, in all and axis by axis. Ends
+with 1 where something that passed is worse than nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from errpipe import yamlfile
+from errpipe.domain.machine import Machine
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, GateError
+from errpipe.kinematics import identify, readings, remaining, summary, synthesis
+from errpipe.kinematics.chain import Chain, compile_chain
+from errpipe.kinematics.errors import MachineErrors
+from errpipe.simulation import direct_records, measuring_runs, metrology
+from errpipe.validation import machine as gate
+
+MACHINES = Path(__file__).parents[1] / "examples" / "machines"
+PROTOCOLS = ("direct", *measuring_runs.PROTOCOLS)
+NOISE = 0.5  # um
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """axes: corrected after the gate of the whole table, or axis by axis where that refused; before, after: rms, um."""
+
+    passed: bool
+    axes: tuple[str, ...]
+    before: dict[str, float]
+    after: dict[str, float]
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Corrected axes, or `all`, that are truly worse than without."""
+        return tuple(n for n in (*self.axes, "all") if self.axes and not self.after[n] < self.before[n])
+
+
+def outcome(name: str, protocol: str, seed: int) -> Outcome:
+    """One machine measured by one protocol. Raises DataError where the machine cannot be measured so."""
+    machine = yamlfile.load(MACHINES / f"{name}.yaml", Machine)
+    chain = compile_chain(machine)
+    values = metrology.smooth_machine(chain, seed)
+    tests = {protocol: _measured(chain, values, protocol, seed)}
+    obs, _ = readings.of_tests(chain, tests)
+    found = identify.identify(identify.Parametrisation.of(chain), obs)
+    how = {"modes": 12, "without": [], "lasers": {}, "squares": {}}
+    document = summary.document(found, obs, extra=False) | {"procedure": how}
+    judged = [gate.judged(machine, document, tests)]
+    passed, axes = True, _passes(document, judged, None)
+    if not axes:
+        passed = False
+        axes = tuple(a for a in remaining.linear_axes(chain) if _passes(document, judged, (a,)))
+    before, after = true_rms(chain, MachineErrors.of(chain, values, 401), found.errors(), axes)
+    return Outcome(passed, axes, before, after)
+
+
+def _measured(chain: Chain, values: metrology.Values, protocol: str, seed: int) -> Recording:
+    if protocol == "direct":
+        return direct_records.record(chain, values, direct_records.SetUp(noise=NOISE), seed)
+    return metrology.record(chain, values, protocol, measuring_runs.PROTOCOLS[protocol](chain), seed, noise=NOISE)
+
+
+def _passes(document: dict, judged: list, axes: tuple[str, ...] | None) -> tuple[str, ...]:
+    try:
+        return gate.pass_gate(document, judged, axes)
+    except GateError:
+        return ()
+
+
+def true_rms(
+    chain: Chain, truth: MachineErrors, found: MachineErrors, axes: tuple[str, ...]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """rms over the travel of what each linear axis corrects, and of all of it, um; before and after.
+
+    axes: those that are corrected. The workpiece's shift and turn is taken out, as its datum does.
+    """
+    linear = remaining.linear_axes(chain)
+
+    def true(q: np.ndarray) -> np.ndarray:
+        return synthesis.exact(chain, q, truth.at(q))[:, :3]
+
+    def left(q: np.ndarray) -> np.ndarray:
+        ways = remaining.linear_motion(chain, q)
+        moved = np.linalg.pinv(ways) @ synthesis.first_order(chain, q, found.at(q))[:, :3, None]
+        moved *= np.array([a in axes for a in linear], dtype=float)[:, None]
+        return true(q) - (ways @ moved)[:, :, 0]
+
+    q = remaining.places(chain)
+    inverse = np.linalg.pinv(remaining.linear_motion(chain, q))
+    out = []
+    for field in (true, left):
+        size = (inverse @ remaining.without_pose(chain, field, q)(q)[:, :, None])[:, :, 0]
+        rms = dict(zip(linear, np.sqrt(np.mean(size**2, axis=0)).tolist(), strict=True))
+        out.append(rms | {"all": float(np.sqrt(np.mean(np.sum(size**2, axis=1))))})
+    return out[0], out[1]
+
+
+def campaign(machines: list[str], protocols: list[str], seeds: range) -> Iterator[tuple[str, str, list[Outcome]]]:
+    """Machine, protocol and its outcomes; without protocols that a machine cannot be measured by."""
+    for name in machines:
+        for protocol in protocols:
+            try:
+                yield name, protocol, [outcome(name, protocol, seed) for seed in seeds]
+            except DataError:
+                continue
+
+
+def main() -> int:
+    """Play all, print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--machines", default=",".join(sorted(p.stem for p in MACHINES.glob("*.yaml"))))
+    parser.add_argument("--protocols", default=",".join(PROTOCOLS))
+    asked = parser.parse_args()
+    seeds = range(asked.first, asked.first + asked.seeds)
+    print("| machine | protocol | exported | some axes | refused | worse | before -> after, um, median of exported |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    bad = 0
+    for name, protocol, found in campaign(asked.machines.split(","), asked.protocols.split(","), seeds):
+        whole = [o for o in found if o.passed]
+        some = [o for o in found if o.axes and not o.passed]
+        worse = [(seed, o.worse) for seed, o in zip(seeds, found, strict=True) if o.worse]
+        bad += len(worse)
+        told = "-"
+        if whole:
+            told = " -> ".join(f"{np.median([getattr(o, k)['all'] for o in whole]):.3g}" for k in ("before", "after"))
+        row = (name, protocol, len(whole), len(some), len(found) - len(whole) - len(some), worse or 0, told)
+        print("| " + " | ".join(map(str, row)) + " |", flush=True)
+    print(f"worse than nothing: {bad}")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
