@@ -56,12 +56,17 @@ def merge(pairs: Sequence[Lowered]) -> list[Lowered]:
             levels.append(pair)
             continue
         key = (unit.model_dump_json(), pair.axis, pair.period)
-        curves.setdefault(key, []).append(Lowered(unit, pair.axis, _times(pair.profile, gain), pair.period))
+        curves.setdefault(key, []).append(replace(pair, driver=unit, profile=_times(pair.profile, gain)))
     merged = [
-        Lowered(g[0].driver, g[0].axis, _total([p.profile for p in g if p.profile]), g[0].period)
+        Lowered(g[0].driver, g[0].axis, _total([p.profile for p in g if p.profile]), g[0].period, common_nodes(g))
         for g in curves.values()
     ]
     return merged + _sum_of_levels(levels)
+
+
+def common_nodes(pairs: Sequence[Lowered]) -> tuple[float, ...]:
+    """The nodes between which a sum of profiles is straight; () where they are not the same for all."""
+    return pairs[0].nodes if len({p.nodes for p in pairs}) == 1 else ()
 
 
 def _unit(driver: d.Driver) -> tuple[d.Driver, float]:

@@ -17,12 +17,16 @@ PIPELINE = "pipeline.yaml"
 
 @dataclass(frozen=True)
 class Template:
-    """sample: function of `simulation.sample_recordings` that makes the recording; None: the pipeline simulates it."""
+    """sample: function of `simulation.sample_recordings` that makes the recording; None: the pipeline simulates it.
+
+    own: the pipeline for a recording of the user's, where it is another one.
+    """
 
     about: str
     sample: str | None
     targets: tuple[str, ...] = ()
     machine: str | None = None
+    own: str | None = None
 
 
 TEMPLATES = {
@@ -31,7 +35,7 @@ TEMPLATES = {
     ),
     "dial-gauge": Template("a hobby machine's axis by dial gauge", "dial_gauge", ("linuxcnc_screw",)),
     "diagnose-log": Template("a log of the control, diagnosed", "axis_log"),
-    "spindle-drift": Template("spindle drift over seasons", None, ("c_runtime",)),
+    "spindle-drift": Template("spindle drift over seasons", None, ("c_runtime",), own="spindle-drift-own"),
     "gantry": Template("a gantry's Z reference, warming up", "gantry", ("linuxcnc_hal",)),
     "drilled-plate": Template("a planar map from drilled plates", "drilled_plate", ("linuxcnc_hal",)),
     "five-axis": Template("a five-axis machine, identified", None, (), "five-axis.machine.yaml"),
@@ -48,7 +52,7 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     if name not in TEMPLATES:
         raise UsageError(f"no template {name!r} (templates: {', '.join(TEMPLATES)}).{did_you_mean(name, TEMPLATES)}")
     template, folder = TEMPLATES[name], Path(folder)
-    if recording is not None and template.sample is None:
+    if recording is not None and template.sample is None and template.own is None:
         raise UsageError(f"template {name} simulates its recording; replace that stage in {PIPELINE} (no --recording)")
     texts = _texts(name, template, folder, recording, targets)
     there = [n for n in texts if (folder / n).exists()]
@@ -78,7 +82,9 @@ def _texts(
     from errpipe.stages import STAGES
 
     texts = {
-        PIPELINE: _filled(_data(f"{name}.txt"), template, folder, recording, targets),
+        PIPELINE: _filled(
+            _data(f"{(template.own if recording else None) or name}.txt"), template, folder, recording, targets
+        ),
         "Makefile": _data("Makefile.txt"),
         ".gitignore": _data("gitignore.txt"),
         ".github/workflows/errpipe.yml": _data("workflow.txt"),

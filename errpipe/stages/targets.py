@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from errpipe.errors import GateError, UsageError, did_you_mean
 from errpipe.files import inside
 from errpipe.stages import _artefacts, _plausible
+from errpipe.stages._checklist import checklist
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 CHECKLIST = "CHECKLIST.md"
+LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss for which another format is worth a look
 DIGITS = 6  # of a loss in um: what lies below is rounding, which differs between machines and would fail `verify`
 
 
@@ -162,7 +164,9 @@ def write_targets(
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
-        steps = checklist(target, target.read_back(files), lost, table) + _companions(table, target, others)
+        steps = checklist(target, target.read_back(files), lost, table, others) + _companions(table, target, others)
+        hint = "" if others else sibling(table, target, lost)
+        steps += f"\n{hint}\n" if hint else ""
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
             {
@@ -171,10 +175,35 @@ def write_targets(
                 "error": in_words(lost),
                 "read_back": "compared",
                 "losses": lost,
+                **({"sibling": hint} if hint else {}),
             }
             for name in files
         ]
     return out
+
+
+def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
+    """Which formats of the same controller say what this one leaves behind, in a sentence; "" where that is little."""
+    from errpipe.targets import TARGETS
+
+    worst = max(lost, key=lambda x: x["rms_um"] / max(x["table_rms_um"], 1e-9), default=None)
+    if worst is None or worst["rms_um"] < max(LARGE_SHARE * worst["table_rms_um"], LARGE_UM):
+        return ""
+    best: tuple[float, str, str] | None = None
+    for parts in together(TARGETS):
+        if target not in parts:
+            continue
+        try:
+            _, read = write_together(table, parts)
+        except GateError:
+            continue
+        left = _loss_rows(table, read)
+        size = sum(x["rms_um"] ** 2 for x in left)
+        if best is None or size < 0.9 * best[0]:
+            best = size, ", ".join(o.name for o in parts if o is not target), in_words(left)
+    if best is None or best[0] >= 0.25 * sum(x["rms_um"] ** 2 for x in lost):  # not even half of it
+        return ""
+    return f"{best[1]} can say what {target.name} leaves behind; with both among the targets: {best[2]}."
 
 
 def with_something_to_add(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:
@@ -242,118 +271,6 @@ def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
     seen = f" um on {lost[0]['states']} states" if lost else " nothing: no axis is moved"
     return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} largest seen" for x in lost) + seen
-
-
-def checklist(target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable) -> str:
-    """What a person at the machine does: sign, activation, moves with expected values, what is lost."""
-    lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
-    if table.title.startswith(_artefacts.UNGATED):
-        lines += [
-            "",
-            f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
-            "",
-        ]
-    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
-    read = _within_travel(read, table)
-    lines += [f"- {says}." for says in (*_plausible.of_files(read), *_at_the_axis(table))] + ["", "## Switch it on", ""]
-    lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
-    lines += ["", "## Three-point check", ""]
-    if moves := _moves(read):
-        lines += [
-            "Go there from below, then from above, other axes at mid travel; expect this correction.",
-            _state(table),
-        ]
-        lines += ["", "| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
-        lines += moves
-    else:
-        lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
-    lines += ["", "## What this format leaves behind", ""]
-    lines += [
-        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, largest seen {x['largest_um']:.3g} um"
-        for x in lost
-    ]
-    if lost:
-        seen = lost[0]["states"]
-        lines += ["", f"Seen on {seen} random settled states inside validity and at its ends; not a bound."]
-    return "\n".join([*lines, ""])
-
-
-def _at_the_axis(table: CompensationTable) -> list[str]:
-    """How a component that has no axis of its own, such as a diameter, moves the axis that corrects it."""
-    from errpipe.domain import components
-
-    says = []
-    for output in table.outputs:
-        for term in output.terms:
-            try:
-                parsed = components.parse(term.component)
-            except ValueError:
-                continue
-            if output.axis and parsed.kind in ("diameter", "circular") and not term.factors:
-                along, less = 10.0 * term.weight, "less" if term.weight > 0 else "more"
-                says.append(
-                    f"a {components.describe(parsed.name)} of +10 um stands for {along:+g} um along {output.axis}, so "
-                    f"{output.axis} is told to go {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
-                    "the export; turn one piece before trusting its sign)"
-                )
-    return says
-
-
-def _within_travel(read: Any, table: CompensationTable) -> Any:
-    """What was read back, its curves cut at the ends of travel: a file's grid may reach further than the axis."""
-    from dataclasses import replace
-
-    import numpy as np
-
-    from errpipe.targets import _sample
-
-    curves = []
-    for c in read.curves:
-        low, high = _sample.reach(table, c.over)
-        inside = c.positions[(c.positions > low) & (c.positions < high)]
-        x = np.concatenate(([low], inside, [high])) if high > low else c.positions
-        up, down = (np.interp(x, c.positions, v) for v in (c.up, c.down))
-        curves.append(replace(c, positions=x, up=up, down=down))
-    return replace(read, curves=tuple(curves))
-
-
-def _state(table: CompensationTable) -> str:
-    """The readings at which the expected corrections hold."""
-    from errpipe.targets import _sample
-
-    start, moving = _sample.middle(table), set(_sample.positions_of(table).values())
-    still = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
-    if not still:
-        return "Nothing else matters to it: no temperature, no speed."
-    return f"It holds at {', '.join(still)}, all of them steady; at other readings expect other values."
-
-
-def _moves(read: Any) -> list[str]:
-    """Rows of the move list: three points of each curve, the corners of each product, one kelvin of each sensor."""
-    import numpy as np
-
-    ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
-    for part in (*read.products, *read.planes):
-        grids = getattr(part, "positions", None) or (part.first, part.second)
-        ends |= {over: (float(x[0]), float(x[-1])) for over, x in zip(part.over, grids, strict=True)}
-    middle = {over: np.full(1, (low + high) / 2) for over, (low, high) in ends.items()}
-    cold = {line.sensor: np.full(1, line.reference) for line in read.lines}
-
-    def row(axis: str, over: str, where: str, at: dict[str, float]) -> str:
-        there = middle | {name: np.full(1, x) for name, x in at.items()}
-        up, down = (1e3 * float(read.correction(axis, there, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
-        return f"| {axis} | {over} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
-
-    lines = []
-    for axis, over in dict.fromkeys((c.axis, c.over) for c in read.curves):
-        lines += [row(axis, over, f"{x:.3f}", {over: float(x)}) for x in np.linspace(*ends[over], 3)]
-    for axis, (a, b) in dict.fromkeys((p.axis, p.over) for p in (*read.products, *read.planes)):
-        corners = [(x, y) for x in ends[a] for y in ends[b]]
-        lines += [row(axis, f"{a} and {b}", f"{x:.3f}, {y:.3f}", {a: x, b: y}) for x, y in corners]
-    for line in read.lines:
-        per_kelvin = 1e3 * line.level
-        lines.append(f"| {line.axis} | {line.sensor} +1 K | {line.zero:.3f} | {per_kelvin:+.3f} | {per_kelvin:+.3f} |")
-    return lines
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -23,6 +23,7 @@ from errpipe.tables.gridding import grid, interpolation_error, quantise
 # Up to this many intervals all profiles of an axis take the finest grid among them: 2 KB each buys one place on
 # the grid for all of them (half the cycle of a machine of 21 components).
 COMMON_GRID_INTERVALS = 512
+SAME_STEP = 1e-6  # of the span: steps that differ by less are one step, written with few digits
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ class _Group:
     driver: int
     axis: str | None
     period: float | None
-    curves: list[Callable[[np.ndarray], np.ndarray] | None]
+    pairs: list[Lowered]
 
     def keeps(self, build: Nodes) -> bool:
         """Whether no validity box speaks about its driver."""
@@ -140,9 +141,16 @@ class _Group:
 
     def curve(self, x: np.ndarray) -> np.ndarray:
         total = np.zeros(np.shape(x))
-        for c in self.curves:
-            total = total + (1.0 if c is None else np.asarray(c(x), dtype=float))
+        for pair in self.pairs:
+            total = total + (1.0 if pair.profile is None else np.asarray(pair.profile(x), dtype=float))
         return total
+
+    def own_grid(self) -> tuple[float, float, int]:
+        """Start, end and intervals of the nodes of its curves where they are equidistant; no intervals elsewhere."""
+        nodes = np.array(self.pairs[0].nodes if len({p.nodes for p in self.pairs}) == 1 else ())
+        if nodes.size < 2 or np.ptp(np.diff(nodes)) > SAME_STEP * (nodes[-1] - nodes[0]):
+            return 0.0, 0.0, 0
+        return float(nodes[0]), float(nodes[-1]), nodes.size - 1
 
     def profile(
         self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
@@ -152,16 +160,16 @@ class _Group:
         channel = build.position(self.axis)
         low, high = travel.get(self.axis) or channel.valid or (channel.low, channel.high)
         factor = max(bounds.largest(spans[self.driver]), 1e-9)
-        made = grid(
-            self.curve,
-            low,
-            high,
-            bound=bound / factor,
-            unit=_unit(0.001 / max(1.0, factor)),
-            period=self.period,
-            most=most,
-            what=f"profile over {self.axis}",
-        )
+        unit = _unit(0.001 / max(1.0, factor))
+        start, end, intervals = self.own_grid()
+        error = interpolation_error(self.curve, start, end, intervals) if intervals else np.inf
+        if error <= bound / factor:
+            made = quantise(self.curve, start, end, intervals, error, unit, periodic=False)
+        else:
+            what = f"profile over {self.axis}"
+            made = grid(
+                self.curve, low, high, bound=bound / factor, unit=unit, period=self.period, most=most, what=what
+            )
         if len(set(made.values)) == 1:
             return _constant(made.values[0] * made.scale)
         return t.Profile.model_validate(made.model_dump() | {"input": channel.name})
@@ -173,7 +181,7 @@ def _groups(build: Nodes, component: ComponentSource) -> list[_Group]:
         driver = build.compile(pair.driver)
         axis = pair.axis if pair.profile is not None else None
         key = (driver, axis, pair.period if axis else None)
-        found.setdefault(key, _Group(driver, axis, key[2], [])).curves.append(pair.profile)
+        found.setdefault(key, _Group(driver, axis, key[2], [])).pairs.append(pair)
     return list(found.values())
 
 
@@ -185,7 +193,7 @@ def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Prof
     out = []
     for group, p in zip(groups, made, strict=True):
         intervals = finest[_range(p)]
-        if p.input is not None and len(p.values) - 1 < intervals <= COMMON_GRID_INTERVALS:
+        if p.input is not None and len(p.values) - 1 < intervals <= COMMON_GRID_INTERVALS and not group.own_grid()[2]:
             end = p.start + p.step * (len(p.values) - 1)
             error = interpolation_error(group.curve, p.start, end, intervals)
             finer = quantise(group.curve, p.start, end, intervals, error, p.scale, p.periodic)

@@ -143,6 +143,14 @@ class ReadBack:
         return total
 
 
+@dataclass(frozen=True)
+class ByHand:
+    """A number to enter, in words, and the curve that it adds to the files (None: it adds nothing)."""
+
+    says: str
+    curve: Curve | None = None
+
+
 class Target:
     """Base of all targets. One subclass a file; subclasses are never instantiated."""
 
@@ -190,6 +198,14 @@ class Target:
             for name in (n for n in files if n.endswith(end)):
                 out[name] = "\n".join(x for x in files[name].split("\n") if not _is_remark(x, form))
         return out
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        """Numbers that no file carries and a person enters.
+
+        read: what the controller makes of the files; others: names of the targets that are loaded besides.
+        """
+        return ()
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

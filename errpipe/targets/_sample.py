@@ -138,21 +138,37 @@ def _beyond(values: np.ndarray, x: np.ndarray, end: float, *, backwards: bool = 
 def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um: float) -> tuple[Points, float]:
     """The coarsest uniform grid of at most `most` points within `error_um`, and its largest error in um.
 
-    Where even `most` points do not suffice, they are given with the error they leave.
+    A grid of the table itself is taken where no coarser one does: it holds the targets of a measurement. Where even
+    `most` points do not suffice, they are given with the error they leave.
     """
     low, high = span(table, over)
     fine = np.linspace(low, high, MOST_CURVE + 1)
     dense = curve(table, axis, over, fine)
+
+    def left(points: Points) -> float:
+        grid = points.positions()
+        gaps = (np.interp(fine, grid, np.interp(grid, fine, v)) - v for v in (dense.up, dense.down))
+        return 1e3 * max(float(np.abs(gap).max()) for gap in gaps)
+
     count = 2
     while True:
         points = Points(low, (high - low) / (count - 1), count)
-        grid = points.positions()
-        left = max(
-            float(np.abs(np.interp(fine, grid, np.interp(grid, fine, v)) - v).max()) for v in (dense.up, dense.down)
-        )
-        if left * 1e3 <= error_um or count >= most:
-            return points, left * 1e3
+        if left(points) <= error_um or count >= most:
+            break
         count = min(most, max(count + 1, int(count * 1.25)))
+    for own in _own_grids(table, over):
+        if own.count <= points.count and left(own) <= error_um:
+            return own, left(own)
+    return points, left(points)
+
+
+def _own_grids(table: CompensationTable, over: str) -> list[Points]:
+    """Grids of the table's profiles over the whole range of an axis, the coarsest first."""
+    name = positions_of(table)[over]
+    low, high = span(table, over)
+    grids = {Points(p.start, p.step, len(p.values)) for p in table.profiles if p.input == name and not p.periodic}
+    whole = [g for g in grids if np.allclose((g.positions()[0], g.positions()[-1]), (low, high))]
+    return sorted(whole, key=lambda g: g.count)
 
 
 def exact(points: Points) -> Points:
@@ -195,6 +211,12 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
             c = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
             found[axis] = float((c.up - c.down).mean())
     return {axis: value for axis, value in found.items() if abs(value) >= LEAST_REVERSAL}
+
+
+def reversal(axis: str, lost: float, low: float, high: float) -> Curve:
+    """What one reversal value does to an axis: half of it either way, mm (deg)."""
+    half = np.full(2, lost / 2)
+    return Curve(axis, axis, np.array([low, high]), half, -half)
 
 
 def around_zero(low: float, high: float, step: float) -> np.ndarray:

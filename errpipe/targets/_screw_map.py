@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target
+from errpipe.targets._base import ByHand, Curve, ReadBack, Target
 
 
 class ScrewMap(Target):
@@ -40,6 +40,19 @@ class ScrewMap(Target):
             name, text = cls.file_of(number, _sample.at_nodes(table, axis, axis, cls.grid(table, axis)))
             files[name] = files.get(name, "") + text
         return files
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        if "both directions" in cls.holds:
+            return tuple(
+                ByHand(f"{c.axis}: the control's backlash value = 0 (the file holds both)") for c in read.curves
+            )
+        lost, out = _sample.lost_motion(table), []
+        for _, axis in cls.own_axes(table):
+            value = lost.get(axis, 0.0)
+            part = _sample.reversal(axis, value, *_sample.span(table, axis)) if value else None
+            out.append(ByHand(f"{axis}: the control's backlash value = {value + 0.0:.4f} mm", part))
+        return tuple(out)
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -11,10 +11,12 @@ Limits    four decimals; the error at machine zero is 0, as the control wants it
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
-from errpipe.targets._base import CAUTION, Curve, expect
+from errpipe.domain.table import CompensationTable
+from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
 DECIMALS = 4
@@ -39,6 +41,13 @@ class FagorLscrw(ScrewMap):
     )
 
     most, error_um = 1000, 0.1
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        return tuple(
+            ByHand(f"{c.axis}: NPOINTS (P16) = {c.positions.size}, BACKLASH (P14) = 0, and each line of the file")
+            for c in read.curves
+        )
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

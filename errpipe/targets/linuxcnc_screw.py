@@ -9,9 +9,12 @@ Traps     no header, no comment, no comma, no empty line: the reader stops at th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from errpipe.targets._base import Curve, expect
+from errpipe.domain.table import CompensationTable
+from errpipe.targets._base import ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
 MOST = 256
@@ -32,6 +35,12 @@ class LinuxcncScrew(ScrewMap):
         "[JOINT_n] COMP_FILE_TYPE = 1",
         "read back joint.n.backlash-filt after each move: it is the value of the file",
     )
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        return tuple(
+            ByHand(f"[JOINT_n] of {c.axis}: no BACKLASH (the file holds both directions)") for c in read.curves
+        )
 
     most = MOST
     error_um = 0.05  # finer than any screw repeats

@@ -7,9 +7,12 @@ Limits    equidistant; one map before build 4780, separate maps per direction af
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from errpipe.targets._base import CAUTION, Curve, expect
+from errpipe.domain.table import CompensationTable
+from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -27,6 +30,16 @@ class Mach4ScrewMap(ScrewMap):
     activation = ("enter start, length and points under screw mapping; enable; compare three points from both sides",)
 
     most, error_um = 1000, 0.2
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        return tuple(
+            ByHand(
+                f"{c.axis}: start {c.positions[0]:g}, length {c.positions[-1] - c.positions[0]:g}, "
+                f"{c.positions.size} points, backlash 0, and each Error line of the file"
+            )
+            for c in read.curves
+        )
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -26,7 +26,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, NothingToAddError, Points, Product, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, ByHand, Curve, NothingToAddError, Points, Product, ReadBack, Target, expect
 
 MOST, TABLES = 200, 8
 ERROR_UM = 0.1
@@ -107,6 +107,17 @@ class SinumerikCec(Target):
             blocks += _four(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
         return {FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n" + named + told + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        most = max(c.positions.size for c in read.curves)
+        out = [ByHand(f"MD18342 MM_CEC_MAX_POINTS of each table = {most} or more")]
+        for axis in read.axes():
+            own = [np.abs([c.up, c.down]).max() for c in read.curves if c.axis == axis]
+            out.append(
+                ByHand(f"{axis}: MD32720 CEC_MAX_SUM above {float(sum(own)):.4f} mm (the tables' largest values)")
+            )
+        return tuple(out)
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, expect
+from errpipe.targets._base import ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -31,10 +32,9 @@ class SinumerikLec(ScrewMap):
     remark = {"": "; {}"}
     source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1 (K3); 808D manual"
     activation = (
-        "MD38000 MM_ENC_COMP_MAX_POINTS at least the number of points, then power on",
+        "MD38000 MM_ENC_COMP_MAX_POINTS at least the number below, then power on",
         "MD32700 ENC_COMP_ENABLE = 0 while the file is loaded, then 1; reference the axis again",
-        "the value at the reference point must be 0: read $AA_ENC_COMP back and compare three points",
-        "MD32450 BACKLASH carries what differs between the directions",
+        "MD32450 BACKLASH as below; read $AA_ENC_COMP back and compare three points from both sides",
     )
     goes_with = ("sinumerik_cec", "sinumerik_temperature")
 
@@ -43,6 +43,18 @@ class SinumerikLec(ScrewMap):
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         return _sample.exact(_sample.uniform(table, axis, axis, cls.most, cls.error_um)[0]).positions()
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        lost, out = _sample.lost_motion(table), []
+        for number, axis in cls.own_axes(table):
+            curve = next(c for c in read.curves if c.axis == axis)
+            out.append(ByHand(f"AX{number} ({axis}): MD38000 MM_ENC_COMP_MAX_POINTS = {curve.positions.size} or more"))
+            value = 0.0 if "sinumerik_cec" in others else lost.get(axis, 0.0)  # its tables hold both directions
+            side = "; above 0: the encoder runs ahead of the table" if value > 0 else ""
+            part = _sample.reversal(axis, value, *_sample.span(table, axis)) if value else None
+            out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH = {value + 0.0:.4f} mm{side}", part))
+        return tuple(out)
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

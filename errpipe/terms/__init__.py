@@ -66,6 +66,7 @@ TERMS: Choice[type[Term]] = Choice.of_files(
         "clock_offset",
         "sensor_fault",
         "chebyshev",
+        "measured_points",
         "harmonics",
         "offset",
         "profile_driver",

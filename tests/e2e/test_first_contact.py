@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from errpipe import jsonfile
 from errpipe.cli.app import main
 
 
@@ -96,6 +97,30 @@ def test_a_fast_log_to_a_diagnosis_in_two_commands(
     (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
     commands("errpipe import log.csv --out recording --yes", "errpipe diagnose recording --out diagnosis")
     assert "following error" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_spindle_log_to_a_model_in_three_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six hours of a spindle that is switched on and off; the growth is 3 um/K of its bearing."""
+    monkeypatch.chdir(tmp_path)
+    rng, t = np.random.default_rng(4), np.arange(0.0, 6 * 3600, 60.0)
+    speed = np.where((t // 3600) % 2 == 0, 8000, 0)
+    bearing = np.full(t.size, 22.0)
+    for k in range(1, t.size):
+        bearing[k] = bearing[k - 1] + 60 / 1500 * (22 + 15 * speed[k] / 8000 - bearing[k - 1])
+    z = 3.0 * (bearing - 22) + 0.3 * rng.normal(size=t.size)
+    lines = ["Uhrzeit;Drehzahl [1/min];T Spindellager [°C];T Raum [°C];Z Abw. [µm]"]
+    for a, n, b, c in zip(t.astype(int), speed, bearing, z, strict=True):
+        clock = f"{8 + a // 3600:02d}:{a // 60 % 60:02d}:00"
+        lines.append(f"{clock};{n};{b:.2f};{22 + 0.3 * np.sin(a / 8000):.2f};{c:.2f}".replace(".", ","))
+    (tmp_path / "spindel.csv").write_text("\n".join(lines), encoding="utf-8")
+    commands(
+        "errpipe import spindel.csv --out recording --yes",
+        "errpipe init --template spindle-drift work --recording recording",
+        "errpipe run work/pipeline.yaml --out out",
+    )
+    (judged,) = jsonfile.read(tmp_path / "out/validate/validation.json")["components"]
+    assert judged["rms_after"] < 0.1 * judged["rms_before"]
 
 
 def test_absolute_readings_called_errors_are_not_exported(

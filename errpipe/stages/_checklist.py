@@ -1,0 +1,174 @@
+"""What a person at the machine does with exported files: sign, numbers to enter, three points to compare, the loss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from errpipe.stages import _artefacts, _plausible
+
+if TYPE_CHECKING:
+    from errpipe.domain.table import CompensationTable
+
+LEAST_ZERO = 5e-5  # mm (deg): a zero that moves by less is not worth a line
+
+
+def checklist(
+    target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable, others: Sequence[str] = ()
+) -> str:
+    """The text for one target. read: what the controller makes of its files; others: targets loaded besides."""
+    lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
+    if table.title.startswith(_artefacts.UNGATED):
+        lines += [
+            "",
+            f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
+            "",
+        ]
+    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
+    numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others))
+    read = _within_travel(read, table)
+    lines += [f"- {says}." for says in (*_plausible.of_files(read), *_at_the_axis(table))] + ["", "## Switch it on", ""]
+    lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
+    if numbers:
+        lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
+    lines += ["", "## Three-point check", ""]
+    if moves := _moves(read):
+        lines += [
+            "Go there from below, then from above, other axes at mid travel; expect this correction.",
+            _state(table),
+        ]
+        lines += ["", "| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
+        lines += moves
+    else:
+        lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
+    lines += ["", "## What this format leaves behind", ""]
+    lines += [
+        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, largest seen {x['largest_um']:.3g} um"
+        for x in lost
+    ]
+    lines += _with_numbers(table, read, numbers)
+    if lost:
+        seen = lost[0]["states"]
+        lines += ["", f"Seen on {seen} random settled states inside validity and at its ends; not a bound."]
+    return "\n".join([*lines, ""])
+
+
+def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:
+    """What switching on does to the zero of each axis that has a curve over itself."""
+    import numpy as np
+
+    from errpipe.targets import _sample
+    from errpipe.targets._base import ByHand, Curve
+
+    out = []
+    for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):
+        if axis not in _sample.positions_of(table):
+            continue
+        unit, (low, high) = "deg" if axis[0] in "ABC" else "mm", _sample.span(table, axis)
+        x = np.append(np.linspace(low, high, 41), np.clip(0.0, low, high))
+        own = [c for c in read.curves if c.axis == c.over == axis]
+        said = np.sum([(np.interp(x, c.positions, c.up) + np.interp(x, c.positions, c.down)) / 2 for c in own], axis=0)
+        if target.keeps_level and abs(said[-1]) > LEAST_ZERO:
+            there = f"at {axis} = {x[-1]:g} {unit} the file says {said[-1]:+.4f} {unit}"
+            out.append(ByHand(f"reference zero: {there}, so the zero of {axis} moves by it"))
+        elif not target.keeps_level and not others:
+            whole = _sample.curve(table, axis, axis, x[:-1])
+            level = float(np.mean((whole.up + whole.down) / 2 - said[:-1]))
+            if abs(level) > LEAST_ZERO:
+                says = (
+                    f"reference zero: the file is 0 there; the datum of {axis} keeps the constant {level:+.4f} {unit}"
+                )
+                part = Curve(axis, axis, np.array([low, high]), np.full(2, level), np.full(2, level))
+                out.append(ByHand(says, part))
+    return out
+
+
+def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:
+    """What is left once the numbers are entered; nothing where they add nothing to the files."""
+    from errpipe.targets import _sample
+    from errpipe.targets._base import ReadBack
+
+    parts = tuple(number.curve for number in numbers if number.curve is not None)
+    if not parts:
+        return []
+    left = [x for x in _sample.loss(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
+    says = "; ".join(f"{x.axis} {x.rms:.3g} um rms, largest seen {x.largest:.3g} um" for x in left)
+    return [f"- with the numbers entered by hand: {says}"]
+
+
+def _at_the_axis(table: CompensationTable) -> list[str]:
+    """How a component that has no axis of its own, such as a diameter, moves the axis that corrects it."""
+    from errpipe.domain import components
+
+    says = []
+    for output in table.outputs:
+        for term in output.terms:
+            try:
+                parsed = components.parse(term.component)
+            except ValueError:
+                continue
+            if output.axis and parsed.kind in ("diameter", "circular") and not term.factors:
+                along, less = 10.0 * term.weight, "less" if term.weight > 0 else "more"
+                says.append(
+                    f"a {components.describe(parsed.name)} of +10 um stands for {along:+g} um along {output.axis}, so "
+                    f"{output.axis} is told to go {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
+                    "the export; turn one piece before trusting its sign)"
+                )
+    return says
+
+
+def _within_travel(read: Any, table: CompensationTable) -> Any:
+    """What was read back, its curves cut at the ends of travel: a file's grid may reach further than the axis."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from errpipe.targets import _sample
+
+    curves = []
+    for c in read.curves:
+        low, high = _sample.reach(table, c.over)
+        inside = c.positions[(c.positions > low) & (c.positions < high)]
+        x = np.concatenate(([low], inside, [high])) if high > low else c.positions
+        up, down = (np.interp(x, c.positions, v) for v in (c.up, c.down))
+        curves.append(replace(c, positions=x, up=up, down=down))
+    return replace(read, curves=tuple(curves))
+
+
+def _state(table: CompensationTable) -> str:
+    """The readings at which the expected corrections hold."""
+    from errpipe.targets import _sample
+
+    start, moving = _sample.middle(table), set(_sample.positions_of(table).values())
+    still = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
+    if not still:
+        return "Nothing else matters to it: no temperature, no speed."
+    return f"It holds at {', '.join(still)}, all of them steady; at other readings expect other values."
+
+
+def _moves(read: Any) -> list[str]:
+    """Rows of the move list: three points of each curve, the corners of each product, one kelvin of each sensor."""
+    import numpy as np
+
+    ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
+    for part in (*read.products, *read.planes):
+        grids = getattr(part, "positions", None) or (part.first, part.second)
+        ends |= {over: (float(x[0]), float(x[-1])) for over, x in zip(part.over, grids, strict=True)}
+    middle = {over: np.full(1, (low + high) / 2) for over, (low, high) in ends.items()}
+    cold = {line.sensor: np.full(1, line.reference) for line in read.lines}
+
+    def row(axis: str, over: str, where: str, at: dict[str, float]) -> str:
+        there = middle | {name: np.full(1, x) for name, x in at.items()}
+        up, down = (1e3 * float(read.correction(axis, there, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
+        return f"| {axis} | {over} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
+
+    lines = []
+    for axis, over in dict.fromkeys((c.axis, c.over) for c in read.curves):
+        lines += [row(axis, over, f"{x:.3f}", {over: float(x)}) for x in np.linspace(*ends[over], 3)]
+    for axis, (a, b) in dict.fromkeys((p.axis, p.over) for p in (*read.products, *read.planes)):
+        corners = [(x, y) for x in ends[a] for y in ends[b]]
+        lines += [row(axis, f"{a} and {b}", f"{x:.3f}, {y:.3f}", {a: x, b: y}) for x, y in corners]
+    for line in read.lines:
+        per_kelvin = 1e3 * line.level
+        lines.append(f"| {line.axis} | {line.sensor} +1 K | {line.zero:.3f} | {per_kelvin:+.3f} | {per_kelvin:+.3f} |")
+    return lines
