@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
 from errpipe.domain.diagnosis import Finding, FoundParameter
 from errpipe.terms import TERMS
 from errpipe.terms.viscous_friction import ViscousFriction
 
-SHARPNESS = (0.0, 0.3, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)  # mm/s
+SHARPNESS = (0.0, 0.0025, 0.008, 0.016, 0.024, 0.032, 0.048, 0.064)  # of the highest speed
 BLOCKS = 40
 BETTER = 0.97  # rms on held-out blocks, over that of one law both ways, below which the ways differ
 MAX_LOSS = 1.02  # rms on held-out blocks, over that of the best sharpness, up to which another one may be true
@@ -49,37 +50,50 @@ class Fitted:
 
 @dataclass(frozen=True)
 class ByDirection:
-    """A friction law for each way: damping N s/m and friction N forwards and backwards; sharpness mm/s."""
+    """A friction law for each way: damping and friction, forwards and backwards, in the units of axis and response.
+
+    response: N or N m; rotary: damping per deg/s, else per m/s; sharpness in mm/s (deg/s).
+    """
 
     axis: str
     column: str
     sharpness: float
     law: Fitted
     alike: Fitted
+    response: str = "N"
+    rotary: bool = False
+
+    def _in_units(self, name: str, k: int, unit: str) -> FoundParameter:
+        p = self.law.parameter(name, k, unit)
+        unit, factor = units.reported(unit, self.response, self.rotary)
+        return p.model_copy(
+            update={"value": p.value * factor, "unit": unit, "ci95": (p.ci95[0] * factor, p.ci95[1] * factor)}
+        )
 
     def damping(self) -> tuple[FoundParameter, ...]:
         """What grows with speed, each way."""
-        return tuple(self.law.parameter(f"damping_{way}", k, "N s/m") for way, k in (("forward", 1), ("backward", 2)))
+        return tuple(self._in_units(f"damping_{way}", k, "N s/m") for way, k in (("forward", 1), ("backward", 2)))
 
     def force(self) -> tuple[FoundParameter, ...]:
         """What does not, each way."""
-        return tuple(self.law.parameter(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
+        return tuple(self._in_units(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
 
     def briefly(self) -> str:
         """The headline."""
         (ahead, back), (dry, other) = self.damping(), self.force()
         return (
-            f"Friction differs by direction: {ahead.value:.3g} N s/m and {dry.value:.3g} N forwards, "
-            f"{back.value:.3g} N s/m and {other.value:.3g} N backwards."
+            f"Friction differs by direction: {ahead.value:.3g} {ahead.unit} and {dry.value:.3g} {dry.unit} forwards, "
+            f"{back.value:.3g} {back.unit} and {other.value:.3g} {other.unit} backwards."
         )
 
     def says(self) -> str:
         """One sentence."""
-        told = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g})" for p in (*self.damping(), *self.force())]
+        both = (*self.damping(), *self.force())
+        told = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g}) {p.unit}" for p in both]
         return (
-            f"Friction differs by direction: {told[0]} N s/m forwards and {told[1]} backwards, beside a dry part of "
-            f"{told[2]} N and {told[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} N "
-            f"rms instead of {self.alike.held_out:.3g} with one law both ways."
+            f"Friction differs by direction: {told[0]} forwards and {told[1]} backwards, beside a dry part of "
+            f"{told[2]} and {told[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} "
+            f"{self.response} rms instead of {self.alike.held_out:.3g} with one law both ways."
         )
 
 
@@ -105,14 +119,17 @@ def by_direction(case: Case) -> ByDirection | None:
     if min(ahead.sum(), back.sum()) < 10 * BLOCKS:
         return None
     best, laws = None, []
-    for sharpness in SHARPNESS:
+    known = case.recording.manifest.axis(axis)
+    fastest = float(np.quantile(np.abs(v), 0.999))
+    for sharpness in (fastest * s for s in SHARPNESS):
         dry = np.sign(v) if sharpness == 0 else np.tanh(v / sharpness)
         mass, drag = 1e-3 * a, 1e-3 * v
         law = fitted(np.column_stack([mass, drag * ahead, drag * back, dry * ahead, dry * back]), force)
         laws.append(law)
         if best is None or law.held_out < best.law.held_out:
             alike = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
-            best = ByDirection(axis, velocity, sharpness, law, alike)
+            rotary = known is not None and known.kind == "rotary"
+            best = ByDirection(axis, velocity, sharpness, law, alike, case.pair.unit, rotary)
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
     apart = best.law.differ(1, 2) or best.law.differ(3, 4)

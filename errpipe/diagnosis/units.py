@@ -36,6 +36,8 @@ def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:
                 unit, factor = unit.replace(linear, turned), change
                 break
         unit = unit.replace("mm", "deg")
-    if unit.startswith("um") and response in ("urad", "N"):
+    if unit.startswith("um") and response in ("urad", "N", "N m"):
         unit = response + unit[2:]
+    elif unit.startswith("N") and response == "N m":
+        unit = response + unit[1:]
     return unit, factor

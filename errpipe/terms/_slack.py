@@ -14,6 +14,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import direction, position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
+from errpipe.terms._search import resolved_lengths
 
 Slack = Iterator[tuple[np.ndarray, float]]  # column, shape (rows,), and its freedom
 
@@ -91,6 +92,7 @@ def lagged(recording: Recording, values: np.ndarray, tau: float) -> np.ndarray:
 def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack:
     """A step between the directions of an axis that is closed over some travel after each reversal."""
     side, x = direction(recording, axis), position(recording, axis)
-    for length in (0.005, 0.02, 0.08):
+    step, _ = resolved_lengths(recording, axis)
+    for length in (0.25 * step, step, 4.0 * step):  # closed at once, as seen, or over a few rows
         late = responses.approach(sessions(recording), x, side, length) - side
         yield step * side * late, 0.6

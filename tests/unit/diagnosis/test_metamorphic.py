@@ -16,8 +16,6 @@ FAST = {
     ("lag", "temperatures 1e-3"),
     ("friction", "axis C"),
 }
-# What does not hold yet, and what is said instead. Take a line out when it holds.
-KNOWN_FAILURES = {("friction", "torque in N m"): "the friction torque is stated in N"}
 
 
 def said(response: dict, size: float, unit: str) -> str:
@@ -57,8 +55,7 @@ def test_known_answer(case: str, tmp_path: Path) -> None:
 
 
 def _marks(pair: tuple[str, str]) -> list[pytest.MarkDecorator]:
-    known = [pytest.mark.xfail(reason=KNOWN_FAILURES[pair])] if pair in KNOWN_FAILURES else []
-    return known if pair in FAST else [*known, pytest.mark.slow]
+    return [] if pair in FAST else [pytest.mark.slow]
 
 
 @pytest.mark.parametrize(("case", "change"), [pytest.param(*p, marks=_marks(p), id=" + ".join(p)) for p in pairs()])
