@@ -59,7 +59,7 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
     responses, rows = [], []
     for k, pair in enumerate(pairs):
         done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
-        case = judge.judge(recording, conditioned, pair, done)
+        case = judge.judge(recording, prepare.followed(recording, conditioned, pair), pair, done)
         progress((k + 0.8) / len(pairs), f"{pair.component}: proving it on rows that had no say")
         response, contribution, left = report.response(case)
         responses.append(response)

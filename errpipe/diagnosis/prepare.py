@@ -155,6 +155,31 @@ def condition(recording: Recording) -> Recording:
     return Conditioned(recording.manifest, frame, between="inferred")
 
 
+FOLLOWED = 6.0  # standard errors by which the noise of a reading must show in a mismatch
+
+
+def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:
+    """The conditioned recording; a sensor whose very noise shows in the mismatch is taken as it was read.
+
+    A controller that compensates by a sensor carries the sensor's noise into the axis.
+    """
+    run, rows = recording.run_codes()[pair.rows], pair.rows
+    same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
+    bend = lambda v: np.diff(v, 2)[same] - np.mean(np.diff(v, 2)[same])  # noqa: E731
+    if same.sum() < LEAST_ROWS:
+        return conditioned
+    y, kept = bend(pair.mismatch), {}
+    for name in (n for role in ("temperature", "pressure", "humidity") for n in conditioned.names(role)):
+        if name not in conditioned.frame.columns:
+            continue
+        read = fill(recording.time(), recording.array(name), sessions(recording))
+        noise = bend((read - conditioned.array(name))[rows])
+        size = float(np.sqrt((noise @ noise) * (y @ y)))
+        if size > 0 and abs(noise @ y) / size > FOLLOWED / np.sqrt(same.sum() / 3.0):  # second differences overlap
+            kept[name] = read
+    return Conditioned(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
+
+
 class Conditioned(Recording):
     """A recording whose columns are read thousands of times and never change: they are kept as arrays."""
 
