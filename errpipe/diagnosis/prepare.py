@@ -177,7 +177,9 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
         size = float(np.sqrt((noise @ noise) * (y @ y)))
         if size > 0 and abs(noise @ y) / size > FOLLOWED / np.sqrt(same.sum() / 3.0):  # second differences overlap
             kept[name] = read
-    return Conditioned(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
+    return (
+        Conditioned(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
+    )
 
 
 class Conditioned(Recording):

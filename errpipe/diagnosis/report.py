@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from errpipe.diagnosis import confidence, friction, holdout, locate, model, separate, significance, whiteness
+from errpipe.diagnosis import confidence, friction, holdout, locate, model, plausible, separate, significance, whiteness
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
 from errpipe.diagnosis.evidence import Scene
 from errpipe.domain.diagnosis import (
@@ -27,6 +27,7 @@ HELD_OUT_SHARE = (
     0.1  # of the held-out variance beyond the names, which shapes over inputs must predict to be a mechanism
 )
 PROVISIONAL = 0.4  # confidence of `unknown`, at most, where they do not
+UNSIZED = 0.6  # confidence of a name, at most, where its textbook form alone may as well be nothing
 UNPROVED = 0.45  # confidence of a name, at most, where held-out rows are no better explained with it
 
 
@@ -37,6 +38,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
+    sized = [1.0 if not plausible.no_size(m) else UNSIZED for m in made]
+    findings = [f.model_copy(update=_no_surer(f, most)) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = _p_unknown(case, indicators, held)
     findings, verdict = _verdict(case, findings, p_unknown)

@@ -92,7 +92,7 @@ def lagged(recording: Recording, values: np.ndarray, tau: float) -> np.ndarray:
 def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack:
     """A step between the directions of an axis that is closed over some travel after each reversal."""
     side, x = direction(recording, axis), position(recording, axis)
-    step, _ = resolved_lengths(recording, axis)
-    for length in (0.25 * step, step, 4.0 * step):  # closed at once, as seen, or over a few rows
+    move, _ = resolved_lengths(recording, axis)
+    for length in (0.25 * move, move, 4.0 * move):  # closed at once, as seen, or over a few rows
         late = responses.approach(sessions(recording), x, side, length) - side
         yield step * side * late, 0.6

@@ -12,7 +12,7 @@ from errpipe.domain.driver import Affine, Input
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
+from errpipe.terms._warm import COOLANT_WORDS, scaled, sensors
 
 
 class GradientBending(Term):
@@ -41,10 +41,14 @@ class GradientBending(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[GradientBending]:
         if component.startswith("E"):
-            found = [s for s in sensors(recording) if not mentions(recording, s, COOLANT_WORDS)]
+            found = sensors(recording)
             for i, first in enumerate(found):
                 for second in found[i + 1 :]:
                     yield cls(first=first, second=second)
+
+    def log_prior_odds(self) -> float:
+        places = f"{self.first} {self.second}".lower()
+        return -3.0 if any(word in places for word in COOLANT_WORDS) else 0.0  # fluid is seldom one side of a body
 
     def _driver(self) -> Affine:
         return Affine(weights=(1.0, -1.0), of=(Input(name=self.first), Input(name=self.second)))
