@@ -39,6 +39,8 @@ class Auto(ThermalFamily):
 
 
 def competitors() -> list[type[ThermalFamily]]:
-    """The thermal families, by name."""
-    kinds = [kind for kind in ThermalFamily.__subclasses__() if kind is not Auto]
+    """The thermal families of the registry, by name; those that no pipeline names are loaded too."""
+    from errpipe.models import FAMILIES
+
+    kinds = [kind for kind in FAMILIES if issubclass(kind, ThermalFamily) and kind is not Auto]
     return sorted(kinds, key=lambda kind: kind.family_name())

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -185,3 +188,9 @@ def test_every_family_is_read_back_from_its_procedure() -> None:
     with pytest.raises(ValueError, match="Did you mean lagged"):
         Auto(component="E_Z", among=("laged",))
     assert Network in competitors() and Auto not in competitors()
+
+
+def test_every_thermal_family_competes_in_a_process_that_loaded_none() -> None:
+    code = "from errpipe.models.auto import competitors; print(len(competitors()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == len(competitors()) >= 4
