@@ -8,44 +8,43 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
+from bench.figure import Figure, main, seconds, spread
+
 PIPELINE = Path(__file__).parents[1] / "pipelines" / "ball-screw-axis.yaml"
 ROUNDS = 7
-WANTED = {"errpipe --help": 0.2, "run with nothing to do": 0.5}
+WANTED = {"errpipe --help": 0.2, "check of a pipeline": 0.3, "run with nothing to do": 0.3, "demo, warm": 4.0}
 
 
-def best(*arguments: str) -> float:
-    """Shortest wall time of a fresh interpreter, s."""
-    times = []
-    for _ in range(ROUNDS):
-        start = perf_counter()
-        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
-        times.append(perf_counter() - start)
-    return min(times)
+def fresh(*arguments: str) -> None:
+    """Run a fresh interpreter."""
+    subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
 
 
-def main() -> int:
+def figures() -> list[Figure]:
+    """Wall times of verbs beside a bare interpreter."""
     cli = ("-m", "errpipe.cli.app")
+    bare = seconds(partial(fresh, "-c", "pass"), ROUNDS, perf_counter)
     with tempfile.TemporaryDirectory() as out:
-        run = (*cli, "run", str(PIPELINE), "--out", out)
-        start = perf_counter()
-        subprocess.run([sys.executable, *run], check=True, capture_output=True)
-        first = perf_counter() - start
-        found = {
-            "errpipe --help": best(*cli, "--help"),
-            "check of a pipeline": best(*cli, "check", str(PIPELINE)),
-            "run with nothing to do": best(*run),
+        run = (*cli, "run", str(PIPELINE), "--out", f"{out}/run")
+        fresh(*run)
+        times = {
+            "errpipe --help": seconds(partial(fresh, *cli, "--help"), ROUNDS, perf_counter),
+            "check of a pipeline": seconds(partial(fresh, *cli, "check", str(PIPELINE)), ROUNDS, perf_counter),
+            "run with nothing to do": seconds(partial(fresh, *run), ROUNDS, perf_counter),
+            "demo, warm": sorted(
+                seconds(partial(fresh, *cli, "demo", "--out", f"{out}/{k}"), 1, perf_counter)[0] for k in range(3)
+            ),
         }
-    bare = best("-c", "pass")
-    print(f"  {'python -c pass':28} {bare:7.3f} s")
-    for name, took in found.items():
-        aim = f", wanted: below {WANTED[name]} s" if name in WANTED else ""
-        print(f"  {name:28} {took:7.3f} s  {took / bare:6.1f} x python -c pass{aim}")
-    print(f"  {'the first run':28} {first:7.3f} s  {first / found['run with nothing to do']:6.1f} x nothing to do")
-    return int(any(found[name] > wanted for name, wanted in WANTED.items()))
+    lacks = "anything"
+    return [
+        Figure(name, t[0], "s", spread(t), WANTED[name], peer="python -c pass", times=bare[0] / t[0], lacks=lacks)
+        for name, t in times.items()
+    ]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(figures))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import sys
 import tempfile
 from pathlib import Path
@@ -10,6 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
+from bench.figure import Figure, main, seconds, spread
 from errpipe.formats import manifest_folder
 
 ROWS, COLUMNS, ROUNDS = 1_000_000, 8, 3
@@ -37,35 +37,27 @@ def write(folder: Path) -> Path:
     return folder
 
 
-def best(work) -> float:
-    """Shortest wall time of a few rounds, s."""
-    times = []
-    for _ in range(ROUNDS):
-        start = perf_counter()
-        work()
-        times.append(perf_counter() - start)
-    return min(times)
-
-
-def bench_ingest() -> float:
-    """Seconds of ours over seconds of pyarrow's own reader, same file, same process."""
+def figures() -> list[Figure]:
+    """Ingest beside pyarrow's reader (same file, same process), and one cycle beside scikit-learn's predict."""
     import pyarrow.csv as pacsv
 
     with tempfile.TemporaryDirectory() as name:
         folder = write(Path(name))
-        size = (folder / "recording.csv").stat().st_size
-        bare = best(lambda: pacsv.read_csv(folder / "recording.csv"))
-        ours = best(lambda: manifest_folder.read(folder))
-        parquet = best(lambda: manifest_folder.to_parquet(folder, folder / "out"))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"  {'pyarrow, bare':28} {bare:7.3f} s  {size / bare / 1e6:6.0f} MB/s")
-    print(f"  {'ingest, read and checked':28} {ours:7.3f} s  {ours / bare:6.2f} x bare, wanted: at most {INGEST_AIM}")
-    print(f"  {'ingest to Parquet, chunked':28} {parquet:7.3f} s  {parquet / bare:6.2f} x bare")
-    print(f"  {'peak memory of all three':28} {peak:7.0f} MB")
-    return ours / bare
+        bare = seconds(lambda: pacsv.read_csv(folder / "recording.csv"), ROUNDS, perf_counter)
+        ours = seconds(lambda: manifest_folder.read(folder), ROUNDS, perf_counter)
+        parquet = seconds(lambda: manifest_folder.to_parquet(folder, folder / "out"), ROUNDS, perf_counter)
+    reader = {"peer": "pyarrow, bare", "lacks": "units, roles, order of time, impossible values"}
+    return [
+        Figure("ingest over bare reading", ours[0] / bare[0], "x", 0.0, INGEST_AIM, **reader),
+        Figure(f"ingest of {ROWS} rows", ours[0], "s", spread(ours), times=bare[0] / ours[0], **reader),
+        Figure(
+            "the same to Parquet, in chunks", parquet[0], "s", spread(parquet), times=bare[0] / parquet[0], **reader
+        ),
+        single_call(),
+    ]
 
 
-def bench_single_call() -> None:
+def single_call() -> Figure:
     """One evaluation of a model of eight temperatures: the table's cycle against scikit-learn's predict."""
     from sklearn.linear_model import LinearRegression
 
@@ -74,21 +66,12 @@ def bench_single_call() -> None:
     rng = np.random.default_rng(2)
     x = rng.normal(size=(500, 8))
     model = LinearRegression().fit(x, x @ np.arange(8))
-    one, calls = x[:1], 2000
-    start = perf_counter()
-    for _ in range(calls):
-        model.predict(one)
-    peer = (perf_counter() - start) / calls * 1e9
-    ours = bench_cycle()["cycle_ns"]
-    print(f"  {'scikit-learn predict, one row':28} {peer:9.0f} ns")
-    print(f"  {'a table cycle, 21 curves':28} {ours:9.0f} ns  {peer / ours:6.0f} x faster, wanted: below 1000 ns")
-
-
-def main() -> int:
-    ratio = bench_ingest()
-    bench_single_call()
-    return int(ratio > INGEST_AIM)
+    calls = 2000
+    peer = seconds(lambda: [model.predict(x[:1]) for _ in range(calls)], 3)[0] / calls * 1e9
+    ours = bench_cycle()
+    told = {"peer": "scikit-learn predict of one row", "lacks": "curves, lags, limits, sensors that fail"}
+    return Figure("one cycle of a table", ours["cycle_ns"], "ns", ours["spread"], times=peer / ours["cycle_ns"], **told)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(figures))

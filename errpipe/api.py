@@ -197,7 +197,7 @@ class Table:
 
     def cycle(self) -> Cycle:
         """Function, program and a fresh state for the caller's own njit loop."""
-        from errpipe.kernels import table_cycle
+        from errpipe.kernels import table_codes, table_cycle
         from errpipe.tables import pack
 
         program = pack.program(self.table)
@@ -205,7 +205,7 @@ class Table:
         outputs = tuple(o.name for o in self.table.outputs)
         # Once another kernel was compiled, the module holds the dispatcher itself in place of the kernel.
         function = getattr(table_cycle.cycle, "compiled", table_cycle.cycle)
-        return Cycle(function, program, pack.state(program), names, outputs, table_cycle.ON, self.identity)
+        return Cycle(function, program, pack.state(program), names, outputs, table_codes.ON, self.identity)
 
     def plot(self) -> str:
         """The correction of the first axes as text, for a terminal."""

@@ -1,15 +1,16 @@
-"""Arithmetic only: floats and arrays in canonical units in, arrays out.
+"""Arithmetic only: floats and arrays in canonical units in, arrays out. `kernel` is the one decorator of the project.
 
-A kernel calls only kernels of its own file: with a cache on disk Numba does not notice an edit in
-another file and would go on using the old code. `kernel` is the one decorator of the project.
+Compiled code is cached below a name that stands for the source of all kernels: Numba alone would not notice an edit in
+another file than the caller's and would go on using the old code.
 
-Numba takes 0.4 s to import, so it waits for the first call: then every kernel of that file is turned
-into its dispatcher at once (they may call each other), and later calls go straight there.
+Numba takes 0.4 s to import, so it waits for the first call: then the kernel and every kernel that its module knows is
+turned into its dispatcher (they may call each other), and later calls go straight there.
 """
 
 from __future__ import annotations
 
 import functools
+import hashlib
 import os
 import stat
 import tempfile
@@ -51,6 +52,15 @@ def _is_own(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
+@functools.cache
+def _fingerprint() -> str:
+    """Stands for the source of every kernel."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 class Kernel:
     """A function that Numba compiles at its first call. `compiled` is the dispatcher, `py_func` the source."""
 
@@ -60,24 +70,33 @@ class Kernel:
 
     @functools.cached_property
     def compiled(self) -> Any:
-        names = self.py_func.__globals__
-        for name, value in list(names.items()):
-            if isinstance(value, Kernel):
-                names[name] = value._dispatcher
+        _resolve(self.py_func.__globals__)
         return self._dispatcher
 
     @functools.cached_property
     def _dispatcher(self) -> Any:
-        if "NUMBA_CACHE_DIR" not in os.environ and (folder := _cache_folder()) is not None:
-            os.environ["NUMBA_CACHE_DIR"] = folder
         import numba
 
-        return numba.njit(cache="NUMBA_CACHE_DIR" in os.environ, fastmath=False, error_model="numpy", nogil=True)(
-            self.py_func
-        )
+        folder = os.environ.get("NUMBA_CACHE_DIR") or _cache_folder()
+        config: Any = numba.config
+        before = config.CACHE_DIR
+        config.CACHE_DIR = str(Path(folder) / _fingerprint()) if folder else ""
+        try:
+            return numba.njit(cache=folder is not None, fastmath=False, error_model="numpy", nogil=True)(self.py_func)
+        finally:
+            config.CACHE_DIR = before
 
     def __call__(self, *arguments: Any) -> Any:
         return self.compiled(*arguments)
+
+
+def _resolve(names: dict[str, Any]) -> None:
+    """Put dispatchers in place of the kernels among these names, and of those that they may call."""
+    found = {name: value for name, value in names.items() if isinstance(value, Kernel)}
+    names.update({name: value._dispatcher for name, value in found.items()})
+    for value in found.values():
+        if value.py_func.__globals__ is not names:
+            _resolve(value.py_func.__globals__)
 
 
 def kernel(function: Callable[..., Any]) -> Kernel:

@@ -7,140 +7,61 @@ Shapes: block buffers are (rows, BLOCK). `program` is as in `table_cycle`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from errpipe.kernels import kernel
-
-BLOCK = 512  # by trial: 64 to 1024 lie within 30 % of each other
-DIRECTION, APPROACH, LOOKUP, AFFINE, LAG, PRODUCT, SWITCH, CLIP, INPUT = 10, 11, 12, 3, 5, 6, 9, 8, 2
-HAS_VALID, START_ZERO, PERIODIC, KEEP = 4, 2, 1, 1
-POWER = 7
-LARGEST = 1e30
-
-# exp, ln and power stand here again, word for word as in table_cycle.py (a test compares them): a kernel may
-# only call kernels of its own file.
-LOG2_E = 1.4426950408889634
-LN2_HIGH = 0.6931471803691238
-LN2_LOW = 1.9082149292705877e-10
-SQRT2 = 1.4142135623730951
-EXP = np.array(
-    [
-        1.6059043836821613e-10,
-        2.08767569878681e-09,
-        2.505210838544172e-08,
-        2.755731922398589e-07,
-        2.7557319223985893e-06,
-        2.48015873015873e-05,
-        0.0001984126984126984,
-        0.001388888888888889,
-        0.008333333333333333,
-        0.041666666666666664,
-        0.16666666666666666,
-        0.5,
-        1.0,
-        1.0,
-    ]
-)
-LN = np.array(
-    [
-        0.047619047619047616,
-        0.05263157894736842,
-        0.058823529411764705,
-        0.06666666666666667,
-        0.07692307692307693,
-        0.09090909090909091,
-        0.1111111111111111,
-        0.14285714285714285,
-        0.2,
-        0.3333333333333333,
-        1.0,
-    ]
+from errpipe.kernels.elementary import power
+from errpipe.kernels.table_codes import (
+    AFFINE,
+    APPROACH,
+    CLIP,
+    DIRECTION,
+    HAS_VALID,
+    INPUT,
+    KEEP,
+    LAG,
+    LARGEST,
+    LOOKUP,
+    PERIODIC,
+    POWER,
+    PRODUCT,
+    START_ZERO,
+    SWITCH,
 )
 
+BLOCK = 256  # points; all rows of a block of 21 curves lie in 64 kB (128 to 512 differ by less than a tenth)
 
-@kernel
-def exp(y):
-    """e**y from + - * alone; 0 below -700, e**700 above 700."""
-    if y < -700.0:
-        return 0.0
-    if y > 700.0:
-        y = 700.0
-    n = int(y * LOG2_E + 0.5) if y >= 0.0 else int(y * LOG2_E - 0.5)
-    r = (y - n * LN2_HIGH) - n * LN2_LOW
-    p = EXP[0]
-    for i in range(1, 14):
-        p = p * r + EXP[i]
-    w = 2.0 if n >= 0 else 0.5
-    m = n if n >= 0 else -n
-    while m > 0:
-        if m & 1:
-            p = p * w
-        w = w * w
-        m = m >> 1
-    return p
+
+class Plan(NamedTuple):
+    """How the blocks of a table are worked off; see `tables/batch.py`, which makes it."""
+
+    components: int
+    opens: np.ndarray  # (pairs,) 1: the first of its component
+    alone: np.ndarray  # (pairs,) 1: its profile is written to its component at once
+    knots: np.ndarray  # of the profiles that move: values and rises to the next, one profile or two by turns
+    first: np.ndarray  # (profiles + 1,) where the knots of a profile begin
+    width: np.ndarray  # (profiles,) numbers per knot: 2, 4 where the next profile is worked off with it, else 0
+    row: np.ndarray  # (profiles,) where it is written: its component, else its own row behind the components
+    factor: np.ndarray  # (profiles,) what it is multiplied by: the driver of its pair, else 1
 
 
 @kernel
-def ln(a):
-    """Natural logarithm of a >= 1e-30."""
-    k = 0
-    e = 512
-    while e > 0:
-        w = two_to(e)
-        if a >= w:
-            a = a / w
-            k = k + e
-        e = e >> 1
-    if a < 1.0:
-        e = 512
-        while e > 0:
-            w = two_to(e)
-            if a * w < 2.0:
-                a = a * w
-                k = k - e
-            e = e >> 1
-    if a > SQRT2:
-        a = a * 0.5
-        k = k + 1
-    s = (a - 1.0) / (a + 1.0)
-    z = s * s
-    p = LN[0]
-    for i in range(1, 11):
-        p = p * z + LN[i]
-    return k * LN2_HIGH + (2.0 * s * p + k * LN2_LOW)
-
-
-@kernel
-def two_to(e):
-    """2**e for e a power of two up to 512."""
-    w = 2.0
-    while e > 1:
-        w = w * w
-        e = e >> 1
-    return w
-
-
-@kernel
-def power(u, exponent):
-    """sign(u) * |u|**exponent; 0 where |u| < 1e-30."""
-    a = -u if u < 0.0 else u
-    if a < 1e-30:
-        return 0.0
-    if exponent == 1.0:
-        p = a
-    elif exponent == 2.0:
-        p = a * a
-    elif exponent == 3.0:
-        p = a * a * a
-    else:
-        p = exp(exponent * ln(a))
-    return -p if u < 0.0 else p
+def clip_block(x, low, high, out):
+    """Points within a range (not a number: at its lower end); returns how many are not a number."""
+    missing = 0
+    for k in range(x.size):
+        missing += x[k] != x[k]
+        inside = x[k] if x[k] > low else low
+        out[k] = inside if inside < high else high
+    return missing
 
 
 @kernel
 def place_block(x, start, inverse_step, inverse_turn, top, periodic, j, f):
-    """Where a block of positions lies on a grid: interval j (as twice its number) and fraction f."""
-    highest = np.int64(top) - 1
+    """Where a block of positions lies on a grid: interval j and fraction f."""
+    highest = np.int32(top) - np.int32(1)
     if periodic:
         for i in range(x.size):
             s = (x[i] - start) * inverse_step
@@ -151,25 +72,34 @@ def place_block(x, start, inverse_step, inverse_turn, top, periodic, j, f):
             s = s - whole * top
             s = s if s > 0.0 else 0.0
             s = s if s < top else top
-            k = min(np.int64(s), highest)
-            f[i] = s - k
-            j[i] = 2 * k
+            k = min(np.int32(s), highest)  # 32 bits: processors turn several at once
+            f[i] = s - np.float64(k)
+            j[i] = k
     else:
         for i in range(x.size):
             s = (x[i] - start) * inverse_step
             s = s if s > 0.0 else 0.0
             s = s if s < top else top
-            k = min(np.int64(s), highest)
-            f[i] = s - k
-            j[i] = 2 * k
+            k = min(np.int32(s), highest)  # 32 bits: processors turn several at once
+            f[i] = s - np.float64(k)
+            j[i] = k
 
 
 @kernel
-def profile_block(knots, j, f, scale, out):
-    """One profile at places on its grid; knots: value and rise to the next, alternating."""
+def profile_block(knots, j, f, scale, factor, out):
+    """One profile at places on its grid, times a factor. knots (intervals, 2): value, and rise to the next."""
     for i in range(out.size):
         k = np.uint64(j[i])
-        out[i] = (knots[k] + f[i] * knots[k + np.uint64(1)]) * scale
+        out[i] = (knots[k, 0] + f[i] * knots[k, 1]) * scale * factor
+
+
+@kernel
+def two_profiles_block(knots, j, f, scale, factor, out, scale2, factor2, out2):
+    """Two profiles on one grid: what a point needs of both lies together. knots (intervals, 4): values, then rises."""
+    for i in range(out.size):
+        k = np.uint64(j[i])
+        out[i] = (knots[k, 0] + f[i] * knots[k, 2]) * scale * factor
+        out2[i] = (knots[k, 1] + f[i] * knots[k, 3]) * scale2 * factor2
 
 
 @kernel
@@ -178,7 +108,9 @@ def node_block(node, first, operands, lookups, nodes, inputs, out):
     op = node.op
     end = first + node.count
     if op == INPUT:
-        out[:] = inputs[node.other]
+        u = inputs[node.other]
+        for i in range(out.size):
+            out[i] = u[i]
         return
     if op == AFFINE:
         out[:] = node.a
@@ -241,14 +173,17 @@ def fade_block(channel, x, fade):
 
 
 @kernel
-def sum_pairs(pairs, opens, profiles, nodes, fixed, moves, inside, sums):
-    """Components from pairs over a block. opens: 1 where a pair is the first of its component."""
+def sum_pairs(pairs, opens, alone, profiles, nodes, fixed, moves, inside, sums):
+    """Components from pairs over a block. opens: 1 where a pair is the first of its component; alone: 1 where its
+    profile was written to the component at once."""
     for k in range(pairs.size):
+        if alone[k]:
+            continue
         total, profile, n = sums[pairs[k].component], profiles[pairs[k].profile], pairs[k].node
         node, factor = nodes[n], fixed[n]
+        if opens[k]:
+            total[:] = 0.0
         if not pairs[k].flags & KEEP:
-            if opens[k]:
-                total[:] = 0.0
             if moves[n]:
                 for i in range(total.size):
                     total[i] = total[i] + profile[i] * node[i] * inside[i]
@@ -256,13 +191,8 @@ def sum_pairs(pairs, opens, profiles, nodes, fixed, moves, inside, sums):
                 for i in range(total.size):
                     total[i] = total[i] + profile[i] * factor * inside[i]
         elif moves[n]:
-            if opens[k]:
-                total[:] = 0.0
             for i in range(total.size):
                 total[i] = total[i] + profile[i] * node[i]
-        elif opens[k]:
-            for i in range(total.size):
-                total[i] = profile[i] * factor
         else:
             for i in range(total.size):
                 total[i] = total[i] + profile[i] * factor
@@ -270,15 +200,19 @@ def sum_pairs(pairs, opens, profiles, nodes, fixed, moves, inside, sums):
 
 @kernel
 def sum_terms(terms, first, count, sums, nodes, part, total):
-    """One output from components over a block."""
-    for k in range(first, first + count):
+    """One output from components over a block; neighbours with one factor each share a pass."""
+    for i in range(total.size):
+        total[i] = 0.0
+    k, end = first, first + count
+    while k < end:
         term = terms[k]
         weight, component = term.weight, sums[term.component]
-        if k == first and term.count != 0:
-            total[:] = 0.0
-        if term.count == 0 and k == first:
+        if term.count == 1 and k + 1 < end and terms[k + 1].count == 1:
+            node, after = nodes[term.n0], terms[k + 1]
+            weight2, component2, node2 = after.weight, sums[after.component], nodes[after.n0]
             for i in range(total.size):
-                total[i] = weight * component[i]
+                total[i] = total[i] + weight * component[i] * node[i] + weight2 * component2[i] * node2[i]
+            k = k + 1
         elif term.count == 0:
             for i in range(total.size):
                 total[i] = total[i] + weight * component[i]
@@ -296,73 +230,63 @@ def sum_terms(terms, first, count, sums, nodes, part, total):
                     part[i] = part[i] * node[i]
             for i in range(total.size):
                 total[i] = total[i] + part[i]
-    for i in range(total.size):  # + 0.0: a sum that begins with 0 is never -0
-        total[i] = total[i] + 0.0 if total[i] >= -LARGEST and total[i] <= LARGEST else 0.0
+        k = k + 1
+    for i in range(total.size):
+        total[i] = total[i] if total[i] >= -LARGEST and total[i] <= LARGEST else 0.0
 
 
 @kernel
-def evaluate(
-    program, knots, knots_first, points, moving, node_fixed, node_moves, profile_fixed, profile_moves, fade, out
-):
-    """Deviations at many points. points (inputs that move, n) by row; out (outputs, n).
+def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixed, fade, out):
+    """Deviations at many points; returns how many readings are not a number. points (inputs that move, n) by row; out
+    (outputs, n).
 
-    knots: for every profile value, the value and the rise to the next; knots_first: where each profile begins.
     moving: numbers of the inputs in `points`; *_fixed: values where nothing below moves; fade: what the fixed
     inputs leave.
     """
     rows = points.shape[1]
-    components = 0
-    for k in range(program.pairs.size):
-        components = max(components, np.int64(program.pairs[k].component) + 1)  # type: ignore[assignment]
-    for k in range(program.terms.size):
-        components = max(components, np.int64(program.terms[k].component) + 1)  # type: ignore[assignment]
     inputs = np.zeros((program.inputs.size, BLOCK))
     nodes = np.empty((program.nodes.size, BLOCK))
     for n in range(program.nodes.size):
         nodes[n, :] = node_fixed[n]
-    profiles = np.empty((program.profiles.size, BLOCK))
+    sums = np.zeros((plan.components + program.profiles.size, BLOCK))
+    profiles = sums[plan.components :]
     for p in range(program.profiles.size):
         profiles[p, :] = profile_fixed[p]
-    sums = np.zeros((components, BLOCK))
-    opens = np.zeros(program.pairs.size, dtype=np.uint8)
-    for k in range(program.pairs.size):
-        opens[k] = 1
-        for earlier in range(k):
-            if program.pairs[earlier].component == program.pairs[k].component:
-                opens[k] = 0
     part, inside, f = np.empty(BLOCK), np.ones(BLOCK), np.empty(BLOCK)
-    j = np.empty(BLOCK, dtype=np.int64)
+    j = np.empty(BLOCK, dtype=np.int32)
+    missing = 0
     for begin in range(0, rows, BLOCK):
-        count = min(BLOCK, rows - begin)
-        inside[:] = fade
+        end = min(begin + BLOCK, rows)
+        for i in range(BLOCK):
+            inside[i] = fade
         for i in range(moving.size):
             channel = program.inputs[moving[i]]
-            low, high = channel.low, channel.high
             row = inputs[moving[i]]
-            for k in range(count):
-                x = points[i, begin + k]
-                x = x if x > low else low
-                row[k] = x if x < high else high
+            missing += clip_block(points[i, begin:end], channel.low, channel.high, row)
             if channel.flags & HAS_VALID:
                 fade_block(channel, row, inside)
                 if program.rules > 1:
-                    for k in range(count):
-                        x = row[k] if row[k] > channel.valid_low else channel.valid_low
-                        row[k] = x if x < channel.valid_high else channel.valid_high
+                    clip_block(row, channel.valid_low, channel.valid_high, row)
         for n in range(program.nodes.size):
             if node_moves[n]:
                 node = program.nodes[n]
                 node_block(node, np.int64(node.first), program.operands, program.lookups, nodes, inputs, nodes[n])
         for p in range(program.profiles.size):
-            if profile_moves[p]:
+            if plan.width[p] > 0:
                 own = program.profiles[p]
                 if not program.same_grid[p]:
                     top, periodic = float(own.count) - 1.0, own.flags & PERIODIC
                     place_block(inputs[own.input], own.start, own.inverse_step, own.inverse_turn, top, periodic, j, f)
-                own_knots = knots[knots_first[p] : knots_first[p + 1]]
-                profile_block(own_knots, j, f, own.scale, profiles[p])
-        sum_pairs(program.pairs, opens, profiles, nodes, node_fixed, node_moves, inside, sums)
+                knots = plan.knots[plan.first[p] : plan.first[p + 1]].reshape(-1, plan.width[p])
+                row = sums[plan.row[p]]
+                if plan.width[p] == 2:
+                    profile_block(knots, j, f, own.scale, plan.factor[p], row)
+                else:
+                    other, factor, row2 = program.profiles[p + 1], plan.factor[p + 1], sums[plan.row[p + 1]]
+                    two_profiles_block(knots, j, f, own.scale, plan.factor[p], row, other.scale, factor, row2)
+        sum_pairs(program.pairs, plan.opens, plan.alone, profiles, nodes, node_fixed, node_moves, inside, sums)
         for o in range(out.shape[0]):
             own = program.outputs[o]
-            sum_terms(program.terms, np.int64(own.first), np.int64(own.count), sums, nodes, part, f)
-            out[o, begin : begin + count] = f[:count]
+            total = out[o, begin:end]
+            sum_terms(program.terms, np.int64(own.first), np.int64(own.count), sums, nodes, part, total)
+    return missing

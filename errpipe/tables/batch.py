@@ -14,6 +14,7 @@ import numpy as np
 from errpipe.domain import table as t
 from errpipe.errors import DataError
 from errpipe.kernels import table_cycle, table_position
+from errpipe.kernels.table_codes import KEEP
 from errpipe.tables import pack
 from errpipe.tables.reference import Evaluator
 
@@ -89,9 +90,9 @@ class Positions:
             node_moves.append(own or any(node_moves[o] for o in node.of))
         self._node_fixed = np.array(reference.nodes())
         self._node_moves = np.array(node_moves, dtype=np.uint8)
-        self._profile_moves = np.array([p.input in moves for p in table.profiles], dtype=np.uint8)
+        profile_moves = [p.input in moves for p in table.profiles]
+        self._plan = _plan(table, self.program, self._node_fixed, node_moves, profile_moves)
         self._profile_fixed = np.array(reference.profiles())
-        self._knots, self._knots_first = _knots(table)
         fixed = [i for i in table.inputs if i.name not in moves]
         self._fade = reference.fade_of({i.name for i in fixed})
 
@@ -100,25 +101,22 @@ class Positions:
         columns = np.ascontiguousarray(np.asarray(points, dtype=float).T)
         return self.rows(columns).T
 
-    def rows(self, columns: np.ndarray) -> np.ndarray:
-        """The same for points given by row: columns (moving inputs, n) in C order, result (outputs, n)."""
-        out = np.empty((len(self.table.outputs), columns.shape[1]))
-        table_position.evaluate(
+    def rows(self, columns: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """The same for points given by row: columns (moving inputs, n) in C order, result (outputs, n), in `out`."""
+        out = np.empty((len(self.table.outputs), columns.shape[1])) if out is None else out
+        missing = table_position.evaluate(
             self.program,
-            self._knots,
-            self._knots_first,
+            self._plan,
             columns,
             self.moving,
             self._node_fixed,
             self._node_moves,
             self._profile_fixed,
-            self._profile_moves,
             self._fade,
             out,
         )
-        missing = np.isnan(columns).any(axis=0)
-        if missing.any():
-            out[:, missing] = np.nan
+        if missing:
+            out[:, np.isnan(columns).any(axis=0)] = np.nan
         return out
 
 
@@ -133,10 +131,40 @@ def position(
     return Positions(table, names, readings)(points)
 
 
-def _knots(table: t.CompensationTable) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rise to the next value, alternating, of all profiles one after another (integers, exact)."""
-    parts = []
-    for p in table.profiles:
-        values = np.array(p.values, dtype=float)
-        parts.append(np.stack([values, np.append(np.diff(values), 0.0)], axis=1).ravel())
-    return np.concatenate(parts), np.cumsum([0, *(part.size for part in parts)])
+def _plan(
+    table: t.CompensationTable,
+    program: table_cycle.Program,
+    node_fixed: np.ndarray,
+    node_moves: list[bool],
+    profile_moves: list[bool],
+) -> table_position.Plan:
+    """How the blocks of a table are worked off.
+
+    A profile is written to its component at once where its only pair is the component's first, is kept outside
+    validity, and has a driver that stands still. Two neighbours on one grid are worked off together.
+    """
+    components = 1 + max(int(records["component"].max(initial=0)) for records in (program.pairs, program.terms))
+    opens, alone = np.zeros((2, len(program.pairs)), dtype=np.uint8)
+    opens[np.unique(program.pairs["component"], return_index=True)[1]] = 1
+    row, factor = components + np.arange(len(table.profiles)), np.ones(len(table.profiles))
+    used = np.bincount(program.pairs["profile"], minlength=len(table.profiles))
+    for k, pair in enumerate(program.pairs):
+        p, node, kept = pair["profile"], pair["node"], pair["flags"] & KEEP
+        if opens[k] and kept and used[p] == 1 and profile_moves[p] and not node_moves[node]:
+            alone[k], row[p], factor[p] = 1, pair["component"], node_fixed[node]
+    knots = [np.array([p.values, [*np.diff(p.values), 0]], dtype=float) for p in table.profiles]
+    width = np.where(profile_moves, 2, 0)
+    for p in range(len(knots) - 1):
+        if width[p] == 2 and program.same_grid[p + 1]:
+            knots[p] = np.stack([knots[p], knots[p + 1]], axis=1).reshape(4, -1)
+            knots[p + 1], width[p], width[p + 1] = np.empty((2, 0)), 4, 0
+    return table_position.Plan(
+        components,
+        opens,
+        alone,
+        np.concatenate([k.T.ravel() for k in knots]),
+        np.cumsum([0, *(k.size for k in knots)]),
+        width,
+        row,
+        factor,
+    )

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from errpipe.domain import table as t
-from errpipe.tables.arithmetic import power
+from errpipe.kernels.arithmetic import power
 
 Span = tuple[float, float]
 

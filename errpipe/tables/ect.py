@@ -20,8 +20,8 @@ from pydantic import ValidationError
 from errpipe import files, jsonfile
 from errpipe.domain import table as t
 from errpipe.errors import VerifyError, did_you_mean
+from errpipe.kernels.arithmetic import exp
 from errpipe.tables import layout as lay
-from errpipe.tables.arithmetic import exp
 
 MAX_FILE_BYTES = 64 << 20  # the largest table allowed (4 million profile values of 4 bytes) has about 20 MB
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from errpipe.domain import table as t
 from errpipe.kernels import table_cycle as k
+from errpipe.kernels.table_codes import SLOW
 from errpipe.tables import ect
 
 INPUT_RECORD = np.dtype(
@@ -102,7 +103,7 @@ def program(table: t.CompensationTable) -> k.Program:
     """The arrays of a table, in the records of version 2; a table of version 1 keeps its rules."""
     data = ect.dumps(table.model_copy(update={"table": 2}))
     arrays = {name: np.frombuffer(ect.section(data, n), dtype).copy() for name, (n, dtype) in _SECTIONS.items()}
-    slow = (arrays["nodes"]["flags"] & k.SLOW) != 0
+    slow = (arrays["nodes"]["flags"] & SLOW) != 0
     return k.Program(
         rules=table.table,
         slow_every=table.slow_every,

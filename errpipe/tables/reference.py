@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from errpipe.domain import table as t
-from errpipe.tables.arithmetic import exp, power
+from errpipe.kernels.arithmetic import exp, power
 
 _NOWHERE = 1e31  # where an anchor stands before the first reading: beyond every reading
 _BIT = {name: 1 << n for n, name in enumerate(t.STATUS)}

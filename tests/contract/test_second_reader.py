@@ -380,7 +380,7 @@ def test_limits_that_are_met_exactly(slew, acceleration, magnitude):
 
 
 def test_functions_are_those_of_the_runtime():
-    from errpipe.tables import arithmetic
+    from errpipe.kernels import arithmetic
 
     r = np.random.default_rng(5)
     for y in [0.0, -0.0, 700.0, 701.0, -700.0, -701.0, 5e-324, *r.uniform(-710, 710, 300), *r.normal(0, 1, 300)]:

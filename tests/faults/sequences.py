@@ -16,7 +16,7 @@ from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.kernels.table_cycle import HOLD, OFF, ON
+from errpipe.kernels.table_codes import HOLD, OFF, ON
 from errpipe.tables.reference import Evaluator
 
 CYCLE = 0.001  # s

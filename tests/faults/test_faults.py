@@ -12,7 +12,7 @@ import pytest
 
 from errpipe import tables
 from errpipe.domain import table as t
-from errpipe.kernels.table_cycle import HOLD, OFF, ON
+from errpipe.kernels.table_codes import HOLD, OFF, ON
 from errpipe.tables import ect, limits
 from errpipe.tables.reference import Evaluator
 from tests.faults import campaign, runners, sequences

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from errpipe.kernels.table_cycle import HOLD, OFF
+from errpipe.kernels.table_codes import HOLD, OFF
 from errpipe.tables.reference import Evaluator
 from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
 from tests.e2e.linuxcnc import session

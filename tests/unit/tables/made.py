@@ -9,7 +9,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.kernels.table_cycle import HOLD, OFF, ON
+from errpipe.kernels.table_codes import HOLD, OFF, ON
 from errpipe.tables import ComponentSource, compile_table
 
 

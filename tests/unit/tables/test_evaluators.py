@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 
 import numpy as np
@@ -11,8 +10,8 @@ import pytest
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.kernels import table_cycle, table_position
-from errpipe.tables import ComponentSource, arithmetic, batch, compile_table, ect, pack
+from errpipe.kernels import arithmetic, elementary, table_codes, table_cycle
+from errpipe.tables import ComponentSource, batch, compile_table, ect, pack
 from errpipe.tables.reference import Evaluator
 from tests.unit.tables.made import everything, modes, position, sensor, stimulus, ten_um_too_long
 
@@ -182,10 +181,10 @@ def test_replay_at_the_controllers_rate_gives_the_controllers_bits():
 def test_the_kernels_arithmetic_is_the_documented_one():
     rng = np.random.default_rng(0)
     for y in [*rng.uniform(-705, 705, 3000), 0.0, -0.0, -700.0, 700.0, -1e-300, 1e5, -1e5]:
-        assert table_cycle.exp(y) == arithmetic.exp(y)
+        assert elementary.exp(y) == arithmetic.exp(y)
     for a in [*np.exp(rng.uniform(-69, 69, 3000)), 1.0, 2.0, 0.5, 1e-30, math.sqrt(2)]:
-        assert table_cycle.ln(a) == arithmetic.ln(a)
-        assert table_cycle.power(-a, 1.3) == arithmetic.power(-a, 1.3) == -arithmetic.power(a, 1.3)
+        assert elementary.ln(a) == arithmetic.ln(a)
+        assert elementary.power(-a, 1.3) == arithmetic.power(-a, 1.3) == -arithmetic.power(a, 1.3)
 
 
 def test_arithmetic_is_close_to_the_truth():
@@ -198,15 +197,6 @@ def test_arithmetic_is_close_to_the_truth():
         assert arithmetic.power(u, e) == pytest.approx(u**e, rel=1e-14)
     assert arithmetic.power(-9.0, 2.0) == -81.0
     assert arithmetic.power(0.0, 0.3) == arithmetic.power(1e-31, 0.1) == 0.0
-
-
-def test_both_kernel_files_hold_the_same_arithmetic():
-    for name in ("exp", "ln", "two_to", "power"):
-        texts = [inspect.getsource(getattr(module, name).py_func) for module in (table_cycle, table_position)]
-        assert texts[0] == texts[1], name
-    for name in ("EXP", "LN"):
-        for module in (table_cycle, table_position):
-            assert list(getattr(module, name)) == list(getattr(arithmetic, name))
 
 
 def test_a_position_that_is_not_a_number_holds_the_last_one():
@@ -229,7 +219,7 @@ def test_a_recording_without_a_required_column_is_refused():
 
 def test_status_bits_have_the_documented_values():
     names = [n.upper() for n in t.STATUS]
-    assert [getattr(table_cycle, n) for n in names] == [1 << k for k in range(len(names))]
+    assert [getattr(table_codes, n) for n in names] == [1 << k for k in range(len(names))]
 
 
 def test_same_table_same_name():

@@ -243,7 +243,7 @@ def test_only_constructs_that_every_compiler_takes(name):
 
 def test_every_real_literal_is_the_constant_it_stands_for():
     """Digits shortened by hand would change bits: all constants of exp and power are those of the arithmetic."""
-    from errpipe.tables import arithmetic as a
+    from errpipe.kernels import arithmetic as a
 
     text = iec_st.unit("EctExp", room()) + iec_st.unit("EctPower", room())
     found = {float(v) for v in re.findall(r"\d+\.\d+(?:E-?\d+)?", text)}

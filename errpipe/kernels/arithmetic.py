@@ -1,7 +1,8 @@
 """exp, ln and power from + - * / and comparisons alone, so that every evaluator gets the same bits.
 
 A controller has no mathematics library that all agree on: these three are written out, step by step, in
-`schemas/ect-2.md`, and the same steps stand in the Numba kernel, in `ect.c` and in the function block.
+`schemas/ect-2.md`; the same steps stand in `ect.c` and in the function block. Plain Python: the reference evaluator
+calls it as it is, `elementary.py` compiles it.
 Errors against the true value, measured in tests: exp 1 ulp, ln 3 ulp, power 1e-14 relative.
 """
 
@@ -56,15 +57,15 @@ def exp(y: float) -> float:
     n = int(y * LOG2_E + 0.5) if y >= 0.0 else int(y * LOG2_E - 0.5)
     r = (y - n * LN2_HIGH) - n * LN2_LOW
     p = EXP[0]
-    for c in EXP[1:]:
-        p = p * r + c
+    for i in range(1, 14):
+        p = p * r + EXP[i]
     w = 2.0 if n >= 0 else 0.5
     m = n if n >= 0 else -n
     while m > 0:
-        if m % 2 == 1:
+        if m & 1:
             p = p * w
         w = w * w
-        m = m // 2
+        m = m >> 1
     return p
 
 
@@ -77,7 +78,7 @@ def ln(a: float) -> float:
         if a >= w:
             a = a / w
             k = k + e
-        e = e // 2
+        e = e >> 1
     if a < 1.0:
         e = 512
         while e > 0:
@@ -85,15 +86,15 @@ def ln(a: float) -> float:
             if a * w < 2.0:
                 a = a * w
                 k = k - e
-            e = e // 2
+            e = e >> 1
     if a > SQRT2:
         a = a * 0.5
         k = k + 1
     s = (a - 1.0) / (a + 1.0)
     z = s * s
     p = LN[0]
-    for c in LN[1:]:
-        p = p * z + c
+    for i in range(1, 11):
+        p = p * z + LN[i]
     return k * LN2_HIGH + (2.0 * s * p + k * LN2_LOW)
 
 
@@ -102,7 +103,7 @@ def two_to(e: int) -> float:
     w = 2.0
     while e > 1:
         w = w * w
-        e = e // 2
+        e = e >> 1
     return w
 
 

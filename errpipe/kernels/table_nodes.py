@@ -1,0 +1,142 @@
+"""Drivers of a table: its numbered operations in order, to the bit as in the reference evaluator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.kernels import kernel
+from errpipe.kernels.elementary import exp, power
+from errpipe.kernels.table_codes import (
+    AFFINE,
+    APPROACH,
+    CLIP,
+    CONSTANT,
+    DIRECTION,
+    FIRST,
+    INPUT,
+    LAG,
+    LARGEST,
+    NOT_FINITE,
+    POWER,
+    PRODUCT,
+    START_ZERO,
+    SWITCH,
+)
+
+
+@kernel
+def moved_side(x, known, side, memory, threshold):
+    """(side, turning point) of an axis that moved to x."""
+    if known > 0.0:
+        return 1.0, x
+    if known < 0.0:
+        return -1.0, x
+    if side > 0.0:
+        if x >= memory:
+            return side, x
+        if memory - x > threshold:
+            return -1.0, x
+    else:
+        if x <= memory:
+            return side, x
+        if x - memory > threshold:
+            return 1.0, x
+    return side, memory
+
+
+@kernel
+def lookup(lookups, first, last, s):
+    """Straight lines between uniform values, held at the ends; s counts steps."""
+    if s < 0.0:
+        s = 0.0
+    if s > last:
+        s = float(last)
+    j = int(s)
+    if j > last - 1:
+        j = last - 1
+    left = lookups[first + j]
+    return left + (s - j) * (lookups[first + j + 1] - left)
+
+
+@kernel
+def is_ready(node, operands, state, inputs):
+    """Whether everything below a node has had a believed reading."""
+    if node.op == INPUT:
+        return inputs[node.other].usable != 0
+    below = True
+    begin = np.int64(node.first)
+    for k in range(begin, begin + node.count):
+        below = below and state[operands[k].number].ready != 0
+    return below
+
+
+@kernel
+def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay):
+    """Run nodes in order; what is not finite counts as 0. Returns status bits."""
+    status = 0
+    for w in range(which.size):
+        n = which[w]
+        node = nodes[n]
+        own = state[n]
+        op = node.op
+        begin = np.int64(node.first)
+        started = own.ready != 0
+        if not started and is_ready(node, operands, state, inputs):
+            own.ready = 1
+            common[0].unready -= 1
+        u = 0.0
+        if node.count > 0:
+            u = state[operands[begin].number].value
+        if op == INPUT:
+            u = inputs[node.other].value
+        elif op == AFFINE:
+            u = node.a
+            for k in range(begin, begin + node.count):
+                u = u + operands[k].weight * state[operands[k].number].value
+        elif op == PRODUCT:
+            for k in range(begin + 1, begin + node.count):
+                u = u * state[operands[k].number].value
+        elif op == LAG:
+            before, y = own.memory, own.value
+            own.memory = u
+            if not started:
+                u = 0.0 if node.flags & START_ZERO else u
+            else:
+                if replay:
+                    alpha = exp(-(dt / (node.a if before >= y else node.b)))
+                else:
+                    alpha = node.c if before >= y else node.d
+                u = before + (y - before) * alpha
+        elif op == FIRST:
+            u = own.value if started else u
+        elif op == CONSTANT:
+            u = node.a
+        elif op == POWER:
+            u = power(u, node.a)
+        elif op == CLIP:
+            u = node.a if u < node.a else node.b if u > node.b else u
+        elif op == SWITCH:
+            u = 1.0 if u >= node.a else 0.0 if u <= node.b else own.value
+        elif op == DIRECTION:
+            known = 0.0
+            if node.count > 1:
+                known = state[operands[begin + 1].number].value
+            side, memory = (own.value, own.memory) if started else (node.b, u)
+            u, own.memory = moved_side(u, known, side, memory, node.a)
+        elif op == APPROACH:
+            side = state[operands[begin + 1].number].value
+            way = u - own.memory
+            own.memory = u
+            if way < 0.0:
+                way = -way
+            if not started:
+                u = side
+            else:
+                u = side - (side - own.value) * exp(-(way / node.a)) if way > 0.0 else own.value
+        else:
+            u = lookup(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)
+        if not (u >= -LARGEST and u <= LARGEST):
+            u = 0.0
+            status |= NOT_FINITE
+        own.value = u
+    return status

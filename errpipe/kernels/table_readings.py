@@ -1,0 +1,143 @@
+"""Readings of a table's inputs: which are believed, what stands in for the others, what the table sees of them.
+
+`program` and `state` are as in `table_cycle`; the rules are those of the reference evaluator, to the bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.kernels import kernel
+from errpipe.kernels.table_codes import (
+    DEFAULTED,
+    FADE_ON_DEFAULT,
+    HAS_HOLD,
+    HAS_MAX_RATE,
+    HAS_STALE,
+    HAS_VALID,
+    HELD,
+    LARGEST,
+    LOST,
+    OPTIONAL,
+    SLOW_KINDS,
+    SUBSTITUTED,
+)
+
+
+@kernel
+def follows(channel, own, v, fresh, unwatched, thermal_s):
+    """Whether a reading lies where its rate and noise let it be; the anchor follows it at that rate."""
+    if unwatched and not own.seen:
+        own.anchor = v
+        return True
+    reach = channel.max_rate * own.age
+    moved = v - own.anchor
+    if moved > reach + channel.noise or -moved > reach + channel.noise:
+        if not own.seen:
+            own.anchor = v
+            own.age = 0.0
+        elif fresh:
+            own.rejected = (own.rejected + 1) & 0xFFFFFFFF
+        return False
+    if not own.seen and own.age < 0.5 * thermal_s:
+        return False
+    own.anchor = own.anchor + reach if moved > reach else own.anchor - reach if -moved > reach else v
+    return True
+
+
+@kernel
+def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, thermal_s):
+    """Judge all readings, then let something stand in for those not believed.
+
+    unwatched: the first reading of a run is believed at once. Returns the status bits, bit 31 set where an input that
+    matters is down to its default.
+    """
+    doubtful = 0
+    for i in range(inputs.size):
+        channel = inputs[i]
+        own = state[i]
+        own.age = own.age + dt
+        own.wait = own.wait + dt
+        if fresh[i]:
+            own.raw = readings[i]
+            own.wait = 0.0
+        v = own.raw
+        fault = 0
+        if not (v >= -LARGEST and v <= LARGEST):
+            fault = 1
+        elif channel.flags & HAS_STALE and own.wait > channel.stale:
+            fault = 2
+        elif v < channel.low or v > channel.high:
+            fault = 3
+        elif channel.flags & HAS_MAX_RATE and not follows(channel, own, v, fresh[i], unwatched, thermal_s):
+            fault = 4
+        own.fault = fault
+        own.source = 0
+        if fault == 0:
+            own.good = own.now = v
+            own.age = 0.0
+            own.seen = own.usable = 1
+        else:
+            doubtful += 1
+    return stand_in(inputs, substitutes, state) if doubtful else 0
+
+
+@kernel
+def show(inputs, state, every, clamped):
+    """What the table sees of the inputs (without `every`, only of the fast ones), and what validity leaves of it."""
+    for i in range(inputs.size):
+        channel = inputs[i]
+        own = state[i]
+        if channel.kind >= SLOW_KINDS and not every:
+            continue
+        v = own.now
+        own.left = 1.0
+        if channel.flags & HAS_VALID:
+            outside = channel.valid_low - v if v < channel.valid_low else v - channel.valid_high
+            if outside > 0.0:
+                own.left = 1.0 - outside / channel.margin
+                if clamped:
+                    v = channel.valid_low if v < channel.valid_low else channel.valid_high
+        own.value = v
+
+
+@kernel
+def stand_in(inputs, substitutes, state):
+    """What replaces the readings that are not believed; status bits as in `condition`."""
+    status = 0
+    for i in range(inputs.size):
+        channel = inputs[i]
+        own = state[i]
+        if own.fault == 0:
+            continue
+        own.source = 3
+        if channel.flags & OPTIONAL:
+            own.now = channel.default
+            continue
+        begin = np.int64(channel.first)
+        whole = channel.count > 0
+        for s in range(begin, begin + channel.count):
+            if state[substitutes[s].number].fault != 0:
+                whole = False
+        if whole:
+            v = channel.offset
+            for s in range(begin, begin + channel.count):
+                v = v + substitutes[s].weight * state[substitutes[s].number].good
+            if v < channel.low:
+                v = channel.low
+            if v > channel.high:
+                v = channel.high
+            own.now = v
+            own.usable = 1
+            own.source = 1
+            status |= SUBSTITUTED
+        elif own.seen and (not channel.flags & HAS_HOLD or own.age < channel.hold):
+            own.now = own.good
+            own.source = 2
+            status |= HELD
+        else:
+            own.now = channel.default
+            status |= DEFAULTED
+            if channel.flags & FADE_ON_DEFAULT:
+                status |= LOST
+    return status
