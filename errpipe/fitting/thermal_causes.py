@@ -26,6 +26,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
+from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError, did_you_mean
 
 _ROOM = re.compile(r"ambient|room|\bair\b|shop|hall|environment", re.IGNORECASE)
@@ -261,6 +262,4 @@ def _first_of(name: str) -> d.First:
 
 def columns(recording: Recording, drivers: Sequence[d.Driver]) -> np.ndarray:
     """Values of drivers, shape (rows, drivers); causal, NaN where an input is missing."""
-    if not drivers:
-        return np.empty((len(recording), 0))
-    return np.column_stack([drive(node, recording) for node in drivers])
+    return drive_all(drivers, recording)

@@ -63,6 +63,9 @@ def fit(
     for knot in knots:
         weight = np.exp(-0.5 * ((warm - knot) / max(width, knots[1] - knots[0])) ** 2)
         near = {g: np.sqrt(w) * parts[g] for g, w in zip(groups, weight, strict=True) if w > 1e-9}
+        if not near:  # no run started about as warm: nothing was learnt here
+            gains.append(np.zeros(next(iter(parts.values())).shape[1] - 1 - core.size))
+            continue
         triangle = thermal_network.stack(near, sorted(near))
         left = triangle[:, -1] - triangle[:, : core.size] @ core
         effective = sum(float(w) * rows[g] for g, w in zip(groups, weight, strict=True))

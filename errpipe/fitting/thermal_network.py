@@ -54,8 +54,7 @@ def signed_gains(
         size = member.size
         system = np.vstack([triangle[:, member] * signs[member], root * np.eye(size)])
         right = np.r_[triangle[:, -1], np.zeros(size)]
-        with one_thread():
-            found, _ = nnls(system, right)
+        found, _ = nnls(system, right)
         total[member] += found * signs[member]
     return total / max(len(members), 1)
 

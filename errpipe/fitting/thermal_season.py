@@ -21,26 +21,24 @@ fit and the prediction starts at zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe import __version__
 from errpipe.domain import driver as d
-from errpipe.domain.driver import inputs
-from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_local, thermal_network
 from errpipe.fitting.design import response_name
 from errpipe.fitting.season_options import SeasonOptions
+from errpipe.fitting.solve import one_thread
 from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, rms, since_start, slope
 from errpipe.fitting.thermal_interval import Intervals, LeftOut
-from errpipe.fitting.validity import box, distance
-from errpipe.terms import plain
-from errpipe.terms.profile_driver import ProfileDriver
+from errpipe.fitting.thermal_model import Part, ThermalModel
+from errpipe.fitting.validity import box
 
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
@@ -50,109 +48,22 @@ WORTH_STEPS = 16
 FULL_WITHIN = 3.0  # K, mean over sensors: starts of two seasons left out in turn lay so far apart, and held
 FADED_AT = 9.0  # K: from here on only FAR_SHARE of the core is used
 FAR_SHARE = 0.6
+INNER_FOLDS = 6  # of runs, where many models are fitted for a competition; a fold per run costs three times as much
 FEWEST_RUNS = 3  # an environment is left out only where so many runs stay to learn from
-
-
-Part = tuple[str, float, d.Driver]  # a cause: its name, its gain in um/K, its driver in K
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Per row, um: deviation since the start of the run, interval; outside is True where nothing like it was seen."""
-
-    predicted: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    outside: np.ndarray
-
-
-@dataclass(frozen=True)
-class SeasonModel:
-    """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run.
-
-    parts: the same, cause by cause and without fade and limit, for a person to read. factor: of the interval
-    (`thermal_interval`). fade: K, see the options.
-    datum: mean and standard deviation of the runs' zeros, um: how far the start of a new run is unknown.
-    """
-
-    component: str
-    options: SeasonOptions
-    parts: tuple[Part, ...]
-    terms: tuple[tuple[float, d.Driver], ...]
-    intervals: Intervals
-    factor: d.Driver
-    validity: Validity
-    fade: float
-    limit: tuple[float, float]
-    datum: tuple[float, float]
-    report: dict[str, Any] = field(default_factory=dict)
-
-    def values(self, recording: Recording) -> np.ndarray:
-        """Deviation since the start of the run, um, shape (rows,); causal."""
-        return sum((gain * drive(node, recording) for gain, node in self.terms), np.zeros(len(recording)))
-
-    def predict(self, recording: Recording) -> Prediction:
-        """Deviation since the start of each run with its interval, um; row k uses rows up to k of its run."""
-        value = self.values(recording)
-        away = distance(self.validity, recording)
-        half = self.intervals.half_width(value, drive(self.factor, recording), away)
-        return Prediction(value, value - half, value + half, away > 0.0)
-
-    def component_model(self) -> ComponentModel:
-        """As an error model's component: one term per driver, with the figures of the report."""
-        terms = tuple(
-            FittedTerm(
-                term=plain(ProfileDriver(driver=(node,))),
-                parameters=(FittedParameter(name="gain", value=gain, unit="um"),),
-            )
-            for gain, node in self.terms
-        )
-        return ComponentModel(
-            component=self.component,
-            terms=terms,
-            rows=self.report["rows"],
-            rms_before=self.report["rms_before"],
-            rms_after=self.report["rms_after"],
-            half_width90=self.intervals.unknown,
-            growth90=thermal_interval.GROWTH,
-            factor90=self.factor.model_dump(mode="json"),
-            widening90=self.intervals.widening,
-            limit=max(abs(self.limit[0]), abs(self.limit[1])),
-        )
-
-    def error_model(self, recording: Recording) -> ErrorModel:
-        """As an error model of one component; `recording` gives machine, title and the columns' entries."""
-        manifest = recording.manifest
-        read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed, say
-        names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
-        columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names}
-        notes = (
-            "counts from the start of each run: temperatures do not tell where the probe was zeroed "
-            f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
-        )
-        return ErrorModel(
-            machine=manifest.machine,
-            title=manifest.title,
-            version=__version__,
-            columns=columns,
-            components=(self.component_model(),),
-            validity=self.validity,
-            datum="run_start",
-            notes=notes,
-        )
 
 
 def fit(
     recording: Recording, component: str, options: SeasonOptions | None = None, rows: np.ndarray | None = None
-) -> SeasonModel:
+) -> ThermalModel:
     """Fit on the rows of a mask (all where not given). Nothing outside the mask is looked at, the datum apart.
 
     Raises DataError where the response is missing or no sensor sits on the machine.
     """
     options = options or SeasonOptions()
-    problem = Problem(recording, component, options, rows)
-    problem.orient()
-    return problem.model()
+    with one_thread():
+        problem = Problem(recording, component, options, rows)
+        problem.orient()
+        return problem.model()
 
 
 @dataclass(frozen=True)
@@ -203,6 +114,13 @@ class Problem:
         self.rounds = 0  # the signs show without
         self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
         self.core_centred, self.extra_centred = core, extra
+
+    def restricted(self, groups: Sequence[int]) -> Problem:
+        """The same problem with fewer groups to learn from; signs and columns are shared."""
+        fewer = copy(self)
+        fewer.groups = list(groups)
+        fewer.rows = self.rows & np.isin(self.group, fewer.groups)
+        return fewer
 
     def full_core(self) -> np.ndarray:
         """Values of the causes less the mean of each run's first rows, (rows, causes), K."""
@@ -275,6 +193,10 @@ class Problem:
         """The temperatures of the rows of a mask."""
         return box(self.recording, self.found.all(), rows).model_copy(update={"fades": False})
 
+    def _folds(self, count: int) -> list[list[int]]:
+        """Groups that are left out together, in at most `count` folds; neighbours in time sit out in different ones."""
+        return [self.groups[k::count] for k in range(min(count, len(self.groups)))]
+
     def environments(self) -> list[list[int]]:
         """Groups by their surroundings: the labelled ones, else runs that started cold and runs that started warm."""
         try:
@@ -311,10 +233,10 @@ class Problem:
         near = np.exp(-0.5 * ((grid[:, None] - warm) / WORTH_WIDTH) ** 2)
         return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)
 
-    def model(self) -> SeasonModel:
-        """The final model: gains from all groups, its scales from groups left out."""
+    def model(self, reported: bool = True) -> ThermalModel:
+        """The final model: gains from all groups, its scales from groups left out. reported: with its figures."""
         y = self.response
-        runs = self.left_out([[g] for g in self.groups])
+        runs = self.left_out(self._folds(len(self.groups) if reported else INNER_FOLDS))
         seen = self.rows & np.isfinite(runs["core"])
         worth = self.worth(runs)
         runs["correction"] *= np.interp(self.warmth(), *worth)
@@ -330,7 +252,7 @@ class Problem:
         total = _sum(tuple(("", 1.0, node) for node in (fading, correction) if node is not None))
         terms = ((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),)
         parts = core if correction is None else (*core, ("correction where it was learnt", 1.0, correction))
-        model = SeasonModel(
+        model = ThermalModel(
             self.component,
             self.options,
             parts,
@@ -342,6 +264,8 @@ class Problem:
             limit,
             self._datum(),
         )
+        if not reported:
+            return model
         after = y - model.values(self.recording)
         report = {
             "rows": int(np.count_nonzero(self.rows)),
@@ -356,7 +280,7 @@ class Problem:
             "rms_core_runs_left_out": rms((y - runs["core"])[seen]) if seen.any() else None,
             "rms_core_environments_left_out": rms((y - afar["core"])[far]) if far.any() else None,
         }
-        return SeasonModel(**(model.__dict__ | {"report": report}))
+        return ThermalModel(**(model.__dict__ | {"report": report}))
 
     def _share(self, core: np.ndarray, rows: np.ndarray) -> float:
         """Slope of the deviation on the core over environments left out, one standard error in its favour, 0..1.

@@ -12,11 +12,12 @@ from errpipe.models._base import Family
 from errpipe.yamlfile import Choice
 
 DEFAULT = "terms"  # where a pipeline names no family
-BY_FIT = ("auto", "lagged", "network", "nothing", "plate", "rises", "season", DEFAULT)
+SEVERAL = "auto"  # where it names a list of them
+BY_FIT = (SEVERAL, "lagged", "network", "neural", "nothing", "plate", "rises", "season", DEFAULT)
 BY_ANOTHER_STAGE = ("direct",)
 FAMILIES: Choice[type[Family]] = Choice.of_files("errpipe.models", "family", (*BY_FIT, *BY_ANOTHER_STAGE))
 
-__all__ = ["BY_FIT", "DEFAULT", "FAMILIES", "Family", "family_of", "procedure"]
+__all__ = ["BY_FIT", "DEFAULT", "FAMILIES", "SEVERAL", "Family", "family_of", "procedure"]
 
 
 def family_of(document: Mapping[str, Any]) -> Family:

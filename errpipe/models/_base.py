@@ -8,7 +8,7 @@ Every family gives an error model, so one compiler lowers all of them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
 
 Progress = Callable[[float, str], None]
 
@@ -51,12 +53,14 @@ class Family(Frozen, ABC):
     """Base of every model family; the fields of a subclass are its options, `family` is its name.
 
     documents: names of the JSON files that its fit adds. takes_terms: whether further terms may be added to a fitted
-    model. seasonal: whether `train` gives a predictor of the deviation since the start of each run.
+    model. seasonal: whether `train` gives a predictor of the deviation since the start of each run. competes: whether
+    it has entrants for a competition of thermal families.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
     takes_terms: ClassVar[bool] = False
     seasonal: ClassVar[bool] = False
+    competes: ClassVar[bool] = False
 
     @classmethod
     def family_name(cls) -> str:
@@ -92,6 +96,15 @@ class Family(Frozen, ABC):
     @abstractmethod
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; component -> what was left."""
+
+    @classmethod
+    def competitor(cls, shared: Mapping[str, Any]) -> Family:
+        """The family as it competes: default settings, and what all competitors share by name (component, ...)."""
+        return cls(**{name: value for name, value in shared.items() if name in cls.model_fields})
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """Settings that compete, on the rows of a problem."""
+        return ()
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """What the report adds, from the documents of the fit and `validation.json`."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from errpipe.fitting.judging import HeldOut
     from errpipe.fitting.thermal_competition import Entrant, Outcome
     from errpipe.fitting.thermal_linear import LinearProblem
-    from errpipe.fitting.thermal_season import SeasonModel
+    from errpipe.fitting.thermal_model import ThermalModel
 
 COMPETITION = "competition.json"
 MOST_OPERANDS = 48  # of one sum; a table takes 64
@@ -35,6 +35,7 @@ class ThermalFamily(Family):
     )
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
     documents: ClassVar[tuple[str, ...]] = (COMPETITION,)
+    competes: ClassVar[bool] = True
 
     @abstractmethod
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
@@ -63,7 +64,7 @@ class ThermalFamily(Family):
                 raise
             return super().folds(recording, "auto")
 
-    def train(self, recording: Recording, rows: np.ndarray | None = None) -> SeasonModel:
+    def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         return self._compete(recording, rows)[0]
 
@@ -109,16 +110,18 @@ class ThermalFamily(Family):
             Table("Competition of families", ["setting", *(f"{n} left out" for n in names), "weight"], rows, caption)
         ]
 
-    def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[SeasonModel, Outcome]:
+    def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
         from errpipe.fitting import thermal_competition, thermal_linear
+        from errpipe.fitting.solve import one_thread
 
-        problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
-        ways = thermal_competition.groupings(recording, problem.group, problem.groups)
-        entrants = self.entrants(problem)
-        if self._one_environment(problem):
-            entrants = [e for e in entrants if e.physical] or entrants
-        outcome = thermal_competition.compete(entrants, ways, problem.response, problem.rows, problem.group)
-        return _model(self, problem, outcome), outcome
+        with one_thread():
+            problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
+            ways = thermal_competition.groupings(recording, problem.group, problem.groups)
+            entrants = self.entrants(problem)
+            if self._one_environment(problem):
+                entrants = [e for e in entrants if e.physical] or entrants
+            outcome = thermal_competition.compete(entrants, ways, problem.response, problem.rows, problem.group)
+            return _model(self, problem, outcome), outcome
 
     def _one_environment(self, problem: LinearProblem) -> bool:
         """Whether all rows are of one labelled environment (season).
@@ -153,7 +156,7 @@ def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tupl
     return Entrant(family, name, predict, parts)
 
 
-def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> SeasonModel:
+def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> ThermalModel:
     """The mixture as one sum of gains times drivers, held within what the deviations seen allow."""
     import numpy as np
 
@@ -161,7 +164,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> S
     from errpipe.fitting import thermal_interval
     from errpipe.fitting.season_options import SeasonOptions
     from errpipe.fitting.thermal_arithmetic import limits, rms
-    from errpipe.fitting.thermal_season import SeasonModel
+    from errpipe.fitting.thermal_model import ThermalModel
     from errpipe.fitting.validity import box
 
     y, rows, groups = problem.response, problem.rows, tuple(problem.groups)
@@ -169,7 +172,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> S
     total = _sum_of(outcome, groups)
     half = _half_width(family, problem, outcome)
     validity = box(problem.recording, problem.recording.names("temperature"), rows)
-    found = SeasonModel(
+    found = ThermalModel(
         component=family.component,
         options=SeasonOptions(),
         parts=tuple((name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)),
@@ -187,7 +190,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> S
         "rms_before": rms(y[rows]),
         "rms_after": rms(after[rows & np.isfinite(after)]),
     }
-    return SeasonModel(**(found.__dict__ | {"report": report}))
+    return ThermalModel(**(found.__dict__ | {"report": report}))
 
 
 def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:

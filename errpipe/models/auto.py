@@ -12,6 +12,7 @@ from errpipe.models._thermal import ThermalFamily
 if TYPE_CHECKING:
     from errpipe.fitting.thermal_competition import Entrant
     from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.models._base import Family
 
 
 class Auto(ThermalFamily):
@@ -35,12 +36,12 @@ class Auto(ThermalFamily):
         """The entrants of every family that competes."""
         shared = {name: getattr(self, name) for name in ThermalFamily.model_fields}
         chosen = [kind for kind in competitors() if not self.among or kind.family_name() in self.among]
-        return [entrant for kind in chosen for entrant in kind(**shared).entrants(problem)]
+        return [entrant for kind in chosen for entrant in kind.competitor(shared).entrants(problem)]
 
 
-def competitors() -> list[type[ThermalFamily]]:
-    """The thermal families of the registry, by name; those that no pipeline names are loaded too."""
+def competitors() -> list[type[Family]]:
+    """The families of the registry that compete, by name; those that no pipeline names are loaded too."""
     from errpipe.models import FAMILIES
 
-    kinds = [kind for kind in FAMILIES if issubclass(kind, ThermalFamily) and kind is not Auto]
+    kinds = [kind for kind in FAMILIES if kind.competes and kind is not Auto]
     return sorted(kinds, key=lambda kind: kind.family_name())

@@ -16,18 +16,17 @@ if TYPE_CHECKING:
     from errpipe.fitting.thermal_competition import Entrant
     from errpipe.fitting.thermal_linear import LinearProblem
 
-LASSO = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # shares of the penalty that leaves no gain; the competition chooses
-RIDGE = (1e-4, 1e-3, 1e-2, 1e-1)  # on columns of unit rms
-COMMON = tuple((f, s) for f in (0.1, 1.0, 10.0) for s in (1e-3, 1e-2, 1e-1))  # freedom of a run, strength of the ridge
+LASSO = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # shares of the penalty that leaves no gain; the competition chooses
+RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # on columns of unit rms
 
 
 class Lagged(ThermalFamily):
-    """Lasso, ridge, and gains that runs share, on rises and lagged rises; time constants follow from the recording."""
+    """Lasso and ridge on rises and lagged rises; time constants follow from the recording."""
 
     family: Literal["lagged"] = Field("lagged", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every setting; lasso, ridge and common gains each send their best into a mixture."""
+        """Every setting; lasso and ridge each send their best into a mixture."""
         from errpipe.fitting import thermal_linear as t
 
         width, own = len(problem.drivers), self.family_name()
@@ -46,13 +45,4 @@ class Lagged(ThermalFamily):
 
             return linear(f"{own}, ridge", f"lagged, ridge {strength:g}", problem, gains)
 
-        def common(setting: tuple[float, float]) -> Entrant:
-            freedom, strength = setting
-
-            def gains(groups: tuple[int, ...]) -> np.ndarray:
-                return t.common_gains([problem.stacked((g,), width) for g in groups], strength, freedom)
-
-            name = f"lagged, common to runs {freedom:g}, ridge {strength:g}"
-            return linear(f"{own}, common", name, problem, gains)
-
-        return [*map(lasso, range(len(LASSO))), *map(ridge, RIDGE), *map(common, COMMON)]
+        return [*map(lasso, range(len(LASSO))), *map(ridge, RIDGE)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
-    from errpipe.fitting.thermal_season import SeasonModel
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.fitting.thermal_model import ThermalModel
 
 CAUSES = "season.json"
 
@@ -29,6 +32,7 @@ class Season(Family):
     options: SeasonOptions = Field(SeasonOptions(), description="How it is fitted; the defaults are the tested ones.")
     documents: ClassVar[tuple[str, ...]] = (CAUSES,)
     seasonal: ClassVar[bool] = True
+    competes: ClassVar[bool] = True
 
     @property
     def responses(self) -> tuple[str, ...]:
@@ -42,11 +46,50 @@ class Season(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
 
-    def train(self, recording: Recording, rows: np.ndarray | None = None) -> SeasonModel:
+    def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         from errpipe.fitting import thermal_season
 
         return thermal_season.fit(recording, self.component, self.options, rows)
+
+    @classmethod
+    def competitor(cls, shared: Mapping[str, Any]) -> Season:
+        """Its options take what all competitors share."""
+        named = {name: value for name, value in shared.items() if name in SeasonOptions.model_fields}
+        return cls(component=shared["component"], options=SeasonOptions(**named))
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """One setting, the network with its correction; nobody where no sensor sits on the machine."""
+        import numpy as np
+
+        from errpipe.errors import DataError
+        from errpipe.fitting.thermal_arithmetic import since_start
+        from errpipe.fitting.thermal_competition import Entrant
+        from errpipe.fitting.thermal_season import Problem
+
+        recording, run = problem.recording, problem.recording.run_codes()
+        try:
+            whole = Problem(recording, self.component, self.options, problem.rows)
+        except DataError:
+            return ()
+        whole.orient()
+
+        @cache
+        def model(groups: tuple[int, ...]) -> ThermalModel:
+            return whole.restricted(groups).model(reported=False)
+
+        def predict(groups: tuple[int, ...]) -> np.ndarray:
+            left_out = problem.rows & ~np.isin(problem.group, groups)
+            rows = np.isin(run, run[left_out])
+            out = np.full(run.size, np.nan)
+            values = model(groups).values(recording.take(rows))
+            out[rows] = since_start(values, run[rows], self.options.datum_rows)[0]
+            return out
+
+        def parts(groups: tuple[int, ...]) -> Any:
+            return tuple((self.family_name(), gain, node) for gain, node in model(groups).terms)
+
+        return [Entrant(self.family_name(), "network + correction (season)", predict, parts, True)]
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row. Raises DataError where no sensor sits on the machine."""

@@ -27,6 +27,7 @@ def json_schema(model: type[BaseModel], title: str, *, written: bool) -> dict[st
     schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_draft7(full, defaults), "title": title}
     if definitions:
         schema["definitions"] = definitions
+    _accept_lists(schema, frozenset(m.key for m in members if isinstance(m, Choice) and m.several))
     if written:
         for _, _, prop in properties(schema):
             _accept_quantities(prop)
@@ -91,6 +92,16 @@ def _choice(node: Mapping[str, Any], defaults: Mapping[str, str]) -> dict[str, A
         branches.append({"if": condition, "then": _branch(mapping[tag], defaults)})
     needed = {} if key in defaults else {"required": [key]}
     return rest | {"type": "object", **needed, "properties": {key: {"enum": sorted(mapping)}}, "allOf": branches}
+
+
+def _accept_lists(node: Any, listed: frozenset[str]) -> None:
+    """Where a key that tells branches apart may be a list of their names, say so."""
+    for part in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        _accept_lists(part, listed)
+    keys = node.get("properties", {}) if isinstance(node, dict) else {}
+    for key in listed & set(keys):
+        if set(keys[key]) == {"enum"}:
+            keys[key] = {"anyOf": [keys[key], {"type": "array", "items": dict(keys[key]), "minItems": 1}]}
 
 
 def _branch(choice: Any, defaults: Mapping[str, str]) -> dict[str, Any]:

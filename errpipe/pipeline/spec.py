@@ -102,7 +102,11 @@ def _complete_variants(document: Document, kinds: Choice[type[Stage]]) -> None:
     for entry in entries if isinstance(entries, list) else ():
         kind = entry.get("kind") if isinstance(entry, dict) else None
         if isinstance(kind, str) and kind in kinds.tags and isinstance(kinds[kind], Choice):
-            entry.setdefault(kinds[kind].key, kinds[kind].default)
+            choice: Choice = kinds[kind]
+            if choice.several and isinstance(entry.get(choice.key), list):
+                tag, field_of_list = choice.several
+                entry |= {choice.key: tag, field_of_list: entry[choice.key]}
+            entry.setdefault(choice.key, choice.default)
 
 
 def load_pipeline(

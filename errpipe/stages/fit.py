@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import create_model
 
-from errpipe.models import BY_FIT, DEFAULT, FAMILIES, Family
+from errpipe.models import BY_FIT, DEFAULT, FAMILIES, SEVERAL, Family
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.yamlfile import Choice
@@ -53,5 +53,8 @@ def _stage_of(name: str) -> type[FitStage]:
 
 
 Fit: Choice[type[FitStage]] = Choice(
-    FitStage.variant_key, {name: partial(_stage_of, name) for name in BY_FIT}, FitStage.default_variant
+    FitStage.variant_key,
+    {name: partial(_stage_of, name) for name in BY_FIT},
+    FitStage.default_variant,
+    several=(SEVERAL, "among"),
 )

@@ -24,12 +24,20 @@ M = TypeVar("M")
 class Choice(Generic[M]):
     """Models by tag; iterating loads all of them. A member may be a choice by a second key.
 
-    key: the field whose value is the tag. default: the tag where none is written, if there is one.
+    key: the field whose value is the tag. default: the tag where none is written, if there is one. several: what a list
+    of tags stands for, if it may be written: a tag, and the field of that member that takes the list.
     """
 
-    def __init__(self, key: str, members: Mapping[str, Callable[[], Any]], default: str = ""):
+    def __init__(
+        self,
+        key: str,
+        members: Mapping[str, Callable[[], Any]],
+        default: str = "",
+        several: tuple[str, str] | None = None,
+    ):
         self.key = key
         self.default = default
+        self.several = several
         self._load = dict(members)
         self._loaded: dict[str, Any] = {}
 

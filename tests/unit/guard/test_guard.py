@@ -13,6 +13,7 @@ from errpipe.domain import table as t
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_season
 from errpipe.guard import description as g
@@ -92,7 +93,7 @@ def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
     for i, sensor in enumerate(guard.sensors):
         for times, blamed in ((2.0, True), (0.5, False)):
             failed = trials.fail(fresh, sensor.name, "step", step=times * sensor.smallest)
-            flags = watch.evaluate(detect.blamed(guard), failed)
+            flags = drive_all(detect.blamed(guard), failed)
             assert bool(flags[:, i].any()) == blamed, (sensor.name, times)
             assert blamed or not flags.any(), (sensor.name, times)
 
@@ -169,7 +170,7 @@ def test_shared_evaluation_is_drive(guard):
     failed = trials.fail(simulated_sensors.machine(1, seed=7), "T_bed", "drift", drift=4.0)
     parts = [*detect.residuals(guard), detect.stillness(guard, "T_bed")]
     expected = np.column_stack([drive(one, failed) for one in parts])
-    np.testing.assert_array_equal(watch.evaluate(parts, failed), expected)
+    np.testing.assert_array_equal(drive_all(parts, failed), expected)
 
 
 @pytest.mark.parametrize("way", trials.WAYS)

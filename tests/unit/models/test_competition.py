@@ -19,6 +19,7 @@ from errpipe.models import FAMILIES, family_of, procedure
 from errpipe.models.auto import Auto, competitors
 from errpipe.models.lagged import Lagged
 from errpipe.models.network import Network
+from errpipe.models.neural import Neural
 from errpipe.models.nothing import Nothing
 from errpipe.models.rises import Rises
 from errpipe.stages._compile import CompileOptions, compile_model
@@ -27,6 +28,7 @@ from errpipe.validation.gate import pass_gate
 from errpipe.validation.held_out import held_out
 
 STEP, ROWS = 300.0, 72  # s, six hours a day
+LINEAR = ("lagged", "network", "rises")  # the quick ones
 SEASONS = {"winter": 15.0, "spring": 20.0, "summer": 28.0}
 
 
@@ -81,17 +83,19 @@ def test_the_third_season_is_predicted_from_two(seed: int) -> None:
     """The lag matters here: rises alone leave several times more, and the competition knows."""
     whole = machine(seed)
     fitted, judged = part(whole, "summer", False), part(whole, "summer", True)
-    before, auto = left_in(Auto(component="E_Z").train(fitted), judged)
+    before, auto = left_in(Auto(component="E_Z", among=LINEAR).train(fitted), judged)
     _, rises = left_in(Rises(component="E_Z").train(fitted), judged)
     _, late = left_in(Lagged(component="E_Z").train(fitted), judged)
     assert auto < 0.5 * rises and auto < 1.15 * late and auto < 0.1 * before
 
 
-def test_the_table_gives_the_mixture_back() -> None:
-    fitted = machine(3, runs=3)
-    model = Auto(component="E_Z").fit(fitted).model
+@pytest.mark.parametrize("family", [Auto(component="E_Z", among=LINEAR), Neural(component="E_Z")])
+def test_the_table_gives_the_mixture_back(family) -> None:
+    fitted = machine(3, runs=2)
+    model = family.fit(fitted).model
     table = compile_model(model, CompileOptions())
-    found = Auto(component="E_Z").train(fitted).values(fitted)
+    found = family.train(fitted).values(fitted)
+    assert np.abs(found).max() > 1.0
     assert_allclose(table_values(table, model, fitted)["E_Z"], found, atol=1e-3)
 
 
@@ -109,7 +113,7 @@ def test_a_mixture_of_more_parts_than_a_sum_may_have_compiles() -> None:
 
 
 def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
-    recording, family = machine(4, runs=4), Auto(component="E_Z")
+    recording, family = machine(4, runs=4), Auto(component="E_Z", among=LINEAR)
     fitted = family.fit(recording)
     document = held_out(recording, family)
     assert document["scheme"] == "leave-one-group-out:season"
@@ -124,7 +128,7 @@ def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
 
 def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
     quiet = machine(5, runs=4, effect=0.0)
-    for family in (Auto(component="E_Z"), Nothing(component="E_Z")):
+    for family in (Auto(component="E_Z", among=LINEAR), Nothing(component="E_Z")):
         with pytest.raises(GateError, match="not better than nothing"):
             pass_gate(family.fit(quiet).model, [held_out(quiet, family)])
 
@@ -132,10 +136,11 @@ def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
 def test_of_one_labelled_season_only_gains_with_a_sign_are_used() -> None:
     """Nothing says that they hold in another one; without a label every family competes."""
     one = machine(6, seasons=("winter",), runs=6)
-    assert {e.family for e, _ in Auto(component="E_Z")._compete(one, None)[1].weights} == {"network"}
+    signed = {"network", "season"}
+    assert {e.family for e, _ in Auto(component="E_Z")._compete(one, None)[1].weights} <= signed
     kinds = {n: c for n, c in one.manifest.columns.items() if n != "season"}
     bare = Recording(one.manifest.model_copy(update={"columns": kinds}), one.frame.drop(columns="season"))
-    assert {e.family for e, _ in Auto(component="E_Z")._compete(bare, None)[1].weights} - {"network"}
+    assert {e.family for e, _ in Auto(component="E_Z")._compete(bare, None)[1].weights} - signed
     assert Auto(component="E_Z").folds(bare, None)[0] == "leave-one-run-out"
 
 
@@ -181,6 +186,42 @@ def test_one_run_without_temperatures_is_a_clear_message() -> None:
         thermal_competition.compete([], [], np.zeros(3), np.ones(3, dtype=bool), np.zeros(3, dtype=int))
 
 
+def entrant(family: str, values: np.ndarray) -> thermal_competition.Entrant:
+    return thermal_competition.Entrant(family, family, lambda groups: values, lambda groups: ())
+
+
+def test_an_entrant_that_does_not_carry_over_to_another_season_is_out() -> None:
+    """Both know runs left out; one of them leaves three times as much without the season."""
+    rng = np.random.default_rng(5)
+    group = np.repeat(np.arange(8), 50)
+    truth = np.tile(np.linspace(0, 20, 50), 8) + rng.normal(0, 0.3, 400)
+    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
+    seasons = thermal_competition.Grouping("season", ((0, 1, 2, 3), (4, 5, 6, 7)))
+    good = truth + rng.normal(0, 1.0, 400)
+
+    def fickle(groups):
+        return truth + rng.normal(0, 0.5 if len(groups) == 7 else 3.0, 400)
+
+    def mixture(predict, ways):
+        rival = thermal_competition.Entrant("fickle", "fickle", predict, lambda groups: ())
+        found = thermal_competition.compete([rival, entrant("good", good)], ways, truth, np.ones(400, bool), group)
+        return {e.family for e, _ in found.weights}
+
+    assert "fickle" in mixture(fickle, (runs,))
+    assert mixture(fickle, (runs, seasons)) == {"good"}
+
+
+def test_an_entrant_that_helps_by_chance_does_not_join() -> None:
+    """Six families of pure noise, the best of five settings each: what they get all together."""
+    rng = np.random.default_rng(6)
+    group = np.repeat(np.arange(8), 50)
+    truth = rng.normal(0, 5.0, 400)
+    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
+    noise = [entrant(str(k % 6), rng.normal(0, 5.0, 400)) for k in range(30)]
+    found = thermal_competition.compete(noise, (runs,), truth, np.ones(400, bool), group)
+    assert sum(w for _, w in found.weights) < 0.3
+
+
 def test_every_family_is_read_back_from_its_procedure() -> None:
     for kind in competitors():
         family = kind(component="E_Z")
@@ -194,3 +235,17 @@ def test_every_thermal_family_competes_in_a_process_that_loaded_none() -> None:
     code = "from errpipe.models.auto import competitors; print(len(competitors()))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(done.stdout) == len(competitors()) >= 4
+
+
+def test_a_list_of_families_competes(tmp_path) -> None:
+    from errpipe.errors import ConfigError
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+
+    stages = "  - {kind: ingest, recording: .}\n  - {kind: fit, family: [%s], component: E_Z}\n"
+    (tmp_path / "p.yaml").write_text("pipeline: 1\nstages:\n" + stages % "lagged, network")
+    fit = load_pipeline(tmp_path / "p.yaml", STAGES).stage("fit")
+    assert fit.family_options() == Auto(component="E_Z", among=("lagged", "network"))
+    (tmp_path / "p.yaml").write_text("pipeline: 1\nstages:\n" + stages % "lagged, netwrok")
+    with pytest.raises(ConfigError, match="Did you mean network"):
+        load_pipeline(tmp_path / "p.yaml", STAGES)

@@ -1,0 +1,111 @@
+"""A fitted thermal model: one sum of drivers since the start of the run, with its interval, and its error model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from errpipe import __version__
+from errpipe.domain import driver as d
+from errpipe.domain.driver import inputs
+from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.recording import Recording
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.shared import drive_all
+from errpipe.fitting import thermal_interval
+from errpipe.fitting.season_options import SeasonOptions
+from errpipe.fitting.thermal_interval import Intervals
+from errpipe.fitting.validity import distance
+from errpipe.terms import plain
+from errpipe.terms.profile_driver import ProfileDriver
+
+Part = tuple[str, float, d.Driver]  # a cause: its name, its gain in um/K, its driver in K
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Per row, um: deviation since the start of the run, interval; outside is True where nothing like it was seen."""
+
+    predicted: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    outside: np.ndarray
+
+
+@dataclass(frozen=True)
+class ThermalModel:
+    """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run.
+
+    parts: the same, cause by cause and without fade and limit, for a person to read. factor: of the interval
+    (`thermal_interval`). fade: K, see the options.
+    datum: mean and standard deviation of the runs' zeros, um: how far the start of a new run is unknown.
+    """
+
+    component: str
+    options: SeasonOptions
+    parts: tuple[Part, ...]
+    terms: tuple[tuple[float, d.Driver], ...]
+    intervals: Intervals
+    factor: d.Driver
+    validity: Validity
+    fade: float
+    limit: tuple[float, float]
+    datum: tuple[float, float]
+    report: dict[str, Any] = field(default_factory=dict)
+
+    def values(self, recording: Recording) -> np.ndarray:
+        """Deviation since the start of the run, um, shape (rows,); causal."""
+        gains = np.array([gain for gain, _ in self.terms])
+        return drive_all([node for _, node in self.terms], recording) @ gains
+
+    def predict(self, recording: Recording) -> Prediction:
+        """Deviation since the start of each run with its interval, um; row k uses rows up to k of its run."""
+        value = self.values(recording)
+        away = distance(self.validity, recording)
+        half = self.intervals.half_width(value, drive(self.factor, recording), away)
+        return Prediction(value, value - half, value + half, away > 0.0)
+
+    def component_model(self) -> ComponentModel:
+        """As an error model's component: one term per driver, with the figures of the report."""
+        terms = tuple(
+            FittedTerm(
+                term=plain(ProfileDriver(driver=(node,))),
+                parameters=(FittedParameter(name="gain", value=gain, unit="um"),),
+            )
+            for gain, node in self.terms
+        )
+        return ComponentModel(
+            component=self.component,
+            terms=terms,
+            rows=self.report["rows"],
+            rms_before=self.report["rms_before"],
+            rms_after=self.report["rms_after"],
+            half_width90=self.intervals.unknown,
+            growth90=thermal_interval.GROWTH,
+            factor90=self.factor.model_dump(mode="json"),
+            widening90=self.intervals.widening,
+            limit=max(abs(self.limit[0]), abs(self.limit[1])),
+        )
+
+    def error_model(self, recording: Recording) -> ErrorModel:
+        """As an error model of one component; `recording` gives machine, title and the columns' entries."""
+        manifest = recording.manifest
+        read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed, say
+        names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
+        columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names}
+        notes = (
+            "counts from the start of each run: temperatures do not tell where the probe was zeroed "
+            f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
+        )
+        return ErrorModel(
+            machine=manifest.machine,
+            title=manifest.title,
+            version=__version__,
+            columns=columns,
+            components=(self.component_model(),),
+            validity=self.validity,
+            datum="run_start",
+            notes=notes,
+        )

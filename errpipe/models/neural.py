@@ -1,0 +1,107 @@
+"""A small neural network: few tanh units on rises and on rises through two lags."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from errpipe.models._thermal import ThermalFamily
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain import driver as d
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
+
+UNITS = 4  # of the hidden layer; a network of few units extrapolates by few bends
+PENALTIES = (0.01, 1.0)  # of squared weights, on standardised columns; the competition chooses
+MOST_ROWS = 1500  # rows that train, evenly thinned: neighbours say the same
+MOST_STEPS = 150  # of L-BFGS; more fit the noise
+REACH, STEPS = 4.0, 65  # the table of tanh ends where it is 0.9993; linear between its points it is within 0.0015
+LAGS = (0.4, 0.8)  # which of the recording's time constants, as a share of their number
+
+
+class Neural(ThermalFamily):
+    """A multilayer perceptron of one hidden layer with tanh, zero where nothing has warmed up."""
+
+    family: Literal["neural"] = Field("neural", description="Model family.")
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """One entrant per penalty."""
+        return [_entrant(self.family_name(), problem, penalty) for penalty in PENALTIES]
+
+
+def _entrant(family: str, problem: LinearProblem, penalty: float) -> Entrant:
+    import numpy as np
+
+    from errpipe.fitting.thermal_competition import Entrant
+
+    used = _columns(problem)
+    values = problem.values[:, used]
+    size = np.sqrt(np.mean(values[problem.rows] ** 2, axis=0))
+    size[size == 0] = 1.0
+
+    @cache
+    def net(groups: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rows = np.flatnonzero(problem.rows & np.isin(problem.group, groups))
+        rows = rows[:: max(1, rows.size // MOST_ROWS)]
+        return _trained(values[rows] / size, problem.response[rows], penalty)
+
+    def predict(groups: tuple[int, ...]) -> np.ndarray:
+        inner, bias, outer = net(groups)
+        return (np.tanh(values / size @ inner + bias) - np.tanh(bias)) @ outer
+
+    def parts(groups: tuple[int, ...]) -> Any:
+        inner, bias, outer = net(groups)
+        nodes = [problem.drivers[k] for k in used]
+        units = [_unit(nodes, weights / size, float(b)) for weights, b in zip(inner.T, bias, strict=True)]
+        return tuple((f"unit {k + 1}", float(g), unit) for k, (g, unit) in enumerate(zip(outer, units, strict=True)))
+
+    return Entrant(family, f"neural, {UNITS} units, penalty {penalty:g}", predict, parts)
+
+
+def _columns(problem: LinearProblem) -> list[int]:
+    """Numbers of the rises, and of every rise through two of the lags."""
+    count = problem.plain
+    lags = len(problem.drivers) // count - 1
+    chosen = sorted({min(int(share * lags), lags - 1) for share in LAGS}) if lags > 0 else []
+    return [*range(count), *(count + k * lags + lag for k in range(count) for lag in chosen)]
+
+
+def _trained(x: np.ndarray, y: np.ndarray, penalty: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights (columns, units), biases (units,), outer weights (units,), um. x: (rows, columns); y: (rows,), um."""
+    import numpy as np
+    from sklearn.neural_network import MLPRegressor
+
+    scale = float(np.sqrt(np.mean(y**2))) or 1.0
+    net = MLPRegressor(
+        hidden_layer_sizes=(UNITS,),
+        activation="tanh",
+        solver="lbfgs",
+        alpha=penalty,
+        max_iter=MOST_STEPS,
+        random_state=0,
+        tol=1e-5,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it is stopped early on purpose
+        net.fit(x, y / scale)
+    return net.coefs_[0], net.intercepts_[0], net.coefs_[1][:, 0] * scale
+
+
+def _unit(nodes: Sequence[d.Driver], weights: np.ndarray, bias: float) -> d.Driver:
+    """tanh(weights . nodes + bias) - tanh(bias) as a table of tanh, held at its ends."""
+    import numpy as np
+
+    from errpipe.domain import driver as d
+
+    grid = np.linspace(-REACH, REACH, STEPS)
+    inside = d.Affine(offset=bias, weights=tuple(map(float, weights)), of=tuple(nodes))
+    table = np.tanh(grid)
+    bent = d.Lookup(of=inside, start=-REACH, step=float(grid[1] - grid[0]), values=tuple(map(float, table)))
+    return d.Affine(offset=-float(np.interp(bias, grid, table)), weights=(1.0,), of=(bent,))
