@@ -219,7 +219,8 @@ def _weights(kept: Sequence[int], judged: _Judged) -> dict[int, float]:
     """Least squares on rows left out; no negative weight, a sum of at most one."""
     right = judged.response[judged.seen]
     size = np.sqrt(np.sum(right**2)) or 1.0
-    triangle = np.linalg.qr(np.column_stack([judged.predicted[kept][:, judged.seen].T, right]) / size, mode="r")
+    both = np.column_stack([judged.predicted[kept][:, judged.seen].T, right]) / size
+    triangle = np.asarray(np.linalg.qr(both, mode="r"))
     design, right = triangle[:, :-1], triangle[:, -1]
     found, _ = nnls(design, right)
     if found.sum() > 1.0:
