@@ -32,17 +32,20 @@ def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.nd
     return since_start(recording.array(response_name(recording, component)), recording.run_codes(), rows)[0]
 
 
-def conformal_half_width(error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None) -> float:
+def conformal_half_width(
+    error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None, raised: bool = True
+) -> float:
     """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
 
     Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
     exchangeable groups (split conformal prediction over groups), but by no more than half of what is left:
     with a handful of groups the full level would be the worst row ever seen. What a handful cannot know is
     allowed for as Student does: the width grows by the ratio of his quantile to the normal one.
+    raised: whether the level is raised; without, the stated coverage is met on average instead of guaranteed.
     witnesses: independent groups where it is fewer than there are labels (blocks of one run count once).
     """
     labels = np.unique(group)
-    level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size)
+    level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size) if raised else coverage
     order = np.argsort(error)
     weight = np.zeros(error.size)
     for label in labels:

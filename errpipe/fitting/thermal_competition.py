@@ -32,6 +32,7 @@ LEVEL = 0.3
 LEAST_WEIGHT = 0.05  # a share of the prediction below which an entrant is not worth its operations in a table
 FEWEST_RUNS = 3  # on either side of a split by the warmth of the start
 RUN = "run"
+WARMTH = "cold or warm starts"
 # Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 leaves 4 % more than 2, and 3
 # leaves 2 % less; what it keeps out leaves 2 to 4 times as much in another season (turning centre, no signs).
 REGRET = 2.0
@@ -93,7 +94,7 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int]) ->
     order = sorted(groups, key=lambda g: (warmth[g], g))
     half = len(order) // 2
     if half >= FEWEST_RUNS:
-        found.append(Grouping("cold or warm starts", (tuple(order[:half]), tuple(order[half:]))))
+        found.append(Grouping(WARMTH, (tuple(order[:half]), tuple(order[half:]))))
     return tuple(found)
 
 

@@ -53,13 +53,13 @@ class LeftOut:
     error: np.ndarray
     predicted: np.ndarray
 
-    def half_width(self, group: np.ndarray, level: float, runs: int) -> float:
+    def half_width(self, group: np.ndarray, level: float, runs: int, raised: bool = True) -> float:
         """Half width of a prediction of zero that covers a row of a new group, um; 0 where nothing was judged."""
         seen = np.isfinite(self.error)
         if not seen.any():
             return 0.0
         scaled = np.abs(self.error[seen]) / (1.0 + GROWTH * np.abs(self.predicted[seen]))
-        return conformal_half_width(scaled, group[seen], level, runs)
+        return conformal_half_width(scaled, group[seen], level, runs, raised)
 
 
 def calibrate(near: LeftOut, afar: LeftOut, group: np.ndarray, level: float, runs: int) -> Intervals:

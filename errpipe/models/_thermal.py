@@ -118,12 +118,12 @@ class ThermalFamily(Family):
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
             ways = thermal_competition.groupings(recording, problem.group, problem.groups)
             entrants = self.entrants(problem)
-            if self._one_environment(problem):
+            if self.one_environment(problem):
                 entrants = [e for e in entrants if e.physical] or entrants
             outcome = thermal_competition.compete(entrants, ways, problem.response, problem.rows, problem.group)
             return _model(self, problem, outcome), outcome
 
-    def _one_environment(self, problem: LinearProblem) -> bool:
+    def one_environment(self, problem: LinearProblem) -> bool:
         """Whether all rows are of one labelled environment (season).
 
         Nothing then says which gains hold in another one, and those without a sign are the first to fail: fitted to
@@ -211,20 +211,33 @@ def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
 
 
 def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> float:
-    """Half width of the interval of a prediction of zero, um: the geometric mean over the groupings.
+    """Half width of the interval of a prediction of zero, um, from groups left out.
 
     A run left out is judged in surroundings that took part, an environment left out by a fit on the others alone; the
-    next environment is judged by a fit on all of them and lies between the two.
+    next environment is judged by a fit on all of them and lies between the two: their geometric mean. Where all rows
+    are of one environment nothing tells what the next one does, and the widest of all groupings is taken, with the
+    level raised as for few groups. Chosen on seeds 1 to 3 of `trials.thermal`: 94 % of rows are covered at 1.26 times
+    the width needed (runs alone: 92 % and 1.08, and less where seasons differ).
     """
     import numpy as np
 
     from errpipe.fitting import thermal_interval
+    from errpipe.fitting.thermal_competition import RUN, WARMTH
 
     y, rows = problem.response, problem.rows
     runs = np.unique(problem.recording.run_codes()[rows]).size
-    left = [thermal_interval.LeftOut((y - p)[rows], p[rows]) for p in outcome.predictions.values()]
-    half = [max(one.half_width(problem.group[rows], family.coverage, runs), 1e-9) for one in left]
-    return float(np.exp(np.mean(np.log(half))))
+    only_one = family.one_environment(problem)
+    environment = family.environment if family.environment in outcome.predictions else WARMTH
+    half = [
+        thermal_interval.LeftOut((y - p)[rows], p[rows]).half_width(
+            problem.group[rows], family.coverage, runs, only_one
+        )
+        for name, p in outcome.predictions.items()
+        if only_one or name in (RUN, environment)
+    ]
+    if only_one:
+        return max(half)
+    return float(np.exp(np.mean(np.log(np.maximum(half, 1e-9)))))
 
 
 def _zeros(family: ThermalFamily, problem: LinearProblem) -> tuple[float, float]:
