@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.errors import UsageError
 
 
 def command(
@@ -15,22 +16,39 @@ def command(
     simulation: Path = typer.Option(
         None, "--simulation", metavar="FILE", help="CSV, error model or FMU where the recording holds no twin."
     ),
+    apply: Path = typer.Option(
+        None, "--apply", metavar="DIR", help="Folder for the corrected simulation: recording, terms, patch, FMU."
+    ),
+    against: Path = typer.Option(
+        None, "--against", metavar="FINDINGS", help="An earlier diagnosis.json: is each effect still there?"
+    ),
     json: bool = Json,
 ) -> None:
     """Find the physics that a simulation leaves out of a recording.
 
     Compares each error column with its simulated twin; writes diagnosis.json and report.html.
+    With --against: against.json, and exit code 4 where an effect changed.
 
     \b
     Example:
       errpipe diagnose examples/vmc-1 --out out/diagnosis
+      errpipe diagnose examples/vmc-1 --out out/diagnosis --apply out/corrected
+      errpipe diagnose examples/vmc-1 --out out/later --against out/diagnosis/diagnosis.json
     """
-    from errpipe.cli.output import print_answer, stage_module
+    from errpipe.cli.output import print_answer, print_result, stage_module
     from errpipe.cli.progress import ProgressReporter
 
+    if against is not None:
+        if apply is not None:
+            raise UsageError("--apply and --against: one of the two")
+        held = stage_module("diagnose").against(recording, against, out, simulation)
+        code = 4 if held["changed"] else 0
+        says = held.pop("says")
+        print_result("diagnose", held, says, as_json=json, code=code)
+        raise typer.Exit(code)
     reporter = ProgressReporter(str(out))
     try:
-        found = stage_module("diagnose").diagnose(recording, out, reporter.progress_of("diagnose"), simulation)
+        found = stage_module("diagnose").diagnose(recording, out, reporter.progress_of("diagnose"), simulation, apply)
     finally:
         reporter.clear()
     print_answer("diagnose", found, as_json=json)

@@ -22,13 +22,15 @@ import numpy as np
 
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Recording
+from errpipe.terms import Term
 
 
 @dataclass(frozen=True)
 class Rows:
     """A judged response row by row, for figures: mismatch before and after, run, what each finding contributes.
 
-    inputs: values of the columns that drive the findings, and of time, by name.
+    inputs: values of the columns that drive the findings, and of time, by name. simulated_parts: the effects that the
+    simulated signal was found to be a sum of, each as (term, its non-linear parameters).
     """
 
     before: np.ndarray
@@ -36,6 +38,7 @@ class Rows:
     run: np.ndarray
     contribution: Mapping[str, np.ndarray]
     inputs: Mapping[str, np.ndarray]
+    simulated_parts: tuple[tuple[Term, tuple[float, ...]], ...] = ()
 
 
 def diagnose(
@@ -64,6 +67,8 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         response, contribution, left = report.response(case)
         responses.append(response)
         inputs = report.inputs(case, response)
-        rows.append(Rows(case.y, left, case.run, contribution, inputs))
+        held = [p.hypothesis for p in case.decomposition.parts]
+        parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
+        rows.append(Rows(case.y, left, case.run, contribution, inputs, parts))
         del case  # or two tables of products are held at once
     return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes)), rows

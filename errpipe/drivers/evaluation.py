@@ -58,7 +58,7 @@ def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray
     """A lag's answer, by what the recording says of the time between its rows."""
     session, t, at_input = sessions(recording), recording.time(), driver.start == "input"
     taus = (driver.tau_up, driver.tau_down)
-    if recording.between == "inferred" and _runs_on(driver.of, recording):
+    if recording.between == "inferred" and runs_on(driver.of, recording):
         return responses.lag_straight(session, t, source, *taus, at_input)
     if recording.between == "inferred" and recording.name("cut_length") is not None and len(recording) > 1:
         usual = float(np.median(np.diff(t)))
@@ -66,7 +66,7 @@ def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray
     return responses.lag(session, t, source, *taus, at_input)
 
 
-def _runs_on(driver: d.Driver, recording: Recording) -> bool:
+def runs_on(driver: d.Driver, recording: Recording) -> bool:
     """Does a driver depend on nothing but temperatures and pressures, which do not jump between rows?"""
     names = d.inputs(driver)
     roles = {recording.manifest.columns[n].role for n in names}

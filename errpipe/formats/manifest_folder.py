@@ -187,17 +187,18 @@ def manifest_text(manifest: Manifest) -> str:
         if entries:
             lines.append(f"{key}:")
             plain = {n: e.model_dump(mode="json", exclude_none=True) for n, e in entries.items()}
-            lines += [f"  {_scalar(n)}: {_flow(e)}" for n, e in plain.items()]
+            lines += [f"  {_scalar(n)}: {flow(e)}" for n, e in plain.items()]
     return "\n".join(lines) + "\n"
 
 
-def _flow(entry: dict[str, Any]) -> str:
+def flow(entry: dict[str, Any]) -> str:
+    """Plain data as one line of YAML 1.2."""
     return "{" + ", ".join(f"{k}: {_scalar(v)}" for k, v in entry.items()) + "}"
 
 
 def _scalar(value: Any) -> str:
     if isinstance(value, dict):
-        return _flow(value)
+        return flow(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(_scalar, value)) + "]"
     if isinstance(value, str):

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
 from errpipe.yamlfile import Options
 
@@ -109,6 +109,8 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
     worse = held.rms_after_um >= held.rms_before_um
     if f.effect == "recalibration":
         return refuse if sure and not worse else replace(refuse, reason=RECALIBRATION)
+    from errpipe.diagnosis.applied import terms_of
+
     terms = terms_of(f)
     artefacts = _artefacts_by_effect()
     if f.effect in artefacts or any(not t.compensable for t in terms):
@@ -144,16 +146,6 @@ def _artefacts_by_effect() -> dict[str, str]:
 def _complete(term: Term, values: dict[str, float]) -> dict[str, float]:
     middle = {p.name: float(np.mean(p.typical)) for p in (*term.linear(), *term.nonlinear())}
     return middle | {name: value for name, value in values.items() if name in middle} | dict(term.fixed)
-
-
-def terms_of(f: Finding) -> tuple[Term, ...]:
-    """The terms behind a finding: one, or one for each axis of an effect on several."""
-    from errpipe.fitting.spec import AnyTerm
-
-    try:
-        return tuple(TypeAdapter(AnyTerm).validate_python(t) for t in f.all_terms())
-    except ValidationError:  # a hypothesis of the search that is no term of a model
-        return ()
 
 
 PLAIN = 1e-4  # share of a simulated signal's variance that its plain parts may leave (a simulation has no noise)

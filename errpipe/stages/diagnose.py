@@ -16,30 +16,78 @@ def diagnose(
     out: Path,
     progress: Callable[[float, str], None] = lambda share, text: None,
     simulation: Path | None = None,
+    apply: Path | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording folder into `out`: diagnosis.json and report.html.
 
     simulation: where the recording holds no simulated twin: a CSV, an error model (.json) or an FMU.
+    apply: folder for the corrected simulation (see `stages.apply_findings`).
     Raises UsageError, with one clear message, for input that cannot be used.
     """
     from errpipe import jsonfile
     from errpipe.errors import DataError, UsageError
     from errpipe.formats import manifest_folder
+    from errpipe.stages import apply_findings
 
+    if apply is not None and Path(apply).resolve() in (Path(recording).resolve(), Path(out).resolve()):
+        raise UsageError(f"--apply {apply}: another folder is needed than the recording's and the diagnosis'")
+    half = 1.0 if apply is None else 0.5
     try:
-        read, notes = with_simulation(manifest_folder.read(Path(recording)), simulation)
-        document, page, found = judged(read, progress, notes)
+        read, notes, parameters = with_simulation(manifest_folder.read(Path(recording)), simulation)
+        document, page, found, held = judged(read, lambda share, text: progress(half * share, text), notes)
     except DataError as err:
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
     jsonfile.write_text(Path(out) / "report.html", page)
-    return {"says": [r.says for r in found.responses], "verdicts": {r.component: r.verdict for r in found.responses}}
+    says = [r.says for r in found.responses]
+    told = {"says": says, "verdicts": {r.component: r.verdict for r in found.responses}}
+    if apply is not None:
+        later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
+        done = apply_findings.apply_findings(read, found, Path(apply), held, parameters, later)
+        told |= {"says": [*says, *apply_findings.in_words(done)], "apply": done}
+    return told
+
+
+def against(recording: Path, findings: Path, out: Path, simulation: Path | None = None) -> dict[str, Any]:
+    """Look for the findings of an earlier diagnosis.json in a later recording; writes against.json into `out`.
+
+    Returns lines for people, and `changed`: the effects that are not what they were. Raises UsageError for input that
+    cannot be used, VerifyError where `findings` is no diagnosis.
+    """
+    from pydantic import ValidationError
+
+    from errpipe import jsonfile
+    from errpipe.diagnosis.against import against as judge
+    from errpipe.domain.diagnosis import Diagnosis
+    from errpipe.errors import DataError, UsageError, VerifyError
+    from errpipe.formats import manifest_folder
+
+    if not Path(findings).is_file():
+        raise UsageError(f"--against {findings}: there is no such file (the diagnosis.json of an earlier diagnosis)")
+    try:
+        earlier = Diagnosis.model_validate(jsonfile.read(Path(findings)))
+    except ValidationError as err:
+        first = err.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise VerifyError(f"{findings}: not a diagnosis: {where}: {first['msg']}") from None
+    try:
+        read, _, _ = with_simulation(manifest_folder.read(Path(recording)), simulation)
+        held = judge(read, earlier)
+    except DataError as err:
+        raise UsageError(str(err)) from None
+    document = {"against": 1, "findings": [h.plain() for h in held]}
+    jsonfile.write(Path(out) / "against.json", document)
+    changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
+    return {"says": [h.says for h in held], "changed": changed, **document}
 
 
 def judged(
     recording: Recording, progress: Callable[[float, str], None], notes: tuple[str, ...] = ()
-) -> tuple[dict[str, Any], str, Diagnosis]:
-    """diagnosis.json as plain data, the page, and the findings. notes: what is to be said before all else."""
+) -> tuple[dict[str, Any], str, Diagnosis, list[Any]]:
+    """diagnosis.json as plain data, the page, the findings, and what each simulated signal is a sum of.
+
+    notes: what is to be said before all else.
+    """
     from errpipe import __version__
     from errpipe.diagnosis import diagnose as judge
     from errpipe.reporting.diagnosis_report import Trace, render
@@ -50,11 +98,13 @@ def judged(
         Trace(before=r.before, after=r.after, run=r.run, contributions=r.contribution, inputs=r.inputs) for r in rows
     ]
     page = render(found, traces, machine=recording.manifest.machine, version=__version__)
-    return found.document(), page, found
+    return found.document(), page, found, [r.simulated_parts for r in rows]
 
 
-def with_simulation(recording: Recording, simulation: Path | None) -> tuple[Recording, tuple[str, ...]]:
-    """The recording beside a simulation of its own file, and notes: .csv, .json (an error model) or .fmu.
+def with_simulation(
+    recording: Recording, simulation: Path | None
+) -> tuple[Recording, tuple[str, ...], list[dict[str, Any]]]:
+    """The recording beside a simulation of its own file, notes, and parameters: .csv, .json (an error model) or .fmu.
 
     Tunable parameters of an FMU are set right on the recording first: what they can mend is not missing.
     """
@@ -62,7 +112,7 @@ def with_simulation(recording: Recording, simulation: Path | None) -> tuple[Reco
     from errpipe.stages import _artefacts
 
     if simulation is None:
-        return recording, ()
+        return recording, (), []
     file = Path(simulation)
     model = _artefacts.read_model(file) if file.suffix.lower() == ".json" else None
     read, twins, figures = external.with_twins(recording, external.by_name(recording, file), file, model)
@@ -73,4 +123,4 @@ def with_simulation(recording: Recording, simulation: Path | None) -> tuple[Reco
         for told in figures.get("parameters", ())
         if told["value"] != told["start"]
     ]
-    return read, tuple(notes)
+    return read, tuple(notes), list(figures.get("parameters", ()))

@@ -152,6 +152,13 @@ class Term(Frozen, ABC):
         """The compiled form, or None where a controller cannot or must not compensate this effect."""
         return None
 
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        """The value as profiles times drivers, for a simulation: also of what no controller may compensate.
+
+        None where it cannot be written so.
+        """
+        return self.lower(parameters)
+
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Term]:
         """Every sensible binding of the term to the recording's columns for a response."""

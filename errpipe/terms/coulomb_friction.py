@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Speeds
@@ -63,3 +65,10 @@ class CoulombFriction(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)
         return (np.sign(v) if nonlinear[0] <= 0 else np.tanh(v / nonlinear[0]))[:, None]
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (sharpness,) = self.nonlinear_values(parameters)
+        way = (
+            sign(self.column) if sharpness <= 0 else curve(self.column, lambda v: np.tanh(v / sharpness), 8 * sharpness)
+        )
+        return (Lowered(times(way, parameters["force"])),)

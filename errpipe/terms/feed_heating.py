@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._equations import magnitude, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, start_states
@@ -96,3 +99,11 @@ class FeedHeating(Term):
             yield column * x, freedom
         for factor in (0.3, 3.0):
             yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        if self.column is None:
+            return None  # the distance moved between two rows is no operation of a driver
+        (tau,) = self.nonlinear_values(parameters)
+        slope, end = 1e-3 * parameters["slope"], self.fixed_end
+        warm = Lag(tau_up=tau, tau_down=tau, start="zero", of=times(magnitude(self.column), 0.01))
+        return (Lowered(warm, self.axis, lambda x: slope * (x - end)),)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._equations import times
 
 
 class MovingMass(Term):
@@ -43,3 +46,6 @@ class MovingMass(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (1e-3 * recording.array(self.column))[:, None]
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(times(Input(name=self.column), 1e-3 * parameters["mass"])),)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Affine, Direction, Driver, Input, Lag, Power, Product
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, direction_column, share
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import since_turn
 from errpipe.terms._base import Example, Parameter, Term
+from errpipe.terms._equations import times
 from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
@@ -97,3 +100,14 @@ class ReversalSpike(Term):
         since = np.minimum(self.since_turn(recording) / nonlinear[0], 1e3)
         for k in (1, 2, 3):
             yield base[:, 0] * since**k, 0.4
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        if self.radial or self.from_start:
+            return None  # the share of an axis in a radius is no operation of a driver
+        tau, *power = self.nonlinear_values(parameters)
+        side = Direction(axis=self.axis)
+        # a lag of the side is behind it by twice the spike, once the spike before has died away
+        spike: Driver = Affine(weights=(1.0, -1.0), of=(side, Lag(tau_up=tau, tau_down=tau, of=side)))
+        if self.feed and power[0] > 0:
+            spike = Product(of=(spike, Power(exponent=power[0], of=times(Input(name=self.feed), 1e-3))))
+        return (Lowered(times(spike, -0.5 * parameters["height"])),)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
 
@@ -50,3 +53,8 @@ class StribeckFriction(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)
         return (np.sign(v) * np.exp(-((v / nonlinear[0]) ** 2)))[:, None]
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (v_s,) = self.nonlinear_values(parameters)
+        falling = curve(self.column, lambda v: np.exp(-((v / v_s) ** 2)), 6 * v_s)
+        return (Lowered(times(Product(of=(sign(self.column), falling)), parameters["extra"])),)

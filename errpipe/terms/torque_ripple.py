@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 
+from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
@@ -60,3 +62,13 @@ class TorqueRipple(Term):
         x = position(recording, self.axis)
         yield from uneven_waves(base, x)
         yield from higher_harmonics(x, nonlinear[0])
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (period,) = self.nonlinear_values(parameters)
+        gains = np.array([parameters["sine"], parameters["cosine"]])
+
+        def wave(x: np.ndarray) -> np.ndarray:
+            angle = 2 * np.pi / period * x
+            return np.column_stack([np.sin(angle), np.cos(angle)]) @ gains
+
+        return (Lowered(ONE, self.axis, wave, period),)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._equations import times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
 from errpipe.terms._slack import Slack
@@ -50,3 +53,6 @@ class ViscousFriction(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield np.abs(base[:, 0]), 0.4  # it may differ by direction
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        return (Lowered(times(Input(name=self.column), 1e-3 * parameters["damping"])),)

@@ -120,9 +120,12 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_an_fmu_is_set_right_before_anything_is_called_missing(tmp_path: Path, fmu: Path) -> None:
-    done, found = run(tmp_path, drift(), "--simulation", str(fmu))
+    done, found = run(tmp_path, drift(), "--simulation", str(fmu), "--apply", "better")
     assert done.returncode == 0, done.stderr
     assert found["responses"][0]["verdict"] in ("no_mismatch", "recalibrate")
+    lines = (tmp_path / "better/parameters.yaml").read_text().splitlines()
+    set_right = {name: float(value) for name, value in (line.split("#")[0].split(": ") for line in lines)}
+    assert abs(set_right["gain"] - GAIN) < 0.1 and abs(set_right["tau"] - TAU) < 60
     told = " ".join(found["notes"])
     assert "gain set right" in told and "tau set right" in told and "2 -> 2.6" in told
     assert str(tmp_path) not in told
@@ -184,3 +187,25 @@ def test_odd_input_never_gives_a_confident_finding(tmp_path: Path, what: str) ->
     assert done.returncode == 0, done.stderr
     named = [f for f in found["responses"][0]["findings"] if f["effect"] not in ("recalibration", "unknown")]
     assert all(f["confidence"] < 0.5 for f in named)
+
+
+def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -> None:
+    """diagnose --apply, then the corrected folder through ingest and diagnose: agreement."""
+    from errpipe.pipeline import runner
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+
+    done, found = run(tmp_path, drift(6.0, twin=True), "--apply", "better")
+    assert done.returncode == 0 and "put into the simulation: backlash" in done.stdout
+    assert found["responses"][0]["verdict"] == "missing_physics"
+    assert {p.name for p in (tmp_path / "better").iterdir()} >= {"recording.yaml", "terms.yaml", "patch.py", "patch.fmu"}
+    stages = [{"kind": "ingest", "recording": "better"}, {"kind": "diagnose"}]
+    (tmp_path / "p.yaml").write_text(json.dumps({"pipeline": 1, "title": "again", "stages": stages}))
+    runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "pipeline")
+    again = json.loads((tmp_path / "pipeline/diagnose/diagnosis.json").read_text())
+    assert again["responses"][0]["verdict"] == "no_mismatch"
+
+
+def test_apply_does_not_write_over_the_recording(tmp_path: Path) -> None:
+    done, _ = run(tmp_path, drift(6.0, twin=True), "--apply", "in")
+    assert done.returncode == 2 and "another folder" in done.stderr

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe.diagnosis.applied import terms_of
 from errpipe.domain.diagnosis import Diagnosis, Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Where
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import GateError, UsageError
@@ -321,7 +322,7 @@ def test_an_effect_on_two_axes_is_compensated_on_both() -> None:
     (response,) = diagnose(recording)[0].responses
     two = next(f for f in response.findings if len(f.all_terms()) == 2)
     assert {t["axis"] for t in two.all_terms()} == {"X", "Y"}
-    terms_ = _acceptance.terms_of(two)
+    terms_ = terms_of(two)
     assert [type(t).__name__ for t in terms_] == [type(terms_[0]).__name__] * 2
     whole = found("backlash", **{**BACKLASH, "more_terms": ({"term": "backlash", "axis": "Y"},)})
     spec = _acceptance.ask(

@@ -1,0 +1,144 @@
+"""Findings put into the simulation: a second diagnosis finds nothing; the patch says the same as the recording."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from errpipe.diagnosis import diagnose
+from errpipe.diagnosis.applied import corrected, session_datums
+from errpipe.drivers.sessions import sessions
+from errpipe.fitting.spec import ModelSpec
+from errpipe.formats import manifest_folder
+from errpipe.stages.apply_findings import apply_findings
+from errpipe.yamlfile import load
+from tests.unit.diagnosis.machines import axis, mornings, spindle, trace
+
+
+def late(t: np.ndarray, u: np.ndarray, tau: float) -> np.ndarray:
+    """First-order lag of an input that is held between rows."""
+    y = np.zeros(t.size)
+    for k in range(1, t.size):
+        y[k] = u[k - 1] + (y[k - 1] - u[k - 1]) * np.exp(-(t[k] - t[k - 1]) / tau)
+    return y
+
+
+CASES = {
+    "lost motion and a warm screw": lambda: axis(4, hidden=lambda c: -4 * c["dir"] + 9e-3 * c["x"] * (c["T_nut"] - 20)),
+    "a wave": lambda: axis(3, hidden=lambda c: 2.5 * np.sin(2 * np.pi * c["x"] / 10)),
+    "a late spindle": lambda: spindle(1, hidden=lambda c: 8 * late(c["t"], c["rpm"] / 12000, 900.0)),
+    "friction, no term of a controller": lambda: trace(1, hidden=lambda c: 30 * np.sign(c["v"])),
+    "a gain beside lost motion": lambda: axis(6, gains=(1.2, 1.0), hidden=lambda c: -4 * c["dir"]),
+    "two gains alone": lambda: mornings(1, hidden=lambda c: 1.5 * (c["T_bearing"] - 20)),
+}
+
+
+def module(path: Path):
+    spec = importlib.util.spec_from_file_location("patch", path)
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda name: name.replace(" ", "-"))
+def done(request, tmp_path_factory):
+    recording = CASES[request.param]()
+    found, rows = diagnose(recording)
+    out = tmp_path_factory.mktemp("corrected")
+    document = apply_findings(recording, found, out, [r.simulated_parts for r in rows])
+    return recording, document, out
+
+
+def test_a_second_diagnosis_finds_nothing(done) -> None:
+    _, document, _ = done
+    (again,) = document["second_diagnosis"].values()
+    assert again["verdict"] == "no_mismatch", again["says"]
+    (response,) = document["responses"]
+    assert response["put_in"] and response["rms_after_um"] < 0.4 * response["rms_before_um"]
+
+
+def test_the_python_patch_says_the_same_as_the_corrected_recording(done) -> None:
+    recording, document, out = done
+    (response,) = document["responses"]
+    component, twin = response["component"], response["simulated"]
+    patch = module(out / "patch.py")
+    columns = {name: recording.frame[name].to_numpy() for name in recording.frame}
+    got = patch.corrected({component: recording.array(twin)}, columns, recording.time(), sessions(recording))[component]
+    whole = manifest_folder.read(out)
+    assert_allclose(got, whole.array(twin), atol=1e-3 * np.std(whole.array(twin) - recording.array(twin)))
+    assert "errpipe" not in (out / "patch.py").read_text()
+
+
+def test_the_terms_are_those_of_a_fit_stage(done) -> None:
+    _, document, out = done
+    spec = load(out / "terms.yaml", ModelSpec)
+    (response,) = document["responses"]
+    assert sum(len(p["terms"]) for p in response["put_in"]) == len(spec.components[0].terms)
+    assert not any(t.free() for t in spec.components[0].terms)  # every parameter is stated
+
+
+@pytest.mark.toolchain
+@pytest.mark.skipif(shutil.which("cc") is None or not importlib.util.find_spec("fmpy"), reason="needs cc and FMPy")
+def test_the_fmu_says_the_same_as_the_python_patch(tmp_path: Path) -> None:
+    """Read back by FMPy over the recording's own inputs; a co-simulation's output is one step behind its input."""
+    from errpipe.simulation import external
+
+    recording = trace(3, hidden=lambda c: 30 * np.sign(c["v"]) + 12 * np.sin(2 * np.pi * c["x"] / 24))
+    found, rows = diagnose(recording)
+    document = apply_findings(recording, found, tmp_path, [r.simulated_parts for r in rows])
+    assert document["fmu"] == "patch.fmu"
+    bare = recording.take(np.arange(len(recording)) < 1500)
+    how = external.by_name(bare, tmp_path / "patch.fmu")
+    both, (twin,), _ = external.with_twins(bare, how, tmp_path / "patch.fmu")
+    columns = {name: bare.frame[name].to_numpy() for name in bare.frame}
+    wanted = module(tmp_path / "patch.py").deviation(columns, bare.time())["F_X"]
+    off = both.array(twin.column) - wanted
+    assert np.sqrt(np.mean(off**2)) < 0.02 * np.std(wanted)
+    assert np.std(wanted) > 20.0
+
+
+def test_what_is_not_sure_or_has_no_equation_is_not_put_in() -> None:
+    recording = axis(1, hidden=lambda c: -4.0 * c["dir"])
+    found, _ = diagnose(recording)
+    (response,) = found.responses
+    unsure = response.findings[0].model_copy(update={"confidence": 0.5, "confidence_of_class": None})
+    nameless = response.findings[0].model_copy(update={"effect": "unknown", "term": None})
+    partial = found.model_copy(update={"responses": (response.model_copy(update={"findings": (unsure, nameless)}),)})
+    (done,) = corrected(recording, partial, 0.8)
+    assert not done.parts and len(done.refused) == 2
+    assert_allclose(done.simulated, recording.array("EXX_sim"), rtol=0, atol=0)
+
+
+def test_the_corrected_simulation_knows_nothing_of_what_comes() -> None:
+    """The same rows get the same correction, whatever follows them."""
+    recording = axis(4, hidden=lambda c: 9e-3 * c["x"] * (c["T_nut"] - 20))
+    found, rows = diagnose(recording)
+    (whole,) = corrected(recording, found, 0.8, [r.simulated_parts for r in rows])
+    part = whole.parts[0]
+    first = np.arange(len(recording)) < 200
+    (term,), (values,) = part.terms, part.values
+    assert_allclose(term.value(recording.take(first), values), part.contribution[first], rtol=1e-9)
+
+
+def test_a_datum_for_each_session_only_where_it_explains_more() -> None:
+    rng = np.random.default_rng(0)
+    session, y = np.repeat(np.arange(8), 60), rng.normal(0, 1, 480)
+    none = np.zeros((480, 0))
+    assert session_datums(none, y, session).shape[1] == 1
+    assert session_datums(none, y + 3.0 * rng.normal(0, 1, 8)[session], session).shape[1] == 8
+
+
+def test_equal_findings_give_equal_bytes(tmp_path: Path) -> None:
+    recording = spindle(2, hidden=lambda c: 2.5 * late(c["t"], c["T_room"] - 20, 3600.0))
+    found, rows = diagnose(recording)
+    for name in "ab":
+        apply_findings(recording, found, tmp_path / name, [r.simulated_parts for r in rows])
+    for file in ("patch.py", "patch.fmu", "terms.yaml", "recording.parquet", "apply.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    assert json.loads((tmp_path / "a/apply.json").read_text())["apply"] == 1
