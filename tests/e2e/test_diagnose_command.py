@@ -198,7 +198,8 @@ def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -
     done, found = run(tmp_path, drift(6.0, twin=True), "--apply", "better")
     assert done.returncode == 0 and "put into the simulation: backlash" in done.stdout
     assert found["responses"][0]["verdict"] == "missing_physics"
-    assert {p.name for p in (tmp_path / "better").iterdir()} >= {"recording.yaml", "terms.yaml", "patch.py", "patch.fmu"}
+    written = {p.name for p in (tmp_path / "better").iterdir()}
+    assert written >= {"recording.yaml", "recording.parquet", "terms.yaml", "patch.py", "patch.fmu", "apply.json"}
     stages = [{"kind": "ingest", "recording": "better"}, {"kind": "diagnose"}]
     (tmp_path / "p.yaml").write_text(json.dumps({"pipeline": 1, "title": "again", "stages": stages}))
     runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "pipeline")
