@@ -1,5 +1,6 @@
 """From a mismatch between recording and simulation to a named, located, modelled and proved cause.
 
+thinning    a long log as stretches at its own rate; rare events in all its rows
 prepare     rows that can be judged; sensors filled and smoothed; motion from positions
 hypotheses  every effect in every binding as design columns: the textbook form and how far it may stray
 evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
@@ -55,8 +56,11 @@ def diagnose(
 
 
 def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
-    from errpipe.diagnosis import judge, prepare, report
+    from errpipe.diagnosis import judge, prepare, report, thinning
 
+    progress(0.0, "reading the recording")
+    short = thinning.thinned(recording)
+    recording = short.recording
     pairs, notes = prepare.pairs(recording)
     conditioned = prepare.condition(recording)
     responses, rows = [], []
@@ -71,4 +75,4 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
         rows.append(Rows(case.y, left, case.run, contribution, inputs, parts))
         del case  # or two tables of products are held at once
-    return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=tuple(notes)), rows
+    return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=(*short.notes, *notes)), rows

@@ -64,6 +64,8 @@ KINDS = (
                 "ncprogram": "shift of a program's coordinates",
                 "tables": "field of the compiled table's affine node",
                 "drivers": "field of the affine driver",
+                "simulation/patch.py": "field of the affine driver",
+                "simulation/patch_fmu.py": "field of the affine driver",
                 "domain": "field of the affine driver",
                 "kernels": "field of the affine driver",
             },

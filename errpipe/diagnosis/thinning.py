@@ -1,0 +1,283 @@
+"""Long logs thinned before they are judged, by a rule that looks at inputs and the clock, never at the mismatch.
+
+Judged are whole stretches of neighbouring rows at the log's own rate: one at a random place in each of equal parts of
+the log (stratified random sampling), and for a fast log as many where axes turn round. A row keeps its own values of
+all columns, so nothing is averaged, filtered or aliased: a wave over position or an effect of speed shows in these rows
+down to the log's own step. What thinning costs is power, and rare events between the stretches.
+
+Rows between stretches stay as context: one at a random place in each block and every row where an axis turns, with no
+response, so that lags, sides and distances run on. Temperatures are block means.
+
+Rare events are looked for in every row of the mismatch (`events`), and fast lines in the spectrum of all rows
+(`lines`); both are said, not judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.diagnosis.prepare import motion
+from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import axes, position
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+
+MOST_ROWS = 100_000  # a log up to this long is judged as it is
+FAST = 0.1  # s; rows closer than this are a trace of motion
+JUDGED_FAST, JUDGED_SLOW = 20_000, 4_000  # rows judged, as many as of a shorter recording (`prepare`)
+STRETCH = 250  # neighbouring rows of a fast log: some 30 memories of the noise
+CONTEXT = 5_000  # blocks between stretches
+MOST_TURNS = 8_000  # rows kept because an axis turns there
+TURN = 1e-3  # of an axis' range: a shorter way back is no turn
+SLOW_ROLES = ("temperature", "pressure", "humidity")
+WIDTHS = (1, 4, 16, 64, 256, 1024)  # rows over which means are looked at for events
+EVENT = 7.0  # robust standard deviations: below one false event in 10^9 means of Gaussian noise
+AT_ONCE = 100_000  # rows whose neighbours are held at once
+RARE = 0.005  # share of the means that stand out, up to which they are events and no part of the noise
+LINE = 30.0  # times the level around it; the largest of a million noise powers stays below 14 times their mean
+MIN_LINE = 0.05  # amplitude of a line, in robust standard deviations of the mismatch; below it is not worth saying
+MOST_LINES, SLOWEST = 3, 50
+PLACES = 64  # over each axis, whose means by direction are taken off before lines are looked for
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """The shorter recording, what was done in words, and which rows of the whole it holds."""
+
+    recording: Recording
+    notes: tuple[str, ...]
+    rows: np.ndarray
+
+
+def thinned(recording: Recording, seed: int = 0) -> Thinned:
+    """A recording of at most some 40,000 rows; the same one where it is short. Equal input gives equal rows."""
+    n = len(recording)
+    if n <= MOST_ROWS:
+        return Thinned(recording, (), np.arange(n))
+    rng = np.random.default_rng(seed)
+    step = np.diff(recording.time())
+    step = step[step > 0]
+    fast = recording.name("time") is not None and bool(step.size) and float(np.median(step)) < FAST
+    usual = float(np.median(step)) if step.size else 1.0
+    turns = _turns(recording)
+    judged = _judged(n, fast, turns, rng)
+    kept = judged.copy()
+    kept[rng.integers(0, n // CONTEXT, CONTEXT) + np.arange(CONTEXT) * (n // CONTEXT)] = True
+    near = turns if turns.size <= MOST_TURNS // 2 else rng.choice(turns, MOST_TURNS // 2, replace=False)
+    kept[near] = kept[np.maximum(near - 1, 0)] = True
+    run = recording.run_codes()
+    kept[np.r_[0, np.flatnonzero(np.diff(run)) + 1, n - 1]] = True
+    rows = np.flatnonzero(kept)
+    frame = recording.frame.iloc[rows].reset_index(drop=True)
+    columns = {name: values[rows] for name, values in _settled(recording, fast).items()}
+    for name in recording.names("error"):
+        columns[name] = np.where(judged[rows], recording.array(name)[rows], np.nan)
+    short = Recording(recording.manifest, frame.assign(**columns), recording.between)
+    return Thinned(short, (_rule(n, judged, usual, fast), *_screens(recording, turns, usual)), rows)
+
+
+def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Rows that are judged, as a mask: stratified over the log, and where axes turn."""
+    length, count = (STRETCH, JUDGED_FAST) if fast else (1, JUDGED_SLOW)
+    around = min(turns.size, count // (2 * length)) if fast else 0
+    stretches = count // length - around
+    edges = np.linspace(0, n - length, stretches + 1).astype(int)
+    first = rng.integers(edges[:-1], np.maximum(edges[1:] - length, edges[:-1] + 1))
+    if around:
+        at = np.sort(rng.choice(turns, around, replace=False))
+        first = np.r_[first, np.clip(at - rng.integers(0, length, around), 0, n - length)]
+    out = np.zeros(n, dtype=bool)
+    for k in range(length):
+        out[first + k] = True
+    return out
+
+
+def _turns(recording: Recording) -> np.ndarray:
+    """Rows where an axis turns round, by its position alone."""
+    out = [np.zeros(0, dtype=int)]
+    for kind in ("linear", "rotary"):
+        for axis in axes(recording, kind):
+            x = position(recording, axis)
+            if np.isfinite(x).all() and np.ptp(x) > 0:
+                side = responses.direction_of_travel(sessions(recording), x, TURN * float(np.ptp(x)), 1)
+                out.append(np.flatnonzero(np.diff(side) != 0) + 1)
+    return np.unique(np.concatenate(out))
+
+
+def _settled(recording: Recording, fast: bool) -> dict[str, np.ndarray]:
+    """Columns that are better read from all rows: slow sensors as block means, speeds as derivatives of positions."""
+    out: dict[str, np.ndarray] = {}
+    run, n = recording.run_codes(), len(recording)
+    block = np.arange(n) * CONTEXT // n + CONTEXT * run.astype(np.int64)
+    first = np.r_[0, np.flatnonzero(np.diff(block)) + 1]
+    t = recording.time()
+    for role in SLOW_ROLES if fast else ():
+        for name in recording.names(role):
+            values = recording.array(name)
+            if np.isfinite(values).all():
+                count = np.diff(np.r_[first, n])
+                middle = np.add.reduceat(t, first) / count
+                out[name] = np.interp(t, middle, np.add.reduceat(values, first) / count)
+    if fast and np.isfinite(t).all():
+        named = (*recording.names("velocity"), *recording.names("acceleration"), *recording.names("command"))
+        columns = {name: recording.array(name) for name in (*named, *recording.names("position"))}
+        if all(np.isfinite(v).all() for v in columns.values()):
+            out |= motion(recording, columns)
+    return out
+
+
+def _rule(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
+    """What was done, in words."""
+    count = int(judged.sum())
+    if not fast:
+        return (
+            f"{n} rows: {count} of them are judged, one at a random place in each part of the recording; the others "
+            "give lags and sides their past. Events between judged rows are looked for in all rows."
+        )
+    stretches = int((np.diff(judged.astype(int)) == 1).sum() + judged[0])
+    length = STRETCH * usual
+    return (
+        f"{n} rows every {usual:.3g} s: {count} of them are judged, {stretches} stretches of {length:.3g} s or more at "
+        "the log's own rate, at random places and where axes turn; the others give lags and sides their past. Nothing "
+        "is averaged: waves down to two rows are seen. The price is power (an effect is seen as well as in "
+        f"{count} rows), and events rarer than one in {n / max(count, 1) * length:.3g} s are seen by the screen of all "
+        "rows alone."
+    )
+
+
+# ---------------------------------------------------------------- what every row says
+
+
+def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]:
+    """Rare events and spectral lines of the mismatch in all rows, response by response, in words."""
+    out = []
+    for error in recording.names("error"):
+        component = str(recording.manifest.columns[error].component)
+        twin = recording.name("simulated", component=component)
+        if twin is None:
+            continue
+        mismatch = recording.array(error) - recording.array(twin)
+        if np.isfinite(mismatch).mean() < 0.5:
+            continue
+        unit = recording.manifest.columns[error].unit or "um"
+        t = recording.time()
+        found = events(mismatch)
+        if found is not None:
+            out.append(f"{component}: {_of_events(found, t, turns, usual, unit)}")
+        told = [f"{f:.5g} Hz ({a:.3g} {unit})" for f, a in lines(mismatch, usual)]
+        if told and recording.name("time") is not None:
+            out.append(
+                f"{component}: the spectrum of all rows holds lines at {', '.join(told)}, whatever explains them"
+            )
+    return out
+
+
+@dataclass(frozen=True)
+class Events:
+    """Rows at which rare events stand, their median height, and over how many rows the means were taken."""
+
+    rows: np.ndarray
+    height: float
+    width: int
+
+
+def events(mismatch: np.ndarray) -> Events | None:
+    """Rare means over 1 to 1024 rows that stand out of their neighbours, which agree: a step is no event.
+
+    Of all widths the one at which they stand out most.
+    """
+    best: tuple[float, Events] | None = None
+    for width in WIDTHS:
+        count = mismatch.size // width
+        if count < 200:
+            break
+        means = mismatch[: count * width].reshape(count, width).mean(axis=1)
+        far, gap, scale = _outlying(means)
+        if 0 < far.size <= RARE * count:
+            size = float(np.median(np.abs(gap[far]))) / scale
+            if best is None or size > best[0]:
+                best = size, Events(far * width + width // 2, float(np.median(gap[far])), width)
+    return None if best is None else best[1]
+
+
+def _outlying(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Places far from the median of their six neighbours, the distances from it, (n,), and their robust spread."""
+    padded = np.pad(values, 3, mode="reflect")
+    gap, spread = np.empty_like(values), np.empty_like(values)
+    for a in range(0, values.size, AT_ONCE):
+        b = min(a + AT_ONCE, values.size)
+        around = np.stack([padded[a + k : b + k] for k in (0, 1, 2, 4, 5, 6)])
+        middle = np.median(around, axis=0)
+        gap[a:b] = values[a:b] - middle
+        spread[a:b] = np.median(np.abs(around - middle), axis=0)
+    scale = 1.4826 * float(np.nanmedian(np.abs(gap))) + 1e-300
+    gap[:3] = gap[-3:] = 0.0  # too few neighbours
+    return np.flatnonzero(np.abs(gap) > EVENT * np.maximum(scale, 2.0 * spread)), gap, scale
+
+
+def _of_events(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, unit: str) -> str:
+    """Events in words: how many, how high, how often, and whether where axes turn."""
+    at = t[found.rows]
+    apart = np.diff(at)
+    often = ""
+    if apart.size:
+        middle, spread = float(np.median(apart)), float(np.median(np.abs(apart - np.median(apart))))
+        often = f", {'every' if spread < 0.05 * middle else 'on average one in'} {middle:.3g} s"
+    near = 0.0
+    if turns.size:
+        after = t[turns][np.clip(np.searchsorted(turns, found.rows, side="right") - 1, 0, None)]
+        near = float(np.mean((at >= after) & (at - after < 200 * usual)))
+    where = f", {near:.0%} of them within {200 * usual:.2g} s after an axis turned" if near > 0.5 else ""
+    many = "s" if found.rows.size > 1 else ""
+    length = f"row{many}" if found.width == 1 else f"stretch{'e' * len(many)}{many} of about {found.width} rows"
+    first = f"the first at {at[0]:.6g} s" if many else f"at {at[0]:.6g} s"
+    return (
+        f"{found.rows.size} {'single ' * (found.width == 1)}{length} standing out by {found.height:.3g} {unit}{often}{where} ({first}); too rare to "
+        "weigh in what is judged"
+    )
+
+
+def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
+    """The mismatch less its means by place and direction, and less what goes with speed: motion has lines of its own."""
+    left = mismatch - np.nanmean(mismatch)
+    known = np.isfinite(left)
+    for axis in (*axes(recording), *axes(recording, "rotary")):
+        x = position(recording, axis)
+        if not np.isfinite(x).all() or np.ptp(x) == 0:
+            continue
+        side = responses.direction_of_travel(sessions(recording), x, TURN * float(np.ptp(x)), 1) > 0
+        place = np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int) + PLACES * side
+        total = np.bincount(place[known], left[known], 2 * PLACES)
+        left = left - (total / np.maximum(np.bincount(place[known], minlength=2 * PLACES), 1))[place]
+    for name in (*recording.names("velocity"), *recording.names("acceleration")):
+        v = np.nan_to_num(recording.array(name))
+        left = left - v * float(left[known] @ v[known]) / max(float(v[known] @ v[known]), 1e-300)
+    return left
+
+
+def lines(mismatch: np.ndarray, usual: float) -> list[tuple[float, float]]:
+    """Strongest lines of the mismatch' spectrum, from SLOWEST periods in the log on: frequency in Hz and amplitude.
+
+    Gaps are bridged. A line stands out of the noise around it and holds a share of the whole.
+    """
+    known = np.isfinite(mismatch)
+    values = np.interp(np.arange(mismatch.size), np.flatnonzero(known), mismatch[known])
+    window = np.hanning(values.size)
+    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2
+    around = max(power.size // 400, 50)
+    blocks = power[: power.size // around * around].reshape(-1, around)
+    level = np.repeat(np.median(blocks, axis=1) / np.log(2.0), around)  # of noise: the mean of its power
+    ratio = power[: level.size] / np.maximum(level, 1e-300)
+    amplitude = 2.0 * np.sqrt(power[: level.size]) / window.sum()
+    ratio[:SLOWEST] = 0.0
+    ratio[amplitude < MIN_LINE * 1.4826 * np.median(np.abs(values - np.median(values)))] = 0.0
+    out: list[tuple[float, float]] = []
+    for _ in range(MOST_LINES):
+        k = int(np.argmax(ratio))
+        if ratio[k] < LINE:
+            break
+        out.append((k / (values.size * usual), float(amplitude[k])))
+        ratio[max(k - 20, 0) : k + 21] = 0.0
+    return out
