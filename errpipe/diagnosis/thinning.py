@@ -20,7 +20,7 @@ import numpy as np
 
 from errpipe.diagnosis.prepare import motion
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import axes, position
+from errpipe.drivers.motion import axes, direction, position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 
@@ -166,11 +166,11 @@ def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]
         found = events(mismatch)
         if found is not None:
             out.append(f"{component}: {_of_events(found, t, turns, usual, unit)}")
-        told = [f"{f:.5g} Hz ({a:.3g} {unit})" for f, a in lines(mismatch, usual)]
-        if told and recording.name("time") is not None:
-            out.append(
-                f"{component}: the spectrum of all rows holds lines at {', '.join(told)}, whatever explains them"
-            )
+        if recording.name("time") is not None:
+            still = _without_motion(recording, mismatch)
+            told = ", ".join(f"{f:.5g} Hz ({a:.3g} {unit})" for f, a in lines(still, usual))
+            if told:
+                out.append(f"{component}: beside what goes with motion the spectrum of all rows holds lines at {told}")
     return out
 
 
@@ -233,27 +233,39 @@ def _of_events(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, un
     many = "s" if found.rows.size > 1 else ""
     length = f"row{many}" if found.width == 1 else f"stretch{'e' * len(many)}{many} of about {found.width} rows"
     first = f"the first at {at[0]:.6g} s" if many else f"at {at[0]:.6g} s"
+    what = f"{found.rows.size} {'single ' * (found.width == 1)}{length}"
     return (
-        f"{found.rows.size} {'single ' * (found.width == 1)}{length} standing out by {found.height:.3g} {unit}{often}{where} ({first}); too rare to "
-        "weigh in what is judged"
+        f"{what} standing out by {found.height:.3g} {unit}{often}{where} ({first}); too rare to weigh in what is judged"
     )
 
 
 def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
-    """The mismatch less its means by place and direction, and less what goes with speed: motion has lines of its own."""
-    left = mismatch - np.nanmean(mismatch)
-    known = np.isfinite(left)
+    """The mismatch less its means by place and direction, and less what goes with speed.
+
+    Motion to and fro has lines of its own.
+    """
+    known = np.isfinite(mismatch)
+    places, speeds = [], []
     for axis in (*axes(recording), *axes(recording, "rotary")):
         x = position(recording, axis)
-        if not np.isfinite(x).all() or np.ptp(x) == 0:
-            continue
-        side = responses.direction_of_travel(sessions(recording), x, TURN * float(np.ptp(x)), 1) > 0
-        place = np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int) + PLACES * side
-        total = np.bincount(place[known], left[known], 2 * PLACES)
-        left = left - (total / np.maximum(np.bincount(place[known], minlength=2 * PLACES), 1))[place]
+        if np.isfinite(x).all() and np.ptp(x) > 0:
+            side = direction(recording, axis, TURN * float(np.ptp(x))) > 0
+            places.append(np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int) + PLACES * side)
     for name in (*recording.names("velocity"), *recording.names("acceleration")):
-        v = np.nan_to_num(recording.array(name))
-        left = left - v * float(left[known] @ v[known]) / max(float(v[known] @ v[known]), 1e-300)
+        speeds.append(np.nan_to_num(recording.array(name)))
+
+    def within(values: np.ndarray) -> np.ndarray:
+        """Less its mean, and the means of each place."""
+        left = values - np.mean(values[known])
+        for place in places * (1 if len(places) == 1 else 3):
+            count = np.maximum(np.bincount(place[known], minlength=2 * PLACES), 1)
+            left = left - (np.bincount(place[known], left[known], 2 * PLACES) / count)[place]
+        return left
+
+    left = within(mismatch)
+    if speeds:
+        columns = np.column_stack([within(v) for v in speeds])
+        left = left - columns @ np.linalg.lstsq(columns[known], left[known], rcond=None)[0]
     return left
 
 

@@ -1,0 +1,173 @@
+"""Long logs: what is judged of them does not hang on the mismatch, hides no wave, and rare events are said."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from errpipe.diagnosis import thinning
+from errpipe.drivers.motion import direction
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+
+from .machines import recording
+
+STEP = 1e-3
+
+
+def log(rows: int = 200_000, hidden=None, seed: int = 0):
+    """A 1 kHz log of an axis that goes to and fro ever differently; the simulation holds lead and warmth."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(rows) * STEP
+    x = 150 - 120 * np.cos(2 * np.pi * t / 7.3) * (0.6 + 0.4 * np.cos(2 * np.pi * t / 61.0))
+    v = np.gradient(x, STEP)
+    warm = 20 + 4 * (1 - np.exp(-t / (300 * STEP * rows / 1000)))
+    sensors = {f"T_{k}": warm + np.sin(t / (50 + 30 * k)) + 0.02 * rng.standard_normal(rows) for k in range(3)}
+    force = 40 * np.sign(v) + 0.2 * v + 5 * rng.standard_normal(rows)
+    columns = {"run": np.full(rows, "1"), "t": t, "x": x, "v": v, "a": np.gradient(v, STEP), **sensors, "F": force}
+    columns["rpm"] = np.where((np.arange(rows) * 6 // rows) % 2 == 0, 0.0, 6000.0)
+    sim = 0.02 * (x - 150) + 2.0 * (sensors["T_0"] - 20)
+    noise = np.convolve(rng.standard_normal(rows), 0.4 * 0.6 ** np.arange(20), mode="same")
+    columns |= {"EXX": sim + noise + (hidden({**columns, "d": np.sign(v)}) if hidden else 0.0), "EXX_sim": sim}
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "command", "axis": "X", "unit": "mm"},
+        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
+        "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
+        **{n: {"role": "temperature", "unit": "degC"} for n in sensors},
+        "F": {"role": "force", "unit": "N"},
+        "rpm": {"role": "spindle_speed", "unit": "rpm"},
+        "EXX": {"role": "error", "component": "EXX", "unit": "um"},
+        "EXX_sim": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    return recording(columns, kinds)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return log()
+
+
+def test_a_short_recording_is_judged_as_it_is() -> None:
+    short = log(5000)
+    assert thinning.thinned(short).recording is short
+
+
+def test_which_rows_are_judged_does_not_hang_on_the_mismatch(whole) -> None:
+    other = log(hidden=lambda c: 50.0 * (c["x"] > 200))
+    one, two = thinning.thinned(whole), thinning.thinned(other)
+    assert np.array_equal(one.rows, two.rows) and one.notes[0] == two.notes[0]
+    judged = np.isfinite(one.recording.array("EXX"))
+    assert 15_000 < judged.sum() <= 20_000 and len(one.recording) < 40_000
+    assert "20" in one.notes[0] and "waves down to two rows are seen" in one.notes[0]
+
+
+def test_judged_rows_hold_what_the_log_holds(whole) -> None:
+    short = thinning.thinned(whole)
+    judged = np.isfinite(short.recording.array("EXX"))
+    for name in ("t", "x", "F", "rpm", "EXX", "EXX_sim"):
+        assert_allclose(short.recording.array(name)[judged], whole.array(name)[short.rows][judged], rtol=0, atol=0)
+    assert_allclose(short.recording.array("v"), whole.array("v")[short.rows], atol=0.02 * np.std(whole.array("v")))
+
+
+def test_sides_and_lags_are_those_of_the_whole_log(whole) -> None:
+    """A lag of 20 s of a speed, and the side from positions alone, at every judged row."""
+    short = thinning.thinned(whole)
+    part, rows = short.recording, short.rows
+    wanted = responses.lag(sessions(whole), whole.time(), whole.array("rpm"), 20.0, 20.0, True)[rows]
+    got = responses.lag(sessions(part), part.time(), part.array("rpm"), 20.0, 20.0, True)
+    assert np.abs(got - wanted).max() < 0.01 * np.ptp(wanted)
+    from_positions = whole.with_columns({}, {})
+    from_positions = type(whole)(from_positions.manifest, from_positions.frame.drop(columns=["v", "a"]))
+    side = direction(from_positions, "X")[rows]
+    assert (direction(thinning.thinned(from_positions).recording, "X") == side).mean() > 0.999
+
+
+@pytest.mark.parametrize("period", [0.05, 0.2, 0.25, 2.5, 5.0, 7.3])
+def test_no_period_is_seen_at_one_phase_only(whole, period: float) -> None:
+    """Mean direction of the phases of all judged rows (Rayleigh): a regular choice would give up to 1."""
+    short = thinning.thinned(whole).recording
+    t = short.time()[np.isfinite(short.array("EXX"))]
+    assert np.abs(np.exp(2j * np.pi * t / period).mean()) < 0.35
+
+
+def test_spikes_of_one_row_every_few_seconds_are_said(whole) -> None:
+    at = np.arange(1500, 200_000, 3000)
+
+    def spikes(c):
+        out = np.zeros(200_000)
+        out[at] = 8.0
+        return out
+
+    notes = " ".join(thinning.thinned(log(hidden=spikes)).notes)
+    assert "single rows standing out by" in notes and "every 3 s" in notes and "the first at 1.5 s" in notes
+    assert "standing out" not in " ".join(thinning.thinned(whole).notes)
+
+
+@pytest.mark.parametrize("width", [1, 12, 40, 300])
+def test_events_of_every_width_are_found(width: int) -> None:
+    rng = np.random.default_rng(width)
+    values = rng.standard_normal(1_200_000)
+    places = np.arange(20_000, 1_190_000, 230_011)
+    for a in places:
+        values[a : a + width] += 12.0
+    found = thinning.events(values)
+    assert found is not None and found.height > 4.0
+    near = [np.abs(found.rows - a).min() < 2 * max(width, found.width) + 1 for a in places]
+    assert np.mean(near) >= 0.8
+
+
+def test_steps_and_noise_are_no_events() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        wander = np.convolve(rng.standard_normal(200_000), 0.97 ** np.arange(200), mode="same")
+        assert thinning.events(wander) is None
+        assert thinning.events(rng.standard_normal(200_000) + 9.0 * (np.arange(200_000) // 50_000 % 2)) is None
+        assert thinning.lines(wander, STEP) == [] and thinning.lines(rng.standard_t(3, 200_000), STEP) == []
+
+
+@pytest.mark.parametrize("period", [0.02, 0.25, 0.2, 2.5])
+def test_waves_in_time_alone_are_said(period: float) -> None:
+    """No effect of the vocabulary: a line in the spectrum of all rows, also at the length of stretch and block."""
+    notes = " ".join(thinning.thinned(log(hidden=lambda c: 0.6 * np.sin(2 * np.pi * c["t"] / period))).notes)
+    assert f"{1 / period:.3g}" in notes and ("(0.5" in notes or "(0.6" in notes)
+    moved = thinning.thinned(log(hidden=lambda c: -4.0 * c["d"] + 0.02 * c["v"])).notes
+    assert "lines" not in " ".join(moved)  # lost motion and following error go with motion
+
+
+MILLION = """
+import json, resource, sys, time
+import numpy as np
+from tests.unit.diagnosis.test_thinning import log
+from errpipe.diagnosis import diagnose
+made = log(1_000_000, lambda c: 0.6 * np.sin(2 * np.pi * c["x"] / 0.9) - 0.03 * c["v"])
+start = time.process_time()
+found, _ = diagnose(made)
+print(json.dumps({
+    "cpu": time.process_time() - start,
+    "mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "columns": len(made.frame.columns),
+    "named": [f.effect for f in found.responses[0].findings],
+    "period": [p.value for f in found.responses[0].findings for p in f.parameters if p.name == "period"],
+}))
+"""
+
+
+@pytest.mark.slow
+def test_a_million_rows_take_neither_a_minute_nor_two_gigabytes() -> None:
+    """And a wave of 0.9 mm and a following error are found in them."""
+    told = subprocess.run(
+        [sys.executable, "-c", MILLION], check=True, capture_output=True, text=True, cwd=Path(__file__).parents[3]
+    )
+    took = json.loads(told.stdout)
+    assert took["columns"] == 12
+    assert {"pitch_cyclic", "following_error"} <= set(took["named"])
+    assert abs(took["period"][0] - 0.9) < 0.002
+    assert took["cpu"] < 45 and took["mb"] < 1800  # of 60 s and 2000 MB
