@@ -10,6 +10,7 @@ left_out    how well it predicts rows, or whole starts of the machine, that sat 
 admit       what is left, and whether a name is deserved
 locate      where it acts
 model       parameters with intervals, held-out figures
+empirical   an equation for what has no name
 confidence  how often such a finding is right
 separate    which rival explains nearly as well, and what to measure to tell
 """
@@ -56,7 +57,7 @@ def diagnose(
 
 
 def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
-    from errpipe.diagnosis import judge, prepare, report, thinning
+    from errpipe.diagnosis import empirical, judge, prepare, report, thinning
 
     progress(0.0, "reading the recording")
     short = thinning.thinned(recording)
@@ -69,6 +70,7 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         case = judge.judge(recording, prepare.followed(recording, conditioned, pair), pair, done)
         progress((k + 0.8) / len(pairs), f"{pair.component}: proving it on rows that had no say")
         response, contribution, left = report.response(case)
+        response = empirical.with_equation(case, response)
         responses.append(response)
         inputs = report.inputs(case, response)
         held = [p.hypothesis for p in case.decomposition.parts]

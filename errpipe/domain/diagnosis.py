@@ -43,6 +43,28 @@ class Rival(Frozen):
     lost_by: float
 
 
+class EmpiricalTerm(Frozen):
+    """One column of an empirical equation, in words, and its coefficient."""
+
+    column: str
+    coefficient: float
+    unit: str
+    ci95: tuple[float, float]
+    rms_um: float = Field(description="rms of what it contributes.")
+
+
+class Empirical(Frozen):
+    """An equation without a mechanism: the sum of its terms and a constant, in `unit`."""
+
+    terms: tuple[EmpiricalTerm, ...]
+    constant: float
+    unit: str
+    share: float = Field(description="Share of the held-out variance that it predicts.")
+    p: float = Field(description="Share of surrogates that are predicted as well.")
+    scheme: str
+    says: str
+
+
 class Finding(Frozen):
     """An effect that the simulation lacks; `unknown` where no effect carries the structure; or `recalibration`."""
 
@@ -64,6 +86,7 @@ class Finding(Frozen):
     more_terms: tuple[dict[str, object], ...] = Field(
         (), description="Further terms of the same finding: an effect on two axes is one term for each."
     )
+    empirical: Empirical | None = Field(None, description="Of `unknown`: the equation that predicts held-out rows.")
     p_search: float | None = Field(
         None, description="Share of surrogates without this effect in which the whole search gains as much."
     )

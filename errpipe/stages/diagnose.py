@@ -21,13 +21,13 @@ def diagnose(
     """Diagnose a recording folder into `out`: diagnosis.json and report.html.
 
     simulation: where the recording holds no simulated twin: a CSV, an error model (.json) or an FMU.
-    apply: folder for the corrected simulation (see `stages.apply_findings`).
+    apply: folder for the corrected simulation (see `stages._apply_findings`).
     Raises UsageError, with one clear message, for input that cannot be used.
     """
     from errpipe import jsonfile
     from errpipe.errors import DataError, UsageError
     from errpipe.formats import manifest_folder
-    from errpipe.stages import apply_findings
+    from errpipe.stages import _apply_findings
 
     if apply is not None and Path(apply).resolve() in (Path(recording).resolve(), Path(out).resolve()):
         raise UsageError(f"--apply {apply}: another folder is needed than the recording's and the diagnosis'")
@@ -43,8 +43,8 @@ def diagnose(
     told = {"says": says, "verdicts": {r.component: r.verdict for r in found.responses}}
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
-        done = apply_findings.apply_findings(read, found, Path(apply), held, parameters, later)
-        told |= {"says": [*says, *apply_findings.in_words(done)], "apply": done}
+        done = _apply_findings.apply_findings(read, found, Path(apply), held, parameters, later)
+        told |= {"says": [*says, *_apply_findings.in_words(done)], "apply": done}
     return told
 
 

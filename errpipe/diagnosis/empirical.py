@@ -1,0 +1,243 @@
+"""An equation for what has no name: sparse regression over columns, their lags, powers and products. Empirical.
+
+Orthogonal matching pursuit (Pati 1993) over a library of candidate columns of unit length picks at most three. The
+whole selection is repeated without each fold (whole sessions, else blocks of neighbouring rows: `hypotheses.folds`),
+and the number of terms is the smallest within one standard error of the best held-out one (Hastie, Tibshirani and
+Friedman 2009, 7.10). It is said only where it predicts `LEAST_SHARE` of the held-out variance and where none of 99
+surrogates is predicted as well: the response shifted round by a random number of rows, and noise of its colour.
+
+Units are carried along: temperatures enter as rises over their mean and positions as distances from the middle, so that
+a power or product means something; a coefficient has the response's unit over that of its column.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from errpipe.diagnosis.against import clustered
+from errpipe.diagnosis.case import Case, residual
+from errpipe.diagnosis.hypotheses import folds
+from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, ResponseDiagnosis
+from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+from errpipe.terms import resolved_times
+
+MOST_TERMS = 3
+MOST_ROWS = 6000  # rows that take part, chosen at random: more tell little more
+MOST_BASE = 40  # columns and lags whose products are tried
+LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name
+SURROGATES = 99
+LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged columns
+LAGGED = (
+    *("temperature", "pressure", "humidity", "spindle_speed", "feed"),
+    *("coolant", "load", "force", "current", "torque"),
+)
+MOVING = ("direction", "velocity", "acceleration")
+READ = (*LAGGED, *MOVING, "position", "command", "overhang", "depth_of_cut", "cut_length")
+UNITS = {"temperature": "K", "direction": "1", "coolant": "1"}
+PLAIN, BENT, TWO = (
+    1.0,
+    0.98,
+    0.96,
+)  # weight of a column, its power, a product: of two that say the same the plainer wins
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A column of the library: what it is in words, its unit as powers of units, its values (rows,), its weight."""
+
+    name: str
+    unit: tuple[tuple[str, int], ...]
+    values: np.ndarray
+    weight: float
+
+
+def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
+    """The response, its finding without a name with an empirical equation where there is one that holds."""
+    place = next((k for k, f in enumerate(response.findings) if f.effect == "unknown"), None)
+    if place is None:
+        return response
+    # where it comes first the names behind it are doubted: then all of the mismatch is to be explained
+    left = residual(case, [] if place == 0 else None)
+    found = equation(case.recording, case.pair.rows, left, response.unit)
+    if found is None:
+        return response
+    f = response.findings[place]
+    better = f.model_copy(update={"empirical": found, "says": f"{f.says} {found.says}"})
+    findings = (*response.findings[:place], better, *response.findings[place + 1 :])
+    return response.model_copy(update={"findings": findings})
+
+
+def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, seed: int = 0) -> Empirical | None:
+    """The equation of a residual y on some rows of a recording, or None where none holds.
+
+    recording: conditioned (columns without gaps); y: shape (rows,), in `unit`. Equal input gives an equal equation.
+    """
+    rng = np.random.default_rng(seed)
+    part = np.arange(rows.size)
+    if rows.size > MOST_ROWS:
+        part = np.sort(rng.choice(rows.size, MOST_ROWS, replace=False))
+    library = candidates(recording, rows[part])
+    if len(library) < 2 or part.size < 60:
+        return None
+    session = sessions(recording)[rows[part]]
+    fold, scheme = folds(recording.run_codes()[rows[part]], session)
+    search = _Pursuit(library, fold)
+    target = y[part] - y[part].mean()
+    shares, spread = search.held_out(target)
+    best = int(np.argmax(shares))
+    count = next(k for k in range(MOST_TERMS + 1) if shares[k] >= shares[best] - spread[best])
+    if count == 0 or shares[count] < LEAST_SHARE:
+        return None
+    for k in range(SURROGATES):
+        surrogate = _shifted(target, rng) if k % 2 else _of_its_colour(target, rng)
+        if search.held_out(surrogate)[0].max() >= shares[count]:
+            return None
+    p = 1 / (SURROGATES + 1)
+    chosen = [library[j] for j in search.chosen(target, count)]
+    return _fitted(chosen, target, session, unit, float(shares[count]), p, scheme)
+
+
+def _shifted(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A surrogate: shifted round by a tenth of the rows or more, its sign turned at random."""
+    by = int(rng.integers(y.size // 10, y.size - y.size // 10))
+    return np.roll(y, by) * rng.choice([-1.0, 1.0])
+
+
+def _of_its_colour(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A surrogate: white noise beside a first-order process with the autocorrelation of y at one and five rows."""
+    centred = y - y.mean()
+    one, five = (float(centred[k:] @ centred[:-k]) / float(centred @ centred) for k in (1, 5))
+    keep = float(np.clip((max(five, 1e-6) / max(one, 1e-6)) ** 0.25, 0.0, 0.9995))
+    slow = float(np.clip(one / max(keep, 1e-6), 0.0, 1.0))  # share of the variance that is remembered
+    drawn = rng.standard_normal(y.size)
+    drawn[1:] *= np.sqrt(1.0 - keep**2)
+    remembered = lfilter([1.0], [1.0, -keep], drawn)
+    return np.std(y) * (np.sqrt(slow) * remembered + np.sqrt(1.0 - slow) * rng.standard_normal(y.size))
+
+
+class _Pursuit:
+    """The library's products, whole and fold by fold, for repeated pursuits."""
+
+    def __init__(self, library: list[Candidate], fold: np.ndarray):
+        columns = np.column_stack([c.values - c.values.mean() for c in library])
+        self.weight = np.array([c.weight for c in library])
+        self.columns = columns / np.linalg.norm(columns, axis=0) * self.weight
+        self.rows = [np.flatnonzero(fold == f) for f in np.unique(fold)]
+        products = [self.columns[r].T @ self.columns[r] for r in self.rows]
+        self.whole = np.sum(products, axis=0)
+        self.grams = [self.whole - part for part in products]
+
+    def chosen(self, y: np.ndarray, count: int, without: int | None = None) -> list[int]:
+        """Numbers of the columns picked, in the order of the pursuit; without: a fold that takes no part."""
+        from sklearn.linear_model import orthogonal_mp_gram
+
+        gram, xy = self.whole, self.columns.T @ y
+        if without is not None:
+            gram = self.grams[without]
+            xy = xy - self.columns[self.rows[without]].T @ y[self.rows[without]]
+        path = orthogonal_mp_gram(gram, xy, n_nonzero_coefs=count, return_path=True, copy_Gram=True, copy_Xy=True)
+        path = np.asarray(path).reshape(len(self.weight), -1)
+        order: list[int] = []
+        for k in range(path.shape[1]):
+            order += [int(j) for j in np.flatnonzero(path[:, k]) if j not in order]
+        return order
+
+    def held_out(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Share of the held-out variance predicted with 0 to MOST_TERMS terms, and its standard error over folds."""
+        left = np.zeros((len(self.rows), MOST_TERMS + 1))
+        for f, test in enumerate(self.rows):
+            train = np.ones(y.size, dtype=bool)
+            train[test] = False
+            order = self.chosen(y, MOST_TERMS, f)
+            for k in range(MOST_TERMS + 1):
+                own = np.column_stack([np.ones(y.size), self.columns[:, order[:k]]])
+                b = np.linalg.lstsq(own[train], y[train], rcond=None)[0]
+                left[f, k] = float(np.sum((y[test] - own[test] @ b) ** 2))
+        gained = (left[:, :1] - left) / max(float(left[:, 0].mean()), 1e-300)
+        return gained.mean(axis=0), gained.std(axis=0, ddof=1) / np.sqrt(len(self.rows))
+
+
+def candidates(recording: Recording, rows: np.ndarray) -> list[Candidate]:
+    """The library on some rows of a conditioned recording: columns, lags, magnitudes, squares and products."""
+    base = list(_base(recording, rows))[:MOST_BASE]
+    out = list(base)
+    for c in base:
+        if np.unique(c.values).size > 2:
+            yielded = Candidate(f"({c.name})^2", _times(c.unit, c.unit), c.values**2, BENT)
+            out += [yielded, Candidate(f"|{c.name}|", c.unit, np.abs(c.values), BENT)]
+    for one, other in itertools.combinations(base, 2):
+        out.append(Candidate(f"{one.name} {other.name}", _times(one.unit, other.unit), one.values * other.values, TWO))
+    spread = [float(c.values.std()) for c in out]
+    return [c for c, s in zip(out, spread, strict=True) if s > 1e-9 * (1e-300 + float(np.abs(c.values).max()))]
+
+
+def _base(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
+    """Columns about their mean (positions about the middle), and what follows them late."""
+    _, lasting = resolved_times(recording)
+    session, t = sessions(recording), recording.time()
+    for role in READ:
+        for name in recording.names(role):
+            whole = recording.array(name)
+            if not np.isfinite(whole).all() or np.ptp(whole[rows]) == 0:
+                continue
+            own = UNITS.get(role) or recording.manifest.columns[name].unit or "1"
+            unit = () if own == "1" else ((own, 1),)
+            sign = role in MOVING
+            zero = 0.0 if sign else 0.5 * float(whole[rows].min() + whole[rows].max())
+            zero = float(whole[rows].mean()) if role in LAGGED else zero
+            told = name if zero == 0 else f"({name} - {zero:.5g})"
+            yield Candidate(told, unit, whole[rows] - zero, PLAIN)
+            if role == "velocity":
+                yield Candidate(f"sign({name})", (), np.sign(whole[rows]), PLAIN)
+            if role in LAGGED and recording.name("time") is not None:
+                for share in LAGS:
+                    tau = share * lasting
+                    late = responses.lag(session, t, whole, tau, tau, True)[rows]
+                    if np.ptp(late) > 0:
+                        yield Candidate(f"lag({name} - {zero:.5g}, {tau:.3g} s)", unit, late - zero, BENT)
+
+
+def _times(one: tuple[tuple[str, int], ...], other: tuple[tuple[str, int], ...]) -> tuple[tuple[str, int], ...]:
+    """Unit of a product."""
+    powers = dict(one)
+    for name, power in other:
+        powers[name] = powers.get(name, 0) + power
+    return tuple(sorted(powers.items()))
+
+
+def unit_over(response: str, unit: tuple[tuple[str, int], ...]) -> str:
+    """Unit of a coefficient: the response's over its column's, such as um/(K2 mm)."""
+    below = [f"{name}{power}" if power > 1 else name for name, power in unit]
+    below = [f"({b})" if "/" in b and len(below) > 1 else b for b in below]
+    if not below:
+        return response
+    return f"{response}/{below[0]}" if len(below) == 1 and "/" not in below[0] else f"{response}/({' '.join(below)})"
+
+
+def _fitted(chosen: list[Candidate], y, session, unit: str, share: float, p: float, scheme: str) -> Empirical:
+    """The equation on all rows, with cluster-robust 95 % intervals."""
+    design = np.column_stack([*(c.values for c in chosen), np.ones(y.size)])
+    b, sd, _ = clustered(design, y, session)
+    terms = tuple(
+        EmpiricalTerm(
+            column=c.name,
+            coefficient=float(b[k]),
+            unit=unit_over(unit, c.unit),
+            ci95=(float(b[k] - 2.02 * sd[k]), float(b[k] + 2.02 * sd[k])),  # t with 39 degrees of freedom
+            rms_um=float(np.std(b[k] * c.values)),
+        )
+        for k, c in enumerate(chosen)
+    )
+    text = " + ".join(f"{t.coefficient:.3g} {t.unit} * {t.column}" for t in terms).replace("+ -", "- ")
+    says = (
+        f"Empirical, no mechanism: {text} (beside a constant) predicts {share:.0%} of the held-out variance "
+        f"(p = {p:.2g} by {SURROGATES} surrogates)."
+    )
+    return Empirical(terms=terms, constant=float(b[-1]), unit=unit, share=share, p=p, scheme=scheme, says=says)
