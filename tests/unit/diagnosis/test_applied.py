@@ -16,7 +16,7 @@ from errpipe.diagnosis.applied import corrected, session_datums
 from errpipe.drivers.sessions import sessions
 from errpipe.fitting.spec import ModelSpec
 from errpipe.formats import manifest_folder
-from errpipe.stages._apply_findings import _apply_findings
+from errpipe.stages._apply_findings import apply_findings
 from errpipe.yamlfile import load
 from tests.unit.diagnosis.machines import axis, mornings, spindle, trace
 
