@@ -55,6 +55,9 @@ generated: $(SETUP) ## write schemas/, docs/ (reference pages) and tests/errors/
 	@$(BIN)/errpipe reference --write docs
 	@WRITE_EXPECTED=1 $(PYTEST) tests/errors
 
+screenshots: $(SETUP) ## docs/pictures again, by headless chromium
+	@$(BIN)/python -m tests.screenshots docs/pictures
+
 bench: $(SETUP) ## speed, as ratios to other libraries in the same run
 	@$(BIN)/python -m bench $(ARGS)
 

@@ -16,25 +16,33 @@ def noise_floor(recording: Recording, rows: np.ndarray, values: np.ndarray) -> f
 
     rows: row numbers, (n,); values: the response there or a residual of it, (n,). From repeats of one target (same
     run, direction and positions) where a recording has them, one after the other, so that a slow drift stays out;
-    else from second differences along each run. Noise with a memory of several rows shows in repeats alone.
+    else the smaller of two figures, each of which holds more than noise: repeats of one target in successive runs (and
+    what changed between the runs), and second differences along each run (and the shape between neighbours). Noise
+    with a memory of several rows shows in repeats alone. Never above the rms of `values`, which holds it.
     """
-    repeated = _repeats(recording, rows, values)
-    if repeated.size >= FEWEST:
-        return _spread(repeated, 2.0**0.5)
-    run = recording.run_codes()[rows]
     if values.size < 3:
         return None
+    repeated = _repeats(recording, rows, values, within_runs=True)
+    if repeated.size >= FEWEST:
+        return _at_most_rms(values, [_spread(repeated, 2.0**0.5)])
+    run = recording.run_codes()[rows]
     bends = values[:-2] - 2.0 * values[1:-1] + values[2:]
-    inside = (run[2:] == run[:-2]) & np.isfinite(bends)
-    return _spread(bends[inside], 6.0**0.5) if np.count_nonzero(inside) >= FEWEST else None
+    bends = bends[(run[2:] == run[:-2]) & np.isfinite(bends)]
+    across = _repeats(recording, rows, values, within_runs=False)
+    figures = ((across, 2.0**0.5), (bends, 6.0**0.5))
+    return _at_most_rms(values, [_spread(d, root) for d, root in figures if d.size >= FEWEST])
 
 
-def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Differences of successive visits to the same target of the same run."""
+def _at_most_rms(values: np.ndarray, figures: list[float]) -> float | None:
+    return min(*figures, float(np.sqrt(np.nanmean(values**2)))) if figures else None
+
+
+def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray, *, within_runs: bool) -> np.ndarray:
+    """Differences of successive visits to the same target, of the same run or of whatever run comes next."""
     targets = recording.names("command") or recording.names("position")
     if not targets:
         return np.empty(0)
-    keys = [recording.run_codes()[rows].astype(float)]
+    keys: list[np.ndarray] = [recording.run_codes()[rows].astype(float)] if within_runs else []
     for name in targets:
         x = recording.array(name)[rows]
         step = max(float(np.nanmax(x) - np.nanmin(x)) * RELATIVE_STEP, 1e-9) if np.isfinite(x).any() else 1.0
@@ -45,7 +53,8 @@ def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray) -> np.n
     for key in keys:
         same &= key[order][1:] == key[order][:-1]
     apart = np.abs(np.diff(rows[order])) > 1  # a log standing still at one place is no repeated approach
-    return np.diff(values[order])[same & apart]
+    found = np.diff(values[order])[same & apart]
+    return found[np.isfinite(found)]
 
 
 def _spread(differences: np.ndarray, root: float) -> float:

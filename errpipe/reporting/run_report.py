@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.reporting import page, svg
+from errpipe.reporting import page, run_figures, svg
 
 LONG = 3 * 86400.0  # s; a longer recording is mostly pauses and is drawn by row number
 
@@ -18,7 +18,8 @@ class Response:
     """One response on held-out rows: none of them chose or fitted the model that predicts it.
 
     deviation, predicted: shape (rows,), in `unit`; groups: label of the left-out group per row;
-    inputs: label with unit -> values, shape (rows,), the most important first.
+    inputs: label with unit -> values, shape (rows,), the most important first; time: s, where a thermal run is drawn
+    against it, with band, half the width that holds 90 %; plane: axis -> mm, where the response is a map over two axes.
     """
 
     component: str
@@ -34,6 +35,9 @@ class Response:
     table: Sequence[Mapping[str, Any]] = ()
     scheme: str = ""
     notes: Sequence[str] = ()
+    time: np.ndarray | None = None
+    band: float | None = None
+    plane: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class RunReport:
     machine: str
     version: str
     fingerprint: str
+    set_up: Sequence[str] = ()  # date, serial number, operator, instrument, where the recording has them
     sources: Sequence[Mapping[str, Any]] = ()
     removed: Sequence[Mapping[str, Any]] = ()
     responses: Sequence[Response] = ()
@@ -76,10 +81,23 @@ def render(report: RunReport) -> str:
             "before_after": before_after(r),
             "groups": by_group(r) if len(r.table) > 1 else "",
             "residuals": residuals(r),
+            "time": _over_time(r) if r.time is not None else "",
+            "plane": _over_plane(r) if r.plane else "",
         }
         for r in report.responses
     ]
     return page.render("run.html.j2", {"title": report.title or "errpipe run", "report": report, "blocks": blocks})
+
+
+def _over_time(r: Response) -> str:
+    assert r.time is not None
+    return run_figures.against_time(r.time, r.deviation, r.predicted, r.groups, r.band, r.component, r.unit)
+
+
+def _over_plane(r: Response) -> str:
+    (a, x), (b, y) = r.plane.items()
+    panels = {f"{r.component} before": r.deviation, "after, held out": r.deviation - r.predicted}
+    return run_figures.plane((x, y), (a, b), panels, r.unit)
 
 
 def before_after(r: Response) -> str:

@@ -54,6 +54,7 @@ class Report(Stage):
         page = RunReport(
             title=context.title or facts["title"],
             machine=facts["machine"],
+            set_up=[f"{row['what'].capitalize()} {row['value']}" for row in _who_and_when(recording)],
             version=__version__,
             fingerprint=context.fingerprint[:16],
             sources=_sources(facts, recording, validation),
@@ -79,7 +80,6 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
         roles.setdefault(column["role"], []).append(name)
     rows = [
         {"what": "recording", "value": facts["title"]},
-        *_who_and_when(recording),
         {"what": "rows", "value": f"{facts['rows']}, of which {len(recording)} were kept"},
         {"what": "runs", "value": len(recording.run_labels())},
         *({"what": role.replace("_", " "), "value": ", ".join(names)} for role, names in roles.items()),
@@ -160,9 +160,33 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
                 table=[_group(g) for g in figures["groups"]],
                 scheme=validation["scheme"],
                 notes=_notes(component, figures),
+                time=recording.time()[index] if _is_thermal(recording) else None,
+                band=figures.get("half_width90"),
+                plane=_plane(recording, component.component, index),
             )
         )
     return out
+
+
+def _is_thermal(recording: Any) -> bool:
+    """Whether a recording is a run over time: temperatures and a clock, and no list of targets."""
+    import numpy as np
+
+    places = recording.names("position") + recording.names("command")
+    moving = [n for n in places if np.nanmax(recording.array(n)) > np.nanmin(recording.array(n))]
+    return bool(recording.names("time") and recording.names("temperature") and not moving)
+
+
+def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:
+    """Axis -> positions, where a deviation of the tool point was measured over two axes; empty elsewhere."""
+    import numpy as np
+
+    if not component.startswith("E_"):
+        return {}
+    at = {str(recording.manifest.columns[n].axis): recording.array(n)[index] for n in recording.names("position")}
+    moving = {axis: x for axis, x in at.items() if x.size and np.nanmax(x) > np.nanmin(x)}
+    both = len(moving) == 2 and min(np.unique(np.round(x, 3)).size for x in moving.values()) > 2
+    return moving if both and not recording.names("time") else {}
 
 
 def _columns(recording: Any, model: Any, index: Any) -> dict[str, Any]:
@@ -320,4 +344,8 @@ def _next_step(exported: Mapping[str, Any], refusal: str = "") -> str:
         return "read why the export was refused; mend the recording or the model, then errpipe run again."
     if not exported:
         return "add an export stage to compile this model into a table that a controller runs."
+    if any("/" in row["file"] for document in exported.values() for row in document["files"]):
+        return (
+            "follow CHECKLIST.md beside each controller file: its sign, the numbers to enter, three points to compare."
+        )
     return "errpipe whatis on the exported table.ect says what a cycle costs; errpipe verify re-reads every file."

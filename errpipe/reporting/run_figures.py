@@ -1,0 +1,82 @@
+"""Figures of held-out rows: a warm-up against time with its prediction, a plane before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from errpipe.reporting import svg
+
+GAP = 20.0  # median steps of time: a longer pause breaks the line
+PANELS = 3  # groups drawn: the one that is predicted worst, then those with most rows
+
+
+def against_time(
+    time: np.ndarray,
+    deviation: np.ndarray,
+    predicted: np.ndarray,
+    groups: Sequence[str],
+    band: float | None,
+    component: str,
+    unit: str,
+) -> str:
+    """Left-out groups over time as SVG text: what was measured, what was predicted, and the band of 90 %.
+
+    time in s; deviation, predicted, band in `unit`; one row each, shape (rows,). band: half of its width, or None.
+    """
+    labels = np.asarray(groups)
+    chosen = _worth_seeing(labels, deviation - predicted)
+    with svg.figure(7.2, 2.3 * len(chosen) + 0.3, rows=len(chosen)) as (canvas, found):
+        for axes, label in zip(np.atleast_1d(found), chosen, strict=True):
+            (own,) = np.nonzero((labels == label) & np.isfinite(time) & np.isfinite(deviation) & np.isfinite(predicted))
+            own = own[np.argsort(time[own], kind="stable")]
+            own = own[svg.thin(own.size)]
+            hours, y = (time[own] - time[own[:1]]) / 3600.0, predicted[own].copy()
+            steps = np.diff(hours)
+            y[1:][steps > GAP * np.median(steps)] = np.nan if steps.size else 0.0
+            if band is not None:
+                axes.fill_between(hours, y - band, y + band, color=svg.AFTER, alpha=0.18, lw=0, label="90 % band")
+            axes.plot(hours, deviation[own], ".", ms=3, color=svg.BEFORE, label="measured")
+            axes.plot(hours, y, "-", lw=1.4, color=svg.AFTER, label="predicted, held out")
+            axes.set_title(f"left out: {label}", loc="left", fontsize=9)
+            axes.set_ylabel(f"{component} in {unit}")
+        np.atleast_1d(found)[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
+        np.atleast_1d(found)[-1].set_xlabel("time since the first row drawn in h")
+        return svg.to_svg(canvas, f"{component} against time, held out")
+
+
+def _worth_seeing(labels: np.ndarray, left: np.ndarray) -> list[str]:
+    names = list(dict.fromkeys(labels.tolist()))
+    rms = {n: float(np.sqrt(np.nanmean(left[labels == n] ** 2))) for n in names}
+    rows = {n: int(np.count_nonzero(labels == n)) for n in names}
+    worst = max(names, key=lambda n: rms[n])
+    rest = sorted((n for n in names if n != worst), key=lambda n: -rows[n])
+    return [worst, *rest[: PANELS - 1]]
+
+
+def plane(
+    places: tuple[np.ndarray, np.ndarray], axes_named: tuple[str, str], panels: dict[str, np.ndarray], unit: str
+) -> str:
+    """Values at points of a plane as SVG text, all panels in one scale of colours that is 0 in its middle.
+
+    places: the two coordinates in mm, shape (rows,); panels: heading -> values (rows,) in `unit`; readings at one place
+    are averaged.
+    """
+    at, back = np.unique(np.round(np.column_stack(places), 3), axis=0, return_inverse=True)
+    count = np.bincount(back)
+    means = {name: np.bincount(back, weights=np.nan_to_num(v)) / count for name, v in panels.items()}
+    top = max(float(np.abs(v).max()) for v in means.values()) or 1.0
+    spacing = np.sqrt(np.prod(np.ptp(at, axis=0)) / max(len(at), 1))
+    size = max(9.0, (3.0 * 72 * spacing / max(np.ptp(at[:, 0]), 1e-9)) ** 2 * 0.6)
+    with svg.figure(7.2, 3.4, columns=len(panels)) as (canvas, found):
+        for axes, (name, values) in zip(np.atleast_1d(found), means.items(), strict=True):
+            drawn = axes.scatter(at[:, 0], at[:, 1], c=values, s=size, marker="s", cmap="PuOr", vmin=-top, vmax=top)
+            rms = np.sqrt(np.mean(panels[name][np.isfinite(panels[name])] ** 2))
+            axes.set_title(f"{name}: {rms:.3g} {unit} rms", loc="left", fontsize=9)
+            axes.set_xlabel(f"{axes_named[0]} in mm")
+            axes.set_ylabel(f"{axes_named[1]} in mm")
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.grid(visible=False)
+        canvas.colorbar(drawn, ax=list(np.atleast_1d(found)), label=unit, shrink=0.7)
+        return svg.to_svg(canvas, f"{', '.join(panels)} over {' and '.join(axes_named)}")

@@ -1,0 +1,50 @@
+"""The noise floor: the noise, from repeats where there are some, and never above what it is part of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.fitting.noise_floor import noise_floor
+
+COLUMNS = {
+    "run": Column(role="run"),
+    "d": Column(role="direction", axis="X"),
+    "x": Column(role="position", axis="X", unit="mm"),
+    "e": Column(role="error", component="EXX", unit="um"),
+}
+
+
+def bidirectional(runs: int, targets: int = 21) -> Recording:
+    up = np.linspace(0, 600, targets)
+    rows = [(str(r), s, x) for r in range(runs) for s in (1.0, -1.0) for x in (up if s > 0 else up[::-1])]
+    frame = pd.DataFrame(rows, columns=["run", "d", "x"]).assign(e=0.0)
+    return Recording(Manifest(recording=1, tables=("t.csv",), columns=COLUMNS), frame)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_repeats_across_runs_tell_noise_from_a_shape_that_no_model_took(seed: int) -> None:
+    """Each target once a run and direction, and a wave of three targets a period left: 0.3 um of noise beside 2 um."""
+    data = bidirectional(5)
+    noise = 0.3 * np.random.default_rng(seed).normal(size=len(data))
+    left = noise + 2.0 * np.sin(2 * np.pi * data.array("x") / 90.0)
+    assert noise_floor(data, np.arange(len(data)), left) == pytest.approx(0.3, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_runs_that_differ_are_not_taken_for_noise(seed: int) -> None:
+    """Runs 5 um apart in level: second differences within each run know better."""
+    data = bidirectional(6)
+    noise = 0.3 * np.random.default_rng(seed).normal(size=len(data))
+    left = noise + 5.0 * (data.run_codes() % 3)
+    assert noise_floor(data, np.arange(len(data)), left) == pytest.approx(0.3, rel=0.3)
+
+
+def test_it_is_never_above_the_residual() -> None:
+    data = bidirectional(5)
+    for seed in range(30):
+        values = np.random.default_rng(seed).standard_t(3, size=len(data))
+        values[::2] *= -1.0
+        assert noise_floor(data, np.arange(len(data)), values) <= np.sqrt(np.mean(values**2)) + 1e-12

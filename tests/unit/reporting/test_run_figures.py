@@ -1,0 +1,35 @@
+"""Figures of held-out rows: what they show, in order, without a line over a pause."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.reporting import run_figures
+
+
+def test_the_worst_group_comes_first_and_a_pause_breaks_the_line() -> None:
+    time = np.tile(np.r_[np.arange(50.0), 5000.0 + np.arange(50.0)], 2)
+    groups = ["day 1"] * 100 + ["day 2"] * 100
+    deviation = np.sin(time / 30)
+    predicted = deviation + np.r_[np.full(100, 0.1), np.full(100, 3.0)]
+    text = run_figures.against_time(time, deviation, predicted, groups, 0.5, "E_Z", "um")
+    assert text == run_figures.against_time(time, deviation, predicted, groups, 0.5, "E_Z", "um")
+    titles = re.findall(r">left out: (day \d)<", text)
+    assert titles == ["day 2", "day 1"] and "90 % band" in text
+    strokes = [
+        path.count("M ") for path in re.findall(r'<path d="([^"]*)" [^>]*stroke: #1f5fa8; stroke-width: 1.4', text)
+    ]
+    assert strokes[0] == 2, "one stroke on each side of the pause"
+
+
+def test_a_plane_averages_readings_at_one_place() -> None:
+    x, y = (g.ravel() for g in np.meshgrid(np.arange(4.0) * 100, np.arange(3.0) * 100))
+    places = (np.tile(x, 2), np.tile(y, 2))
+    values = np.r_[np.full(12, 4.0), np.full(12, 6.0)]
+    text = run_figures.plane(places, ("X", "Y"), {"before": values, "after": 0.0 * values}, "um")
+    assert "before: 5.1 um rms" in text and "after: 0 um rms" in text
+    assert len(re.findall(r'<g clip-path="[^"]*">\s*<use [^>]*style="fill: #[^"]*"', text)) == 24, (
+        "twelve places in two panels"
+    )
