@@ -10,7 +10,6 @@ from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
-from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
 OFF = 3.0  # log Bayes factor for a recalibration
@@ -141,6 +140,4 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:
             prior[i] += PRESENT + (SAME if (h.effect, h.drivers) in held_by else 0.0)
-        if not h.terms[0].missing:
-            prior[i] = NEVER
     return prior

@@ -136,7 +136,7 @@ class Search:
         best: dict[str, tuple[float, int]] = {}
         for i in np.argsort(-gain):
             effect = self.library.hypotheses[i].effect
-            if effect not in best and self.library.hypotheses[i].terms[0].missing:
+            if effect not in best:
                 best[effect] = (float(gain[i]), int(i))
         own = max(best.pop(found[k].hypothesis.effect)[0], found[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]

@@ -16,6 +16,7 @@ PER_DEGREE = (  # unit on a linear axis, unit on a rotary one, and what a value 
     (" s/m", " s/deg", 1e-3),
     ("/m", "/deg", 1e-3),
 )
+INERTIA = {"N m": ("kg m2", 1e-3 * 180.0 / math.pi)}  # of N m/(rad/s2), where N/(m/s2) is 1 kg
 LAG_OF_ANGLES = 1e-6 * 180.0 / math.pi * 1e3  # ms of urad/(deg/s), where um/(mm/s) is 1 ms
 
 
@@ -28,6 +29,8 @@ def on_rotary_axis(term: Term, recording: Recording) -> bool:
 def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:
     """The unit in which a parameter of a term is reported, and what its value is multiplied with."""
     factor = 1.0
+    if rotary and unit == "kg":
+        return INERTIA.get(response, ("N/(deg/s2)", 1e-3))
     if rotary:
         if unit == "ms":
             return unit, LAG_OF_ANGLES if response == "urad" else 1.0

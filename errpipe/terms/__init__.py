@@ -74,5 +74,7 @@ TERMS: Choice[type[Term]] = Choice.of_files(
         "run_pose",
         "smooth_curve",
         "moving_mass",
+        "saturation",
+        "dead_zone",
     ),
 )

@@ -85,7 +85,6 @@ class Term(Frozen, ABC):
     compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
     artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
     nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms so that it does not bend them?
-    missing: ClassVar[bool] = True  # False: every simulation holds it, so that it is never what is missing
     simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
     gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
     one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor

@@ -50,6 +50,7 @@ def rows(step: float = 15.0) -> Recording:
     }
     responses = {name: (0.0 * k, Column(role="error", component=name, unit=u)) for name, u in COMPONENTS.items()}
     responses["EXX_sim"] = (0.02 * x, Column(role="simulated", component="EXX", unit="um"))
+    responses["F_X_sim"] = (2000.0 * np.sin(k / 17), Column(role="simulated", component="F_X", unit="N"))
     all_of_them = {**motion, **state, **responses}
     columns = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
     axis = {"role": "axis", "kind": "linear", "screw_lead": 10.0, "encoder_period": 0.02, "unit": "mm"}

@@ -10,11 +10,15 @@ from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import position
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Speeds
+from errpipe.terms._slack import Slack, chebyshev
+
+GROWS = 0.3  # freedom of friction that grows along the travel (from taste: guides and covers)
 
 
 class CoulombFriction(Term):
@@ -61,6 +65,13 @@ class CoulombFriction(Term):
             if not recording.names("velocity", axis=axis):
                 for column in recording.names("direction", axis=axis):
                     yield cls(axis=axis, column=column, fixed={"sharpness": 0.0})
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        if recording.name("position", axis=self.axis) is None:
+            return
+        place = chebyshev(position(recording, self.axis), 2)
+        yield base[:, 0] * place[:, 1], GROWS  # guides and seals are tighter at one end
+        yield base[:, 0] * place[:, 2], 0.5 * GROWS
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)

@@ -30,10 +30,12 @@ class MovingMass(Term):
     reports_as = "moving_mass"
     family = "friction"
     compensable = False
-    missing = False  # every simulation of a drive force holds it
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)
+
+    def log_prior_odds(self) -> float:
+        return -6.0  # hardly a simulation of a drive force leaves it out
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)

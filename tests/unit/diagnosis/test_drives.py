@@ -1,0 +1,56 @@
+"""What simulations of a drive force leave out: inertia, limits, play, friction that grows along the travel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import diagnose
+
+from .machines import trace
+
+
+def answer(change):
+    """The first finding and its parameters once `change` was made to the columns of an axis under way."""
+    known = trace(1)
+    response = diagnose(type(known)(known.manifest, change(known.frame.copy())))[0].responses[0]
+    finding = response.findings[0]
+    return finding.effect, {p.name: p for p in finding.parameters}, response.holdout.rms_after_um
+
+
+def no_mass(frame):
+    return frame.assign(F_X=frame.F_X + 0.05 * frame.v, F_X_sim=0.05 * frame.v)
+
+
+def limited(frame):
+    return frame.assign(F_X=frame.F_X + frame.F_X_sim.clip(-18, 18) - frame.F_X_sim)
+
+
+def play(frame):
+    return frame.assign(F_X=frame.F_X - frame.F_X_sim.clip(-4, 4))
+
+
+def tight_end(frame):
+    return frame.assign(F_X=frame.F_X + 15 * np.sign(frame.v) * (1 + 0.7 * (frame.x - 200) / 150))
+
+
+CASES = {
+    "moving_mass": (no_mass, "mass", 80.0),
+    "saturation": (limited, "limit", 18.0),
+    "dead_zone": (play, "threshold", 4.0),
+    "coulomb_friction": (tight_end, "force", 15.0),
+}
+
+
+@pytest.mark.parametrize("effect", CASES)
+def test_named_with_its_size_down_to_the_noise(effect: str) -> None:
+    change, name, size = CASES[effect]
+    said, told, left = answer(change)
+    assert said == effect and left < 2.1  # the noise is 2 N
+    assert told[name].value == pytest.approx(size, rel=0.1)
+
+
+def test_mass_off_by_a_tenth_is_a_recalibration() -> None:
+    known = trace(1)
+    response = diagnose(type(known)(known.manifest, known.frame.assign(F_X_sim=0.9 * known.frame.F_X_sim)))[0]
+    assert response.responses[0].verdict == "recalibrate"
