@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Clip, Input
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._equations import times
 from errpipe.terms._search import Speeds
 
 
@@ -60,6 +63,11 @@ class DeadZone(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         force = recording.array(self.column)
         return (-np.clip(force, -nonlinear[0], nonlinear[0]))[:, None]
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (threshold,) = self.nonlinear_values(parameters)
+        force = Input(name=self.column)
+        return (Lowered(times(Clip(low=-threshold, high=threshold, of=force), -parameters["share"])),)
 
     def log_prior_odds(self) -> float:
         return -2.0  # most drives are chosen large enough, and most forces are measured from zero

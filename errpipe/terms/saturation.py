@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Affine, Clip, Input
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import NEVER, Parameter, Term
 from errpipe.terms._search import Speeds
 
@@ -55,6 +57,11 @@ class Saturation(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         force = recording.array(self.column)
         return (np.clip(force, -nonlinear[0], nonlinear[0]) - force)[:, None]
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        (limit,) = self.nonlinear_values(parameters)
+        force, share = Input(name=self.column), parameters["share"]
+        return (Lowered(Affine(weights=(share, -share), of=(Clip(low=-limit, high=limit, of=force), force))),)
 
     def log_prior_odds(self) -> float:
         return -2.0  # most drives are chosen large enough, and most forces are measured from zero
