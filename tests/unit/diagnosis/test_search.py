@@ -6,9 +6,9 @@ import pytest
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.diagnosis.search import Search
-from errpipe.terms import Term
+from errpipe.terms.offset import Offset
 
-TERM = (Term(term="any"),)
+TERM = (Offset(),)
 
 
 def library(columns: dict[str, np.ndarray]) -> Library:
