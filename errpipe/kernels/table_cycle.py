@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from errpipe.kernels import kernel
+from errpipe.kernels import bare_kernel
 from errpipe.kernels.table_codes import (
     ACTIVE,
     BEYOND_PROFILE,
@@ -73,7 +73,7 @@ class State(NamedTuple):
     common: np.ndarray  # one record
 
 
-@kernel
+@bare_kernel
 def towards(value, target, dt, whole):
     """From value to target by at most dt / whole; at once where whole is 0."""
     if whole <= 0.0:
@@ -86,7 +86,7 @@ def towards(value, target, dt, whole):
     return target
 
 
-@kernel
+@bare_kernel
 def reset(program, state):
     """The next cycle is the first of a run; corrections stay where they are, and go on from there."""
     for i in range(state.inputs.size):
@@ -116,7 +116,7 @@ def reset(program, state):
     own.unready = state.nodes.size
 
 
-@kernel
+@bare_kernel
 def fade_target(state, lost):
     """1 inside the validity box, falling to 0 over the margin outside it."""
     if lost:
@@ -128,7 +128,7 @@ def fade_target(state, lost):
     return target if target > 0.0 else 0.0
 
 
-@kernel
+@bare_kernel
 def run_profiles(profiles, values, same_grid, inputs, out):
     """Values of all profiles; returns status bits. Neighbours on one grid share their place on it."""
     status = 0
@@ -163,7 +163,7 @@ def run_profiles(profiles, values, same_grid, inputs, out):
     return status
 
 
-@kernel
+@bare_kernel
 def sum_components(pairs, profiles, nodes, fade, out):
     """Components from pairs."""
     out[:] = 0.0
@@ -175,7 +175,7 @@ def sum_components(pairs, profiles, nodes, fade, out):
         out[pair.component] += part
 
 
-@kernel
+@bare_kernel
 def sum_outputs(outputs, terms, components, nodes, state):
     """Deviations of the outputs from components; returns status bits."""
     status = 0
@@ -201,7 +201,7 @@ def sum_outputs(outputs, terms, components, nodes, state):
     return status
 
 
-@kernel
+@bare_kernel
 def cycle(program, state, readings, fresh, dt, replay, mode):
     """One cycle. fresh: non-zero where readings holds a new one; dt in s (since the row before, when replaying).
 
@@ -250,7 +250,7 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
     common.heartbeat = (common.heartbeat + 1) & 0xFFFFFFFF
 
 
-@kernel
+@bare_kernel
 def replay(program, state, columns, fresh, t, run, deviation, correction, status):
     """Replay a recording: columns (rows, inputs), t in s, run: an integer per row; states start anew where it changes.
 
@@ -270,7 +270,7 @@ def replay(program, state, columns, fresh, t, run, deviation, correction, status
         status[k] = state.common[0].status
 
 
-@kernel
+@bare_kernel
 def stream(program, state, columns, fresh, mode, deviation, correction, status):
     """Many cycles at the controller's rate: columns and fresh (cycles, inputs), mode (cycles,)."""
     for k in range(columns.shape[0]):

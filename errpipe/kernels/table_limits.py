@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from errpipe.kernels import kernel
+from errpipe.kernels import bare_kernel
 from errpipe.kernels.table_codes import AT_MAGNITUDE, AT_RATE, HAS_ACCELERATION, HAS_MAGNITUDE, HAS_SLEW, LARGEST
 
 
-@kernel
+@bare_kernel
 def can_stop(closing, left, brake):
     """Whether a closing speed can be braked within what is left of the way (per cycle)."""
     if closing <= 0.0:
@@ -14,7 +14,7 @@ def can_stop(closing, left, brake):
     return closing * (closing - brake) <= 2.0 * brake * left
 
 
-@kernel
+@bare_kernel
 def closing_rate(keep, way, drift, slowest, fastest, brake):
     """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way."""
     if keep > fastest:
@@ -37,7 +37,7 @@ def closing_rate(keep, way, drift, slowest, fastest, brake):
     return slowest if half < slowest else fastest if half > fastest else half
 
 
-@kernel
+@bare_kernel
 def approach_target(output, own, target, dt):
     """Move a correction to its target within slew and acceleration; True where they held it back."""
     way = target - own.limited
@@ -68,7 +68,7 @@ def approach_target(output, own, target, dt):
     return True
 
 
-@kernel
+@bare_kernel
 def bound(magnitude, own, before):
     """Keep a correction within its magnitude; True where it would have left it."""
     if own.limited > magnitude:
@@ -81,7 +81,7 @@ def bound(magnitude, own, before):
     return True
 
 
-@kernel
+@bare_kernel
 def limit(outputs, state, ramp, dt, replay, hold, bounds_last):
     """Corrections from deviations: magnitude, slew and acceleration; returns status bits."""
     status = 0

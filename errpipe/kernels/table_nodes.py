@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.kernels import kernel
+from errpipe.kernels import bare_kernel
 from errpipe.kernels.elementary import exp, power
 from errpipe.kernels.table_codes import (
     AFFINE,
@@ -24,7 +24,7 @@ from errpipe.kernels.table_codes import (
 )
 
 
-@kernel
+@bare_kernel
 def moved_side(x, known, side, memory, threshold):
     """(side, turning point) of an axis that moved to x."""
     if known > 0.0:
@@ -44,7 +44,7 @@ def moved_side(x, known, side, memory, threshold):
     return side, memory
 
 
-@kernel
+@bare_kernel
 def lookup(lookups, first, last, s):
     """Straight lines between uniform values, held at the ends; s counts steps."""
     if s < 0.0:
@@ -58,7 +58,7 @@ def lookup(lookups, first, last, s):
     return left + (s - j) * (lookups[first + j + 1] - left)
 
 
-@kernel
+@bare_kernel
 def is_ready(node, operands, state, inputs):
     """Whether everything below a node has had a believed reading."""
     if node.op == INPUT:
@@ -70,7 +70,7 @@ def is_ready(node, operands, state, inputs):
     return below
 
 
-@kernel
+@bare_kernel
 def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay):
     """Run nodes in order; what is not finite counts as 0. Returns status bits."""
     status = 0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from errpipe.kernels import kernel
+from errpipe.kernels import bare_kernel, kernel
 from errpipe.kernels.elementary import power
 from errpipe.kernels.table_codes import (
     AFFINE,
@@ -31,7 +31,18 @@ from errpipe.kernels.table_codes import (
     SWITCH,
 )
 
-BLOCK = 256  # points; all rows of a block of 21 curves lie in 64 kB (128 to 512 differ by less than a tenth)
+BLOCK = 128  # points; the rows of a block of 21 curves lie in 40 kB (64 costs a fifth more, 256 as much)
+
+
+class Buffers(NamedTuple):
+    """Rows of one block; spare: three rows, intervals: (BLOCK,) where points lie on a grid."""
+
+    inputs: np.ndarray
+    nodes: np.ndarray
+    sums: np.ndarray
+    profiles: np.ndarray
+    spare: np.ndarray
+    intervals: np.ndarray
 
 
 class Plan(NamedTuple):
@@ -47,7 +58,7 @@ class Plan(NamedTuple):
     factor: np.ndarray  # (profiles,) what it is multiplied by: the driver of its pair, else 1
 
 
-@kernel
+@bare_kernel
 def clip_block(x, low, high, out):
     """Points within a range (not a number: at its lower end); returns how many are not a number."""
     missing = 0
@@ -58,7 +69,7 @@ def clip_block(x, low, high, out):
     return missing
 
 
-@kernel
+@bare_kernel
 def place_block(x, start, inverse_step, inverse_turn, top, periodic, j, f):
     """Where a block of positions lies on a grid: interval j and fraction f."""
     highest = np.int32(top) - np.int32(1)
@@ -85,32 +96,37 @@ def place_block(x, start, inverse_step, inverse_turn, top, periodic, j, f):
             j[i] = k
 
 
-@kernel
+@bare_kernel
 def profile_block(knots, j, f, scale, factor, out):
-    """One profile at places on its grid, times a factor. knots (intervals, 2): value, and rise to the next."""
+    """One profile at places on its grid, times a factor. knots: value and rise to the next by turns."""
     for i in range(out.size):
-        k = np.uint64(j[i])
-        out[i] = (knots[k, 0] + f[i] * knots[k, 1]) * scale * factor
+        k = np.uint64(j[i]) * np.uint64(2)
+        out[i] = (knots[k] + f[i] * knots[k + np.uint64(1)]) * scale * factor
 
 
-@kernel
+@bare_kernel
 def two_profiles_block(knots, j, f, scale, factor, out, scale2, factor2, out2):
-    """Two profiles on one grid: what a point needs of both lies together. knots (intervals, 4): values, then rises."""
+    """Two profiles on one grid: what a point needs of both lies together. knots: two values, two rises by turns."""
     for i in range(out.size):
-        k = np.uint64(j[i])
-        out[i] = (knots[k, 0] + f[i] * knots[k, 2]) * scale * factor
-        out2[i] = (knots[k, 1] + f[i] * knots[k, 3]) * scale2 * factor2
+        k = np.uint64(j[i]) * np.uint64(4)
+        out[i] = (knots[k] + f[i] * knots[k + np.uint64(2)]) * scale * factor
+        out2[i] = (knots[k + np.uint64(1)] + f[i] * knots[k + np.uint64(3)]) * scale2 * factor2
 
 
-@kernel
+@bare_kernel
+def copy_block(u, out):
+    """u into out; a loop, for a slice assigned to a slice goes by way of the heap."""
+    for i in range(out.size):
+        out[i] = u[i]
+
+
+@bare_kernel
 def node_block(node, first, operands, lookups, nodes, inputs, out):
     """One node over a block; one that has a state as in the first cycle of a run."""
     op = node.op
     end = first + node.count
     if op == INPUT:
-        u = inputs[node.other]
-        for i in range(out.size):
-            out[i] = u[i]
+        copy_block(inputs[node.other], out)
         return
     if op == AFFINE:
         out[:] = node.a
@@ -122,7 +138,7 @@ def node_block(node, first, operands, lookups, nodes, inputs, out):
         return
     u = nodes[operands[first].number]
     if op == PRODUCT:
-        out[:] = u
+        copy_block(u, out)
         for k in range(first + 1, end):
             v = nodes[operands[k].number]
             for i in range(out.size):
@@ -143,7 +159,7 @@ def node_block(node, first, operands, lookups, nodes, inputs, out):
             for i in range(out.size):
                 out[i] = 1.0 if v[i] > 0.0 else -1.0 if v[i] < 0.0 else node.b
     elif op == APPROACH:
-        out[:] = nodes[operands[first + 1].number]
+        copy_block(nodes[operands[first + 1].number], out)
     elif op == LAG and node.flags & START_ZERO:
         out[:] = 0.0
     elif op == LOOKUP:
@@ -158,10 +174,10 @@ def node_block(node, first, operands, lookups, nodes, inputs, out):
             left = table[j]
             out[i] = left + (s - j) * (table[j + 1] - left)
     else:  # first, and a lag that starts at its input
-        out[:] = u
+        copy_block(u, out)
 
 
-@kernel
+@bare_kernel
 def fade_block(channel, x, fade):
     """How far each point is inside one validity box: 1 to 0, the least of all boxes so far."""
     for k in range(x.size):
@@ -172,7 +188,7 @@ def fade_block(channel, x, fade):
             fade[k] = left
 
 
-@kernel
+@bare_kernel
 def sum_pairs(pairs, opens, alone, profiles, nodes, fixed, moves, inside, sums):
     """Components from pairs over a block. opens: 1 where a pair is the first of its component; alone: 1 where its
     profile was written to the component at once."""
@@ -198,7 +214,7 @@ def sum_pairs(pairs, opens, alone, profiles, nodes, fixed, moves, inside, sums):
                 total[i] = total[i] + profile[i] * factor
 
 
-@kernel
+@bare_kernel
 def sum_terms(terms, first, count, sums, nodes, part, total):
     """One output from components over a block; neighbours with one factor each share a pass."""
     for i in range(total.size):
@@ -243,7 +259,6 @@ def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixe
     moving: numbers of the inputs in `points`; *_fixed: values where nothing below moves; fade: what the fixed
     inputs leave.
     """
-    rows = points.shape[1]
     inputs = np.zeros((program.inputs.size, BLOCK))
     nodes = np.empty((program.nodes.size, BLOCK))
     for n in range(program.nodes.size):
@@ -252,9 +267,16 @@ def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixe
     profiles = sums[plan.components :]
     for p in range(program.profiles.size):
         profiles[p, :] = profile_fixed[p]
-    part, inside, f = np.empty(BLOCK), np.ones(BLOCK), np.empty(BLOCK)
-    j = np.empty(BLOCK, dtype=np.int32)
-    missing = 0
+    buffers = Buffers(inputs, nodes, sums, profiles, np.empty((3, BLOCK)), np.empty(BLOCK, dtype=np.int32))
+    return run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buffers, out)
+
+
+@bare_kernel
+def run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buffers, out):
+    """Block after block of `evaluate`."""
+    rows, missing, j = points.shape[1], 0, buffers.intervals
+    inputs, nodes, sums, profiles = buffers.inputs, buffers.nodes, buffers.sums, buffers.profiles
+    part, inside, f = buffers.spare[0], buffers.spare[1], buffers.spare[2]
     for begin in range(0, rows, BLOCK):
         end = min(begin + BLOCK, rows)
         for i in range(BLOCK):
@@ -277,7 +299,7 @@ def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixe
                 if not program.same_grid[p]:
                     top, periodic = float(own.count) - 1.0, own.flags & PERIODIC
                     place_block(inputs[own.input], own.start, own.inverse_step, own.inverse_turn, top, periodic, j, f)
-                knots = plan.knots[plan.first[p] : plan.first[p + 1]].reshape(-1, plan.width[p])
+                knots = plan.knots[plan.first[p] : plan.first[p + 1]]
                 row = sums[plan.row[p]]
                 if plan.width[p] == 2:
                     profile_block(knots, j, f, own.scale, plan.factor[p], row)

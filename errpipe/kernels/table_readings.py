@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.kernels import kernel
+from errpipe.kernels import bare_kernel
 from errpipe.kernels.table_codes import (
     DEFAULTED,
     FADE_ON_DEFAULT,
@@ -24,7 +24,7 @@ from errpipe.kernels.table_codes import (
 )
 
 
-@kernel
+@bare_kernel
 def follows(channel, own, v, fresh, unwatched, thermal_s):
     """Whether a reading lies where its rate and noise let it be; the anchor follows it at that rate."""
     if unwatched and not own.seen:
@@ -45,7 +45,7 @@ def follows(channel, own, v, fresh, unwatched, thermal_s):
     return True
 
 
-@kernel
+@bare_kernel
 def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, thermal_s):
     """Judge all readings, then let something stand in for those not believed.
 
@@ -82,7 +82,7 @@ def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, therma
     return stand_in(inputs, substitutes, state) if doubtful else 0
 
 
-@kernel
+@bare_kernel
 def show(inputs, state, every, clamped):
     """What the table sees of the inputs (without `every`, only of the fast ones), and what validity leaves of it."""
     for i in range(inputs.size):
@@ -101,7 +101,7 @@ def show(inputs, state, every, clamped):
         own.value = v
 
 
-@kernel
+@bare_kernel
 def stand_in(inputs, substitutes, state):
     """What replaces the readings that are not believed; status bits as in `condition`."""
     status = 0
