@@ -175,7 +175,7 @@ def _sum(penalties, strengths) -> np.ndarray:
 def _shrunk(problem: Problem) -> np.ndarray:
     shrunk = np.zeros(problem.width, dtype=bool)
     for slot in problem.slots:
-        shrunk[slot.columns] = not slot.nuisance and slot.term.term != "offset"
+        shrunk[slot.columns] = not slot.nuisance and not slot.term.is_level
     return shrunk
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import NotIdentifiable
 from errpipe.fitting.solve import one_thread
+from errpipe.terms import TERMS
 
 MOST_INFLATION = 200.0  # of a variance by the other columns: a correlation of 0.9975; beyond it the names are arbitrary
 
@@ -48,7 +49,7 @@ def check(
     gram = scaled.T @ scaled
     if penalty is not None:
         gram = gram + penalty / np.outer(length, length)
-    level = [k for k, n in enumerate(names) if n.term == "offset"]
+    level = [k for k, n in enumerate(names) if n.term in TERMS.tags and TERMS[n.term].is_level]
     size = np.sqrt(np.diag(gram))  # a strong penalty would make the rest look like rounding
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     spread = _spread(scaled) if level else np.ones(design.shape[1])

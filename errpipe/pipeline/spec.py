@@ -97,16 +97,26 @@ def _same(member: Any) -> Any:
 
 
 def _complete_variants(document: Document, kinds: Choice[type[Stage]]) -> None:
-    """Name the variant of every stage that leaves it out."""
+    """Name the variant of every stage that leaves it out; refuse a kind that joins kind and variant, as files of before
+    do (`fit_plate`), with the spelling of now."""
     entries = document.value.get("stages") if isinstance(document.value, dict) else None
-    for entry in entries if isinstance(entries, list) else ():
+    for number, entry in enumerate(entries if isinstance(entries, list) else ()):
         kind = entry.get("kind") if isinstance(entry, dict) else None
-        if isinstance(kind, str) and kind in kinds.tags and isinstance(kinds[kind], Choice):
-            choice: Choice = kinds[kind]
-            if choice.several and isinstance(entry.get(choice.key), list):
-                tag, field_of_list = choice.several
-                entry |= {choice.key: tag, field_of_list: entry[choice.key]}
-            entry.setdefault(choice.key, choice.default)
+        if not isinstance(kind, str):
+            continue
+        if kind in kinds.tags:
+            choice: Any = kinds[kind]
+            if isinstance(choice, Choice):
+                if choice.several and isinstance(entry.get(choice.key), list):
+                    tag, field_of_list = choice.several
+                    entry |= {choice.key: tag, field_of_list: entry[choice.key]}
+                entry.setdefault(choice.key, choice.default)
+            continue
+        base, _, variant = kind.partition("_")
+        choice = kinds[base] if base in kinds.tags else None
+        if isinstance(choice, Choice) and variant in choice.tags:
+            text = f"found {kind!r}: write {{kind: {base}, {choice.key}: {variant}, ...}} instead"
+            document.problems.append(document.problem(("stages", number, "kind"), text))
 
 
 def load_pipeline(

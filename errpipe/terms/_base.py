@@ -87,6 +87,7 @@ class Term(Frozen, ABC):
     nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms so that it does not bend them?
     simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
     gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
+    is_level: ClassVar[bool] = False  # the deviation where everything else is zero: never shrunk
     one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?

@@ -25,6 +25,7 @@ class Offset(Term):
     """
 
     term: Literal["offset"] = "offset"
+    is_level = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("level", "um", (0.0, 100.0), meaning="deviation where everything else is zero"),)
