@@ -19,6 +19,8 @@ What stands in for a failed reading:
     m_i = lag(r_i, settle) as it was when the largest s^2 was last below SUSPECT and x_i moved
     guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, carried on
                by its estimate from the others. Solved exactly for two failed sensors; for three and more approximately.
+               Where one sensor fails alone, r_i = x_i - sum p_ij x_j - sum q_ij lag(x_j, horizon): bodies of a machine
+               lag behind each other, which halves what is left of a room sensor (turning centre, run left out)
 
 All of it is built of the operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
 driver, causally. Empty, impossible and racing readings are caught before, by each input's own range, rate and hold
@@ -48,6 +50,8 @@ class GuardedSensor(Frozen):
     max_rate: float = Field(gt=0, description="No healthy reading changes faster, per s.")
     precision: tuple[float, ...] = Field(description="Row of P, 1/K2, sensors in the guard's order.")
     estimate: tuple[float, ...] = Field(description="Weights v of the sensors in the guard's order; 0 for itself.")
+    present: tuple[float, ...] = Field(description="Weights p of the readings, for a sensor that fails alone.")
+    past: tuple[float, ...] = Field(description="Weights q of the readings through a lag of `horizon`, likewise.")
     smallest: float = Field(gt=0, description="Smallest fault that reaches the threshold, K.")
     reach: float = Field(gt=0, description="Largest residual r that is remembered; twice what a healthy one had.")
     lively: float | None = Field(None, description="Of the lagged square; a healthy reading is mostly above.")

@@ -62,6 +62,7 @@ def learn(
     per_hour = false_alarms / 1000 / KINDS
     test = _test(rows, horizon_s, per_hour)
     estimate, largest = _estimate(rows)
+    late, largest_late = _late_estimate(rows, horizon_s)
     alive = rows.lagged((rows.x - rows.lagged(rows.x, freeze_s)) ** 2, freeze_s)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
@@ -72,7 +73,9 @@ def learn(
                 precision=tuple(map(float, test.precision[i])),
                 estimate=tuple(map(float, estimate[i])),
                 smallest=float(test.threshold / diagonal[i]),
-                reach=float(max(REACH * largest[i], 1e-3)),
+                present=tuple(map(float, late[i, : len(names)])),
+                past=tuple(map(float, late[i, len(names) :])),
+                reach=float(max(REACH * max(largest[i], largest_late[i]), 1e-3)),
                 lively=float(np.quantile(alive[:, i], LIVELY)) or None,
                 still=_still(alive[:, i], rows, per_hour / len(names), freeze_s),
             )
@@ -143,6 +146,38 @@ def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
 
     ridge = min(RIDGES, key=lambda r: float(np.sum(np.log(np.mean(left(r, shift) ** 2, axis=0) + 1e-18))))
     return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
+
+
+def _late_estimate(rows: Healthy, horizon_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (sensors, 2 sensors) of the others' readings and of the same through a lag; and the largest residuals, K.
+
+    Of every sensor the ridge that leaves least of runs left out and of the colder or warmer half of them left out: the
+    weights must carry over to surroundings that are not those of the runs.
+    """
+    rise = rows.rises()
+    both = np.hstack([rise, rows.lagged(rise, horizon_s)])
+    shift = rows.centred(both)
+    count = rise.shape[1]
+    weights, largest = np.zeros((count, 2 * count)), np.zeros(count)
+    for i in range(count):
+        used = [k for k in range(2 * count) if k % count != i]
+
+        def fit(values: np.ndarray, ridge: float, used: list[int] = used, i: int = i) -> np.ndarray:
+            x = values[:, used]
+            size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
+            square = (x / size).T @ (x / size) / len(x) + ridge * np.eye(len(used))
+            out = np.zeros((2 * count, 2 * count))
+            out[i, used] = np.linalg.solve(square, (x / size).T @ values[:, i] / len(x)) / size
+            return out
+
+        def left(ridge: float, group: np.ndarray, of: np.ndarray, i: int = i, fit: Callable = fit) -> np.ndarray:
+            return left_out(group, shift, of, lambda values: fit(values, ridge))[:, i]
+
+        folds = (rows.group, rows.warm_half())
+        ridge = min(RIDGES, key=lambda r: sum(float(np.log(np.mean(left(r, g, shift) ** 2) + 1e-18)) for g in folds))
+        weights[i] = fit(shift, ridge)[i]
+        largest[i] = np.max(np.abs(left(ridge, rows.group, both)))
+    return weights, largest
 
 
 def _regress(values: np.ndarray, ridge: float) -> np.ndarray:

@@ -39,7 +39,9 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
             offset=1.0, weights=tuple(b / (1.0 - b) for b in both.values()), of=tuple(failed[j] for j in others)
         )
         shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
-        fault = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
+        together = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
+        single = d.Product(of=(_single(guard), _gone_late(guard, i)))
+        fault = d.Affine(weights=(1.0, 1.0, -1.0), of=(together, single, d.Product(of=(_single(guard), together))))
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
 
@@ -47,11 +49,38 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
 @shared
 def _gone(guard: SensorGuard, i: int) -> d.Driver:
     """r - m: how far one reading has moved from its estimate since it was last trusted."""
+    weights = tuple(1.0 if j == i else -v for j, v in enumerate(guard.sensors[i].estimate))
+    return _moved(guard, i, d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())), guard.settle_s)
+
+
+@shared
+def _single(guard: SensorGuard) -> d.Driver:
+    """1 while at most one sensor is at fault; else 0."""
+    failed = faults(guard)
+    return d.Switch(of=d.Affine(weights=(-1.0,) * len(failed), of=failed), on=-1.5, off=-1.5 - TIE)
+
+
+@shared
+def _gone_late(guard: SensorGuard, i: int) -> d.Driver:
+    """The same for a sensor that fails alone, by the estimate that knows the others' past."""
+    sensor, inputs = guard.sensors[i], [d.Input(name=n) for n in guard.names()]
+    past = [c.lag(x, guard.horizon_s) for x in inputs]
+    weights = [1.0 if j == i else -p for j, p in enumerate(sensor.present)]
+    used = [j for j in range(len(inputs)) if j != i]
+    return _moved(
+        guard,
+        i,
+        d.Affine(weights=(*weights, *(-sensor.past[j] for j in used)), of=(*inputs, *(past[j] for j in used))),
+        guard.settle_s,
+    )
+
+
+def _moved(guard: SensorGuard, i: int, residual_of: d.Driver, settle: float) -> d.Driver:
+    """How far a residual has moved since sensor i was last trusted."""
     sensor = guard.sensors[i]
-    weights = tuple(1.0 if j == i else -v for j, v in enumerate(sensor.estimate))
-    residual = c.since_start(d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())))
+    residual = c.since_start(residual_of)
     within = d.Clip(of=residual, low=-sensor.reach, high=sensor.reach)
-    return d.Affine(weights=(1.0, -1.0), of=(residual, _remembered(guard, i, c.lag(within, guard.settle_s))))
+    return d.Affine(weights=(1.0, -1.0), of=(residual, _remembered(guard, i, c.lag(within, settle))))
 
 
 def _remembered(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:
