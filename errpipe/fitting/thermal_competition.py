@@ -131,11 +131,12 @@ def compete(
         raise DataError("thermal model: only one group of rows, so families cannot be compared")
     judged = {name: _Judged(p, response, rows, group) for name, p in left_out.items()}
     chooser = judged[RUN] if RUN in judged else next(iter(judged.values()))
-    score = chooser.mean_square()
-    score[~_admitted(judged)] = np.inf
+    left_by = chooser.mean_square()
+    score = np.where(_admitted(judged), left_by, np.inf)
     best: dict[str, int] = {}
     for k, entrant in enumerate(entrants):
-        if entrant.family not in best or score[k] < score[best[entrant.family]]:
+        so_far = best.setdefault(entrant.family, k)
+        if (score[k], left_by[k]) < (score[so_far], left_by[so_far]):
             best[entrant.family] = k
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _selected([k for k in ranked if np.isfinite(score[k])], chooser)
