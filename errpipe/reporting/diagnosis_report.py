@@ -19,6 +19,7 @@ VERDICTS = {
     "unexplained": "something is there that has no name here",
 }
 LAGS = 40
+MOST_SHAPES = 4
 # One colour for each finding; they differ in lightness too, and every line is labelled.
 FINDINGS = ("#b3261e", "#1f5fa8", "#2e7d4f", "#7b3fa0", "#20262c")
 UNNAMED = "a shape without a name"
@@ -29,7 +30,8 @@ HOW = ("level", "by run", "by direction", "Ljung-Box")
 class Trace:
     """A response's rows for the figures, all of shape (rows,): mismatch before and after, in time order.
 
-    contributions: name of a finding -> its contribution on each row; inputs: column -> its value on each row.
+    contributions: name of a finding -> its contribution on each row; inputs: column -> its value on each row;
+    clock: the column with the time in s, '' where there is none; units: column -> its unit.
     """
 
     before: np.ndarray
@@ -37,6 +39,17 @@ class Trace:
     run: np.ndarray
     contributions: Mapping[str, np.ndarray] = field(default_factory=dict)
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
+    clock: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def colours(self) -> dict[str, str]:
+        """Name of a finding -> its colour in every figure of the response."""
+        return dict(zip(self.contributions, itertools.cycle(FINDINGS), strict=False))
+
+    def label(self, column: str) -> str:
+        """A column with its unit."""
+        unit = self.units.get(column, "")
+        return f"{column} in {unit}" if unit else column
 
 
 def render(diagnosis: Diagnosis, traces: Sequence[Trace], *, machine: str = "", version: str = "") -> str:
@@ -141,14 +154,15 @@ def _tests(r: ResponseDiagnosis) -> list[dict[str, Any]]:
 
 
 def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
+    """Mismatch against time with what each finding carries, in its own colour, and what all of them leave."""
     rows = svg.thin(trace.before.size)
     label, x = _clock(trace)
     with svg.figure(7.2, 4.2, rows=2) as (canvas, axes):
-        axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.BEFORE, label="before")
-        for colour, (name, values) in zip(itertools.cycle(FINDINGS), trace.contributions.items(), strict=False):
-            text = UNNAMED if name == "unknown" else name.replace("_", " ")
-            axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=text)
-        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8)
+        axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.FLOOR, label="recorded less simulated")
+        for name, colour in trace.colours().items():
+            values = trace.contributions[name]
+            axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=_carries(name, values, r.unit))
+        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8)
         axes[1].plot(x[rows], trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
         axes[1].sharey(axes[0])
         axes[1].legend(loc="upper right", fontsize=8)
@@ -161,36 +175,52 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
                     place = int(np.argmax(trace.inputs[c.column] >= c.at))
                     a.axvline(x[place], color=svg.ALARM, lw=1.2, ls="--")
         axes[1].set_xlabel(label)
-        return svg.to_svg(canvas, f"Mismatch of {r.component} before and after")
+        return svg.to_svg(canvas, f"Mismatch of {r.component} against time, with what each finding carries")
+
+
+def _carries(name: str, values: np.ndarray, unit: str) -> str:
+    """A finding's name and the rms of what it contributes."""
+    text = UNNAMED if name == "unknown" else name.replace("_", " ")
+    return f"{text}, {float(np.std(values)):.3g} {unit} rms"
 
 
 def _clock(trace: Trace) -> tuple[str, np.ndarray]:
-    """Label and values of the horizontal axis: time in s where it never steps back, else the row."""
-    for name, values in trace.inputs.items():
-        steps = np.diff(values)
-        if name.lower() in ("t", "time", "zeit") and steps.size and np.all(steps >= 0) and steps.any():
-            return f"{name} in s", values
-    return "row", np.arange(trace.before.size, dtype=float)
+    """Label and values of the horizontal axis: time in s, runs that overlap one after the other; without it the row."""
+    t = trace.inputs.get(trace.clock)
+    if t is None or not np.isfinite(t).all() or not np.ptp(t):
+        return "row", np.arange(trace.before.size, dtype=float)
+    back = np.flatnonzero(np.diff(t) < 0)
+    if not back.size:
+        return f"{trace.clock} in s", t
+    forward = np.diff(t)
+    pause = float(np.median(forward[forward > 0])) if (forward > 0).any() else 1.0
+    shift = np.zeros(t.size)
+    shift[back + 1] = pause - forward[back]
+    return f"{trace.clock} in s, runs one after the other", t + np.cumsum(shift)
 
 
 def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
-    """Each named finding and the partial residual it explains, against its driver."""
-    named = [f for f in r.findings if f.effect in trace.contributions and f.effect != "unknown"]
-    drawn = [(f, x) for f in named for x in [_against(f, trace)] if x][:2]
+    """Each finding in its colour against its driver, over what is recorded once the other findings are taken away."""
+    own = [f for f in r.findings if f.effect in trace.contributions]
+    drawn = [(f, x) for f in own for x in [_against(f, trace)] if x][:MOST_SHAPES]
     if not drawn:
         return ""
-    rows = svg.thin(trace.before.size)
-    with svg.figure(7.2, 2.8, columns=len(drawn)) as (canvas, axes):
-        for a, (f, name) in zip(np.atleast_1d(axes), drawn, strict=True):
+    rows, colours = svg.thin(trace.before.size), trace.colours()
+    across = min(len(drawn), 2)
+    down = -(-len(drawn) // across)
+    with svg.figure(7.2, 2.8 * down, rows=down, columns=across) as (canvas, axes):
+        every = np.atleast_1d(axes).ravel()
+        for a, (f, name) in zip(every, drawn, strict=False):
             x, fitted = trace.inputs[name][rows], trace.contributions[f.effect][rows]
-            a.plot(
-                x, trace.after[rows] + fitted, ".", ms=2.5, color=svg.BEFORE, label="recorded, other findings removed"
-            )
-            a.plot(x, fitted, ".", ms=2.0, color=svg.AFTER, label=f.effect.replace("_", " "))
-            a.set_xlabel(name)
+            text = _carries(f.effect, trace.contributions[f.effect], r.unit)
+            a.plot(x, trace.after[rows] + fitted, ".", ms=2.5, color=svg.FLOOR, label="recorded, the others removed")
+            a.plot(x, fitted, ".", ms=2.0, color=colours[f.effect], label=text)
+            a.set_xlabel(trace.label(name))
             a.set_ylabel(f"{r.component} ({r.unit})")
-            a.legend(fontsize=8)
-        return svg.to_svg(canvas, f"Contribution of the findings to {r.component}")
+            a.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
+        for a in every[len(drawn) :]:
+            a.set_visible(False)
+        return svg.to_svg(canvas, f"What each finding carries of {r.component}, against its driver")
 
 
 def _against(f: Finding, trace: Trace) -> str:

@@ -94,8 +94,19 @@ def judged(
 
     found, rows = judge(recording, progress)
     found = found.model_copy(update={"notes": (*notes, *found.notes)})
+    clock = recording.name("time") or ""
+    units = {name: c.unit for name, c in recording.manifest.columns.items() if c.unit}
     traces = [
-        Trace(before=r.before, after=r.after, run=r.run, contributions=r.contribution, inputs=r.inputs) for r in rows
+        Trace(
+            before=r.before,
+            after=r.after,
+            run=r.run,
+            contributions=r.contribution,
+            inputs=r.inputs,
+            clock=clock,
+            units=units,
+        )
+        for r in rows
     ]
     page = render(found, traces, machine=recording.manifest.machine, version=__version__)
     return found.document(), page, found, [r.simulated_parts for r in rows]
