@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,10 +20,26 @@ from errpipe.terms._equations import times
 from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Listed
+from errpipe.terms._search import Listed, Times
 from errpipe.terms._slack import Slack
 
+LONGEST_SHARE = 1 / 3  # of the time between turns: what lasts longer is no spike but the whole other side
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
+
+
+@dataclass(frozen=True)
+class GoneBeforeTheNextTurn(Times):
+    """A time constant, from the sampling step to a third of the longer times between two turns of the axis."""
+
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest value that the recording resolves."""
+        low, high = super().limits(term, recording)
+        turns = recording.time()[1:][np.diff(direction(recording, term.axis)) != 0]
+        apart = np.diff(turns)
+        apart = apart[apart > 0]
+        if not apart.size:
+            return low, high
+        return low, min(high, LONGEST_SHARE * float(np.quantile(apart, 0.9)))  # at rest a sign may flicker
 
 
 class ReversalSpike(Term):
@@ -53,7 +70,10 @@ class ReversalSpike(Term):
             if self.feed
             else ()
         )
-        return (Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away"), *power)
+        return (
+            Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away", GoneBeforeTheNextTurn()),
+            *power,
+        )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (direction_column(recording, self.axis), recording.name("velocity", axis=self.axis), self.feed)

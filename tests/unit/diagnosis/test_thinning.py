@@ -142,6 +142,24 @@ def test_waves_in_time_alone_are_said(period: float) -> None:
     assert "lines" not in " ".join(moved)  # lost motion and following error go with motion
 
 
+def test_a_spike_that_outlasts_the_time_between_turns_is_not_offered(whole) -> None:
+    """It would be lost motion under another name: the axis turns every 3.65 s."""
+    from errpipe.terms import search_of
+    from errpipe.terms.reversal_spike import ReversalSpike
+
+    (term,) = ReversalSpike.bind(whole, "EXX")
+    tau = next(p for p in term.nonlinear() if p.unit == "s")
+    assert max(search_of(tau).values(term, tau.name, whole, None)) < 3.65 / 3 * 1.1
+
+
+@pytest.mark.slow
+def test_lost_motion_of_a_long_log_is_named() -> None:
+    from errpipe.diagnosis import diagnose
+
+    found, _ = diagnose(log(150_000, lambda c: -1.5 * c["d"]))
+    assert [f.effect for f in found.responses[0].findings] == ["backlash"]
+
+
 MILLION = """
 import json, resource, sys, time
 import numpy as np
