@@ -142,12 +142,18 @@ def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
 
 
 def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
-    """Component -> the model's prediction on every row, um."""
-    from errpipe.validation.predict import predict
+    """Component -> the model's deviation on every row, um; last inputs are held over gaps, 0 where nothing is known."""
+    import numpy as np
 
-    frame = predict(model, recording)
-    names = {c.component: recording.name("error", component=c.component) or c.component for c in model.components}
-    return {component: frame[f"{name}_predicted"].to_numpy() for component, name in names.items()}
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.components import evaluate
+
+    frame = recording.frame
+    gaps = [name for name in model.columns if name in frame.columns and frame[name].isna().any()]
+    if gaps:
+        frame = frame.assign(**frame[gaps].groupby(recording.run_codes()).ffill())
+    found = evaluate(model, Recording(recording.manifest, frame, recording.between))
+    return {component: np.nan_to_num(values) for component, values in found.items()}
 
 
 def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:
@@ -269,12 +275,10 @@ def _residual_drift(recording, component: str, reference, prediction) -> dict[st
     means = {c: float(np.nanmean(left[run == c])) for c in codes}
     old = [means[c] for c in codes if reference[run == c].any()]
     new = [c for c in codes if not reference[run == c].any()]
-    if len(old) < input_drift.FEWEST_RUNS or not new:
+    drift = input_drift.level_drift(old, [means[c] for c in new])
+    if drift is None:
         return None
-    middle, scale = float(np.mean(old)), float(np.std(old, ddof=1))
-    statistic, begin = input_drift.residual_drift([means[c] - middle for c in new], scale)
-    if statistic < input_drift.THRESHOLD:
-        return None
+    statistic, begin = drift
     since = recording.run_labels()[new[begin]]
-    size = float(np.mean([means[c] - middle for c in new[begin:]]))
+    size = float(np.mean([means[c] for c in new[begin:]]) - np.mean(old))
     return {"component": component, "since": since, "size_um": size, "statistic": float(statistic)}

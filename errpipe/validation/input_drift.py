@@ -1,24 +1,31 @@
 """Which sensor drifts, and since when: leave-one-sensor-out residuals per run in a two-sided CUSUM.
 
-Each temperature is predicted from the others by least squares on the reference runs (those that fitted the champion).
-Its residual, averaged per run and divided by the scatter between reference runs left out in turn, goes into a
-cumulative sum (Page 1954). One sensor that drifts also moves the predictions of the others, so each suspect is taken
-out in turn: it is blamed where the others are then quiet.
+Each temperature is predicted from the others by least squares on the runs before (recursive residuals: Brown, Durbin
+and Evans 1975; self-starting as in Hawkins 1987): a season that the reference runs never saw is learnt on the way, and
+a sensor that leaves the others is not, for from an alarm on nothing is learnt. The residual, averaged per run and
+divided by the scatter between reference runs left out in turn, goes into a cumulative sum (Page 1954), whose threshold
+allows for a scatter known from few runs. One sensor that drifts also moves the predictions of the others, so each
+suspect is taken out in turn: it is blamed where the others are then quiet.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 
 REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
-THRESHOLD = 8.0  # on white residuals a false alarm in 10^7 runs (Siegmund 1985); scatters of ten runs are uncertain
+FALSE_ALARMS = 0.02  # of quiet years that see one, all sensors together, on normal scatter; measured: docs/registry.md
+HORIZON = 365  # runs for which that holds: a year of nights
+SIMULATED = 4000  # quiet years behind a threshold
+LEAST_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
 LEAST_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
 QUIETER = 0.2  # what is left without the blamed sensor: chosen on simulated sensors, seeds 1 to 3 of the unit test
+SIGNS = np.array([1.0, -1.0])  # up and down
 FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 
 
@@ -46,75 +53,102 @@ def sensor_drift(recording: Recording, reference: np.ndarray) -> list[Drift]:
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
     readings = np.column_stack([recording.array(n) for n in names])
-    z, sd = _standardised(readings, run, old, new)
+    z, sd, limit = _standardised(readings, run, old, new)
     found = {}
     for k, name in enumerate(names):
         alarm, begin = cusum(z[:, k])
-        if alarm >= THRESHOLD:
+        if alarm >= limit:
             found[k] = Drift(
                 name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm, False
             )
     if not found:
         return []
-    blamed = _blamed(readings, run, old, new, {k: d.statistic for k, d in found.items()})
+    blamed = _blamed(readings, run, old, new, {k: d.statistic / limit for k, d in found.items()})
     drifts = [Drift(d.column, d.since, d.size, d.statistic, k == blamed) for k, d in found.items()]
     return sorted(drifts, key=lambda d: (not d.blamed, -d.statistic))
 
 
 def _blamed(readings, run, old, new, suspects: Mapping[int, float]) -> int | None:
-    """The sensor without which the others are quietest, where that quietens them enough. suspects: statistics."""
+    """The sensor without which the others are quietest, where that quietens them enough."""
     if readings.shape[1] < 3:
         return None  # two sensors that disagree do not say which of them is wrong
     loudest = {}
     for k in suspects:
-        z, _ = _standardised(np.delete(readings, k, axis=1), run, old, new)
-        loudest[k] = max(cusum(z[:, j])[0] for j in range(z.shape[1]))
+        z, _, limit = _standardised(np.delete(readings, k, axis=1), run, old, new)
+        loudest[k] = max(cusum(z[:, j])[0] / limit for j in range(z.shape[1]))
     best = min(loudest, key=lambda k: loudest[k])
-    return best if loudest[best] < max(THRESHOLD, QUIETER * max(suspects.values())) else None
+    return best if loudest[best] < max(1.0, QUIETER * max(suspects.values())) else None
 
 
-def _standardised(readings, run, old: Sequence[int], new: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean residual of each new run over its standard error of prediction, (new, sensors), and the scatter, K.
-
-    The scatter comes from reference runs left out in turn; a run in weather that the reference runs never saw has a
-    larger standard error (its leverage on the run means).
-    """
+def _standardised(
+    readings: np.ndarray, run: np.ndarray, old: Sequence[int], new: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Mean residual of each new run over its standard error, (new, sensors), scatter between runs, K, threshold."""
     count = readings.shape[1]
+    good = np.isfinite(readings).all(axis=1)
+    rows = [np.flatnonzero(good & (run == c)) for c in (*old, *new)]
+    centred = readings - readings[good & np.isin(run, old)].mean(axis=0)
+    limit = threshold(len(old) - count, FALSE_ALARMS / count)
     z, sd = np.zeros((len(new), count)), np.zeros(count)
-    means = np.array([np.nanmean(readings[run == c], axis=0) for c in (*old, *new)])
     for k in range(count):
-        others = np.delete(readings, k, axis=1)
-        fit = _fitted(others, readings[:, k], np.isin(run, old))
-        left = []
-        for code in old:  # each reference run judged by the others, or its scatter would be too small
-            own = _fitted(others, readings[:, k], np.isin(run, [c for c in old if c != code]))
-            left.append(_mean_residual(others, readings[:, k], run == code, own))
-        sd[k] = max(float(np.sqrt(np.nanmean(np.square(left)))), LEAST_SD)
-        leverage = _leverage(np.delete(means, k, axis=1), len(old))
-        residual = np.array([_mean_residual(others, readings[:, k], run == code, fit) for code in new])
-        z[:, k] = residual / (sd[k] * np.sqrt(1.0 + leverage))
-    return np.nan_to_num(z), sd
+        design = np.column_stack([np.ones(len(centred)), np.delete(centred, k, axis=1)])
+        z[:, k], sd[k] = _recursive(design, centred[:, k], rows, len(old), limit)
+    return z, sd, limit
 
 
-def _leverage(means: np.ndarray, references: int) -> np.ndarray:
-    """Leverage of each new run on a regression over the reference runs' means, (new,)."""
-    design = np.column_stack([np.ones(len(means)), means])
-    design[:, 1:] -= design[:references, 1:].mean(axis=0)
-    inverse = np.linalg.pinv(design[:references].T @ design[:references], rcond=1e-10, hermitian=True)
-    return np.einsum("ij,jk,ik->i", design[references:], inverse, design[references:])
+def _recursive(
+    design: np.ndarray, target: np.ndarray, rows: Sequence[np.ndarray], references: int, limit: float
+) -> tuple[np.ndarray, float]:
+    """Standardised recursive residuals of the new runs, (new,), and the scatter of the reference runs, K."""
+    normal = [design[r].T @ design[r] for r in rows]
+    moment = [design[r].T @ target[r] for r in rows]
+    means = [design[r].mean(axis=0) if r.size else np.zeros(design.shape[1]) for r in rows]
+    a, b, spans = (sum(part[:references], np.zeros_like(part[0])) for part in (normal, moment, _outer(means)))
+
+    def left(number: int, a: np.ndarray, b: np.ndarray) -> float:
+        mine = rows[number]
+        return float(np.mean(target[mine] - design[mine] @ _solved(a, b))) if mine.size else 0.0
+
+    own = [left(n, a - normal[n], b - moment[n]) for n in range(references)]  # each judged by the others
+    sd = max(float(np.sqrt(np.mean(np.square(own)))), LEAST_SD)
+    z, totals = np.zeros(len(rows) - references), np.zeros(2)
+    for number in range(references, len(rows)):
+        leverage = float(means[number] @ _solved(spans, means[number]))
+        value = left(number, a, b) / (sd * np.sqrt(1.0 + max(leverage, 0.0)))
+        z[number - references] = value
+        totals = np.maximum(0.0, totals + value * SIGNS - REFERENCE)
+        if totals.max() >= limit:
+            limit = 0.0  # nothing is learnt from an alarm on
+        else:
+            a, b, spans = a + normal[number], b + moment[number], spans + np.outer(means[number], means[number])
+    return z, sd
 
 
-def _fitted(others: np.ndarray, target: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    good = rows & np.isfinite(target) & np.isfinite(others).all(axis=1)
-    design = np.column_stack([np.ones(good.sum()), others[good]])
-    return np.linalg.lstsq(design, target[good], rcond=1e-8)[0]
+def _outer(vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [np.outer(v, v) for v in vectors]
 
 
-def _mean_residual(others: np.ndarray, target: np.ndarray, rows: np.ndarray, gains: np.ndarray) -> float:
-    good = rows & np.isfinite(target) & np.isfinite(others).all(axis=1)
-    if not good.any():
-        return float("nan")
-    return float(np.mean(target[good] - np.column_stack([np.ones(good.sum()), others[good]]) @ gains))
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Least-norm solution of normal equations, columns scaled alike."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return scale * (np.linalg.pinv(scale[:, None] * normal * scale, 1e-10, hermitian=True) @ (scale * right))
+
+
+@lru_cache
+def threshold(freedom: int, share: float, seed: int = 1) -> float:
+    """What the CUSUM of a year of runs without drift exceeds in a share of the years, standard errors.
+
+    freedom: degrees of freedom of the scatter by which residuals are divided.
+    """
+    rng = np.random.default_rng(seed)
+    freedom = max(freedom, 1)
+    sd = np.sqrt(rng.chisquare(freedom, SIMULATED) / freedom)
+    most, totals = np.zeros(SIMULATED), np.zeros((2, SIMULATED))
+    for _ in range(HORIZON):
+        z = rng.standard_normal(SIMULATED) / sd
+        totals = np.maximum(0.0, totals + np.stack([z, -z]) - REFERENCE)
+        most = np.maximum(most, totals.max(axis=0))
+    return max(float(np.quantile(most, 1.0 - share)), LEAST_THRESHOLD)
 
 
 def cusum(z: np.ndarray) -> tuple[float, int]:
@@ -131,6 +165,17 @@ def cusum(z: np.ndarray) -> tuple[float, int]:
     return float(best), begin
 
 
-def residual_drift(residual_by_run: Sequence[float], scale: float) -> tuple[float, int]:
-    """CUSUM of the champion's mean residual per new run, um, over the scatter that its held-out figures promise."""
-    return cusum(np.asarray(residual_by_run) / max(scale, 1e-9))
+def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int] | None:
+    """CUSUM of a figure per run that has one level, such as a champion's mean residual, and where it began.
+
+    None below its threshold, or with too few reference runs.
+    """
+    count = len(old)
+    if count < FEWEST_RUNS or not len(new):
+        return None
+    scale = max(float(np.std(old, ddof=1)), 1e-9)
+    values = np.array([*old, *new], dtype=float)
+    seen = np.arange(count, values.size)  # runs before each new one, whose mean is what it is judged by
+    before = np.cumsum(values)[count - 1 : -1] / seen
+    alarm, begin = cusum((values[count:] - before) / (scale * np.sqrt(1.0 + 1.0 / seen)))
+    return (alarm, begin) if alarm >= threshold(count - 1, FALSE_ALARMS) else None

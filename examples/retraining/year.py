@@ -14,10 +14,12 @@ import argparse
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from errpipe import jsonfile
 from errpipe.cli.app import main as errpipe
 from errpipe.validation.retraining import ALPHA, RunScore, decide, e_value
 
@@ -26,6 +28,7 @@ FIRST = 30  # nights that fit the first champion
 BEARING, DRIFT, SWAP = 135, 215, 290  # nights: 15 May, 3 August, 17 October
 DRIFT_PER_NIGHT = 0.25  # K
 NOISE = 0.8  # um
+STATE = "year.json"  # how far a year has come
 PLACES = np.r_[np.arange(0.0, 601.0, 60.0), np.arange(600.0, -1.0, -60.0)]
 MANIFEST = """recording: 1
 title: X axis, one run a night
@@ -103,17 +106,15 @@ def residual(model: Path, nights: list[dict[str, np.ndarray]]) -> float:
     return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - found) ** 2)))
 
 
-def year(out: Path, seed: int, every: int) -> dict[str, object]:
-    """The year: every `every` nights the shop retrains; what happened, and what it was truly worth."""
+def year(out: Path, seed: int, every: int, until: int = 365) -> dict[str, object]:
+    """The year: every `every` nights the shop retrains; what happened, and what it was truly worth.
+
+    It goes on from the night after the last one where OUT holds the begin of this year.
+    """
     rng = np.random.default_rng(seed)
     nights = [night(k, rng) for k in range(365)]
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
-    (out / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
-    write(out / "recording", dict(enumerate(nights[:FIRST])))
-    assert errpipe(["run", str(out / "axis.yaml"), "--out", str(out / "champion")]) == 0
-    promotions, named, worse = [], {}, 0
-    for today in range(FIRST + every, 365, every):
+    state = _begun(out, seed, every, nights)
+    for today in range(state["next"], until, every):
         kept = range(max(0, today - KEPT), today)
         write(out / "recording", {k: nights[k] for k in kept})
         folders = ["--champion", str(out / "champion"), "--out", str(out / "retrain")]
@@ -121,16 +122,34 @@ def year(out: Path, seed: int, every: int) -> dict[str, object]:
         document = json.loads((out / "retrain/retrain.json").read_text(encoding="utf-8"))
         for drift in document["drift"]["inputs"]:
             if drift["blamed"]:
-                named.setdefault(drift["column"], today)
+                state["sensors_named"].setdefault(drift["column"], today)
+            state["alarms"].setdefault(drift["column"], today)
         if code == 0:
             sound = [n for k, n in enumerate(nights) if today <= k < today + 14 and k != SWAP]
             models = (out / name / "fit/error_model.json" for name in ("champion", "retrain/run"))
             before, after = (residual(model, sound) for model in models)
-            worse += after > 1.02 * before  # two per cent is within what two weeks can tell
-            promotions.append({"night": today, "um_rms_before": before, "um_rms_after": after})
+            state["worse_promotions"] += after > 1.02 * before  # two per cent is within what two weeks can tell
+            state["promotions"].append({"night": today, "um_rms_before": before, "um_rms_after": after})
             shutil.rmtree(out / "champion")
             shutil.copytree(out / "retrain/run", out / "champion")
-    return {"promotions": promotions, "worse_promotions": worse, "sensors_named": named, "seed": seed}
+        state["next"] = today + every
+        jsonfile.write(out / STATE, state)
+    return state
+
+
+def _begun(out: Path, seed: int, every: int, nights: list[dict[str, np.ndarray]]) -> dict[str, Any]:
+    """The year as far as it has come: a champion fitted on the first nights where nothing is there yet."""
+    if (out / STATE).is_file():
+        state = jsonfile.read(out / STATE)
+        if (state["seed"], state["every"]) == (seed, every):
+            return state
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    (out / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    write(out / "recording", dict(enumerate(nights[:FIRST])))
+    assert errpipe(["run", str(out / "axis.yaml"), "--out", str(out / "champion")]) == 0
+    found: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
+    return found | {"seed": seed, "every": every, "next": FIRST + every}
 
 
 def quiet_year(seed: int) -> bool:
@@ -166,13 +185,14 @@ def main() -> None:
     parser.add_argument("out", nargs="?", type=Path, default=Path("out/retraining"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=int, default=1, help="nights between retrainings")
+    parser.add_argument("--until", type=int, default=365, help="stop before this night; the same command goes on")
     parser.add_argument("--quiet-years", type=int, default=0)
     a = parser.parse_args()
     if a.quiet_years:
         harmed = sum(quiet_year(1000 * a.seed + k) for k in range(a.quiet_years))
         print(f"{harmed} of {a.quiet_years} quiet years saw a promotion that made the machine worse")
         return
-    print(json.dumps(year(a.out, a.seed, a.every), indent=1))
+    print(json.dumps(year(a.out, a.seed, a.every, a.until), indent=1))
 
 
 if __name__ == "__main__":
