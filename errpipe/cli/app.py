@@ -44,6 +44,7 @@ VERBS = (
     "plan-day",
     "synthesis",
     "retrain",
+    "fleet",
     "keygen",
     "sign",
     "verify-signature",

@@ -21,7 +21,7 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
         jsonfile.write_text(out / FIGURE, figure(document))
 
 
-def _plain(text: object) -> str:
+def plain_text(text: object) -> str:
     """Text that no Markdown renderer takes for markup: labels come from the recording."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|!" else c for c in " ".join(str(text).split()))
 
@@ -30,7 +30,7 @@ def markdown(document: Mapping[str, Any]) -> str:
     """The page for a pull request."""
     promoted = document["decision"] == "promote"
     lines = [
-        f"# {_plain(document['title'] or 'Retraining')}: {document['decision']}",
+        f"# {plain_text(document['title'] or 'Retraining')}: {document['decision']}",
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
@@ -39,7 +39,9 @@ def markdown(document: Mapping[str, Any]) -> str:
         "| --- | --- | --- |",
     ]
     ordered = sorted(document["gates"], key=lambda g: g["passed"])
-    lines += [f"| {_plain(g['name'])} | {'yes' if g['passed'] else '**no**'} | {_plain(g['says'])} |" for g in ordered]
+    lines += [
+        f"| {plain_text(g['name'])} | {'yes' if g['passed'] else '**no**'} | {plain_text(g['says'])} |" for g in ordered
+    ]
     lines += ["", *_drift_lines(document["drift"])]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -50,10 +52,12 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
     for d in drift["inputs"]:
         word = "drifts" if d["blamed"] else "disagrees with the others"
-        lines.append(f"- Sensor {_plain(d['column'])} {word} since run {_plain(d['since'])}: {d['size']:+.2g} K.")
+        lines.append(
+            f"- Sensor {plain_text(d['column'])} {word} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
+        )
     for d in drift["residuals"]:
         lines.append(
-            f"- The champion's residual of {_plain(d['component'])} moved since run {_plain(d['since'])}: "
+            f"- The champion's residual of {plain_text(d['component'])} moved since run {plain_text(d['since'])}: "
             f"{d['size_um']:+.3g} um on average."
         )
     return lines

@@ -115,3 +115,47 @@ def test_a_day_with_make(tmp_path: Path) -> None:
     (a / "one log.txt").unlink()
     assert make(tmp_path) == (0, ["install a", "run a"])
     assert (tmp_path / "out/a/installed").read_text() == "5\n"
+
+
+def test_a_template_under_make(tmp_path: Path) -> None:
+    """The folder that `errpipe init` writes, its recording under a name that make would take apart."""
+    from errpipe.cli.app import main
+
+    site = tmp_path / "mill"
+    assert main(["init", "--template", "dial-gauge", str(site)]) == 0
+    (site / "recording").rename(site / DATA)
+    pipeline = site / "pipeline.yaml"
+    pipeline.write_text(pipeline.read_text().replace("recording: recording", f"recording: '{DATA}'"))
+    (site / "errpipe").write_text(f'#!/bin/sh\necho run >> done.txt\nexec "{sys.executable}" -m errpipe "$@"\n')
+    (site / "errpipe").chmod(0o755)
+    with (site / "Makefile").open("a") as stream:
+        stream.write("installed: out/export/table.ect\n\t@echo install >> done.txt\n\t@cp $< $@\n")
+    words = ("ERRPIPE=./errpipe", "installed")
+    assert make(site, *words) == (0, ["install", "run"]), (site / "make.log").read_text()
+    assert make(site, "-j", "2", *words) == (0, [])
+    table = (site / "out/export/table.ect").read_bytes()
+
+    # bytes of the pipeline change, the table does not
+    pipeline.write_text(pipeline.read_text() + "# nobody reads this\n")
+    assert make(site, "-n", *words)[1] == []
+    assert make(site, *words) == (0, ["run"]) and make(site, *words) == (0, [])
+
+    # noise in place of the machine's error: the gate says no, the old table stays, and make comes back to it
+    rows = next((site / DATA).glob("*.csv"))
+    lines = rows.read_text().splitlines()
+    commanded, reading = (lines[0].split(",").index(name) for name in ("commanded", "reading"))
+    noise = [line.split(",") for line in lines]
+    for k, cells in enumerate(noise[1:]):
+        cells[reading] = f"{float(cells[commanded]) + (k * 7919 % 13 - 6) / 300:.3f}"
+    rows.write_text("\n".join([*map(",".join, noise), ""]))
+    code, ran = make(site, *words)
+    assert code == 2 and ran == ["run"] and "Error 4" in (site / "make.log").read_text()
+    assert (site / "out/export/table.ect").read_bytes() == table == (site / "installed").read_bytes()
+    assert make(site, *words) == (2, ["run"])
+
+    # an input that is gone is no missing rule: errpipe says what is missing
+    rows.unlink()
+    code, ran = make(site, *words)
+    assert code == 2 and ran == ["run"] and "No rule" not in (site / "make.log").read_text()
+    rows.write_text("\n".join([*lines, ""]))
+    assert make(site, *words)[0] == 0 and (site / "installed").read_bytes() == table

@@ -1,0 +1,45 @@
+"""`errpipe fleet`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from errpipe.cli._arguments import Json
+
+
+def command(
+    fleet: Path = typer.Argument(..., metavar="FLEET", help="The fleet file (YAML).", show_default=False),
+    out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder for machines and report."),
+    jobs: int = typer.Option(0, "--jobs", "-j", min=0, metavar="N", help="Processes; 0: one for each core."),
+    scheduler: str | None = typer.Option(
+        None, "--scheduler", metavar="ADDRESS", help="A running Dask cluster instead.", show_default=False
+    ),
+    json: bool = Json,
+) -> None:
+    """Run one pipeline for many machines; one report.
+
+    What one machine does wrong stops no other one (exit 4 at the end); the same command goes on where it stopped.
+
+    \b
+    Example:
+      errpipe fleet fleet.yaml --out out/fleet --jobs 4
+      errpipe fleet fleet.yaml --out out/fleet --scheduler tcp://10.0.0.5:8786
+    """
+    from errpipe.cli.output import print_result, stage_module
+    from errpipe.cli.progress import ProgressReporter
+
+    reporter = ProgressReporter(str(out))
+    try:
+        found = stage_module("fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))
+    finally:
+        reporter.clear()
+    rows = found["machines"]
+    bad = [r for r in rows if r["state"] != "done"]
+    lines = [f"{r['name']}: {r['state']}: {r['message']}" for r in bad]
+    lines += [f"{d['name']}: {d['what']} drifts since run {d['since']}" for d in found["drifting"]]
+    lines += [f"{len(rows) - len(bad)} of {len(rows)} machines done", str(out / "fleet.md")]
+    print_result("fleet", found, lines, as_json=json, code=4 if bad else 0)
+    if bad:
+        raise typer.Exit(4)

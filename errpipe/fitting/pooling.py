@@ -1,0 +1,86 @@
+"""Parameters of alike machines pooled: each machine's estimate drawn towards its type's, by how well both are known.
+
+    estimate_i ~ N(parameter_i, S_i),   parameter_i ~ N(mean, T)        (Lindley and Smith 1972)
+
+mean and T come from all machines of a type by maximum likelihood (EM, Dempster, Laird and Rubin 1977); a machine's
+pooled parameter is its posterior mean under them (empirical Bayes, Efron and Morris 1975). A machine without an
+estimate has the type's mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+STEPS = 200  # of EM, which converges slowly where machines hardly differ
+CONVERGED = 1e-5  # share of the spread by which a step may still change it
+LEAST_MACHINES = 4  # from which a spread between machines is known at all
+
+
+@dataclass(frozen=True)
+class Pool:
+    """A type of machine. mean: (p,); spread: covariance between machines, (p, p); machines: how many it rests on."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    machines: int
+
+    def shrunk(self, estimate: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Posterior mean and covariance of one machine's parameters, (p,) and (p, p)."""
+        gain = self.spread @ np.linalg.pinv(self.spread + covariance, hermitian=True)
+        return self.mean + gain @ (estimate - self.mean), _symmetric(self.spread - gain @ self.spread)
+
+
+def pooled(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> Pool | None:
+    """The type behind some machines' estimates, or None where they are too few.
+
+    estimates: (p,) each, in any units; covariances: (p, p) each.
+    """
+    if len(estimates) < LEAST_MACHINES:
+        return None
+    values, errors = np.array(estimates), np.array(covariances)
+    unit = np.sqrt(np.maximum(values.var(axis=0), np.median([np.diag(e) for e in errors], axis=0)))
+    unit = np.where(unit > 0, unit, 1.0)
+    values, errors = values / unit, errors / np.outer(unit, unit)
+    mean, spread = values.mean(axis=0), np.cov(values.T).reshape(len(unit), len(unit)) + 1e-9 * np.eye(len(unit))
+    for _ in range(STEPS):
+        before = spread
+        gains = spread @ np.linalg.pinv(spread + errors, hermitian=True)  # (machines, p, p)
+        means = mean + np.einsum("ijk,ik->ij", gains, values - mean)
+        mean = means.mean(axis=0)
+        around = means - mean
+        spread = _symmetric((spread - gains @ spread).mean(axis=0) + around.T @ around / len(values))
+        if np.abs(spread - before).max() < CONVERGED * float(np.trace(before)):
+            break
+    return Pool(mean * unit, spread * np.outer(unit, unit), len(values))
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return (matrix + matrix.T) / 2.0
+
+
+def distance(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> float:
+    """Squared Mahalanobis distance of two machines' estimates; chi-square with p degrees where they are alike."""
+    gap = a - b
+    return float(gap @ np.linalg.pinv(covariance, hermitian=True) @ gap)
+
+
+def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
+    """Groups of machines whose parameters the data do not tell apart (complete linkage: every pair of a group)."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+    from scipy.stats import chi2
+
+    count = len(estimates)
+    if count < 2:
+        return []
+    pairs = [
+        distance(estimates[i], estimates[j], covariances[i] + covariances[j])
+        for i in range(count)
+        for j in range(i + 1, count)
+    ]
+    limit = float(chi2.ppf(1.0 - level, estimates[0].size))
+    labels = fcluster(linkage(np.array(pairs), "complete"), limit, "distance")
+    groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
+    return sorted((g for g in groups if len(g) > 1), key=lambda g: (-len(g), g))

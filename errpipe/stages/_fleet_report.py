@@ -1,0 +1,210 @@
+"""What a fleet's runs say together: worst machines first, machines that drift, machines alike, pooled parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe import jsonfile
+from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.pipeline.spec import Pipeline
+
+VERSION = 1
+DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
+
+
+def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
+    """What the fleet needs to know of one finished run: held-out figures per response, and what drifts."""
+    folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
+    found: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    if "validation" in folders:
+        document = jsonfile.read(folders["validation"] / _artefacts.VALIDATION)
+        for c in document["components"]:
+            keys = ("rms_before", "rms_after", "noise_floor", "unit")
+            found["responses"][c["component"]] = {key: c[key] for key in keys}
+    if "error_model" in folders:
+        found["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
+    if "recording" in folders:
+        recording = _artefacts.recording_in(folders["recording"])
+        found["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
+    return found
+
+
+def _sensors(recording: Recording) -> list[dict[str, Any]]:
+    """Sensors that left the others in the second half of the runs."""
+    from errpipe.validation.input_drift import sensor_drift
+
+    early = recording.run_codes() < (len(recording.run_labels()) + 1) // 2
+    return [
+        {"what": f"sensor {d.column}", "since": d.since, "size": d.size, "unit": "K"}
+        for d in sensor_drift(recording, early)
+        if d.blamed
+    ]
+
+
+def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, Any]]:
+    """Responses whose mean per run changed its level in the second half, each run predicted without itself."""
+    import pandas as pd
+
+    from errpipe.stages.validate import HELD_OUT
+    from errpipe.validation.input_drift import level_drift
+
+    if validation is None:
+        return []
+    rows = pd.read_parquet(validation / HELD_OUT)
+    run, labels, out = recording.run_codes(), recording.run_labels(), []
+    for component, part in rows.groupby("component", sort=False):
+        means = part.groupby(run[part["row"].to_numpy()])["after"].mean()
+        half = (len(means) + 1) // 2
+        drift = level_drift(means.iloc[:half].tolist(), means.iloc[half:].tolist())
+        if drift is not None:
+            size = float(means.iloc[half + drift[1] :].mean() - means.iloc[:half].mean())
+            since = labels[int(means.index[half + drift[1]])]
+            out.append({"what": f"residual of {component}", "since": since, "size": size, "unit": "um"})
+    return out
+
+
+def write_report(
+    title: str, pool: bool, types: Mapping[str, str], results: Sequence[Mapping[str, Any]], out: Path
+) -> dict[str, Any]:
+    """Write fleet.json and fleet.md, and the pooled models where asked for; the document."""
+    keep = ("name", "state", "message", "responses", "drift", "model")
+    rows = [{"type": types[r["name"]], **{key: r[key] for key in keep}} for r in results]
+    document = {
+        "fleet": VERSION,
+        "title": title,
+        "machines": sorted(rows, key=_badness),
+        "drifting": [{"name": r["name"], **d} for r in rows for d in r["drift"]],
+        "types": [_type(name, rows, out, pool) for name in sorted(set(types.values()))],
+    }
+    jsonfile.write(out / DOCUMENT, document)
+    jsonfile.write_text(out / PAGE, "\n".join([*lines(document), ""]))
+    return document
+
+
+def _badness(row: Mapping[str, Any]) -> tuple[int, float, str]:
+    """Failed ones first, then by the largest rms that is left on held-out rows."""
+    left = max((c["rms_after"] for c in row["responses"].values()), default=0.0)
+    return (("failed", "refused", "done").index(row["state"]), -left, row["name"])
+
+
+def _type(name: str, rows: Sequence[Mapping[str, Any]], out: Path, pool: bool) -> dict[str, Any]:
+    """Machines of a type that are alike, and its pooled parameters."""
+    from errpipe.fitting import pooling
+
+    models = {
+        r["name"]: _artefacts.read_model(out / "machines" / r["name"] / r["model"])
+        for r in rows
+        if r["type"] == name and r["model"] and r["state"] != "failed"
+    }
+    found = {}
+    for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
+        names, keys, estimates, covariances = _estimates(models, component)
+        together = pooling.pooled(estimates, covariances)
+        found[component] = {
+            "parameters": list(keys),
+            "machines": names,
+            "alike": [[names[k] for k in group] for group in pooling.alike(estimates, covariances)],
+        }
+        if together is not None:
+            found[component] |= {"mean": together.mean.tolist(), "spread": together.spread.tolist()}
+            if pool:
+                shrunk = [together.shrunk(e, c) for e, c in zip(estimates, covariances, strict=True)]
+                found[component]["pooled"] = {n: m.tolist() for n, (m, _) in zip(names, shrunk, strict=True)}
+                for machine, (mean, covariance) in zip(names, shrunk, strict=True):
+                    models[machine] = with_parameters(models[machine], component, mean, covariance)
+    if pool:
+        for machine, model in models.items():
+            jsonfile.write(out / POOLED / machine / _artefacts.MODEL, _artefacts.model_json(model))
+    return {"type": name, "responses": found}
+
+
+def _estimates(
+    models: Mapping[str, ErrorModel], component: str
+) -> tuple[list[str], tuple[str, ...], list[np.ndarray], list[np.ndarray]]:
+    """Estimates and covariances of the machines whose model of a response has the commonest parameters."""
+    from collections import Counter
+
+    import numpy as np
+
+    parts = {n: c for n, m in models.items() for c in m.components if c.component == component and c.parameter_names}
+    commonest = Counter(_keys(c) for c in parts.values()).most_common(1)
+    keys = commonest[0][0] if commonest else ()
+    same = {n: c for n, c in parts.items() if keys and _keys(c) == keys}
+    values = [np.array([p.value for t in c.terms for p in t.parameters]) for c in same.values()]
+    errors = [np.array(c.covariance)[: v.size, : v.size] for v, c in zip(values, same.values(), strict=True)]
+    return list(same), keys, values, errors
+
+
+def _keys(component: Any) -> tuple[str, ...]:
+    """What each parameter is: its term as declared, and its name."""
+    return tuple(
+        f"{jsonfile.dumps(t.term, indent=None).strip()}.{p.name}" for t in component.terms for p in t.parameters
+    )
+
+
+def with_parameters(model: ErrorModel, component: str, values: np.ndarray, covariance: np.ndarray) -> ErrorModel:
+    """The model with other parameters of one response; 95 % intervals follow from the covariance."""
+    import numpy as np
+
+    spread, parts, at = np.sqrt(np.maximum(np.diag(covariance), 0.0)), [], 0
+    for c in model.components:
+        if c.component != component:
+            parts.append(c)
+            continue
+        terms = []
+        for term in c.terms:
+            parameters = []
+            for p in term.parameters:
+                v, s = float(values[at]), float(spread[at])
+                changed = {"value": v, "standard_error": s, "ci95": (v - 1.96 * s, v + 1.96 * s)}
+                parameters.append(p.model_copy(update=changed | {"note": "drawn towards the machines of its type"}))
+                at += 1
+            terms.append(term.model_copy(update={"parameters": tuple(parameters)}))
+        parts.append(c.model_copy(update={"terms": tuple(terms)}))
+    return model.model_copy(update={"components": tuple(parts)})
+
+
+def lines(document: Mapping[str, Any]) -> list[str]:
+    """The report as Markdown."""
+    from errpipe.stages._retrain_pages import plain_text
+
+    rows = document["machines"]
+    states = [r["state"] for r in rows]
+    out = [f"# {plain_text(document['title'] or 'Fleet')}: {len(rows)} machines", ""]
+    out += [
+        f"{states.count('done')} done, {states.count('refused')} refused by a gate, {states.count('failed')} failed.",
+        "",
+    ]
+    out += [
+        "| machine | type | state | response | before | after | noise floor |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for r in rows:
+        head = f"| {r['name']} | {plain_text(r['type'])} | {r['state']} "
+        out += [head + "| | | | |"] if not r["responses"] else []
+        for name, c in r["responses"].items():
+            floor = "unknown" if c["noise_floor"] is None else f"{c['noise_floor']:.3g}"
+            out.append(f"{head}| {name} | {c['rms_before']:.3g} | {c['rms_after']:.3g} {c['unit']} | {floor} |")
+    out += ["", "rms on held-out rows; the worst first.", "", "## What went wrong", ""]
+    out += [f"- {r['name']}: {plain_text(r['message'])}" for r in rows if r["message"]] or ["Nothing."]
+    out += ["", "## Machines that drift", ""]
+    for d in document["drifting"]:
+        out.append(
+            f"- {d['name']}: {plain_text(d['what'])} since run {plain_text(d['since'])}: {d['size']:+.3g} {d['unit']}"
+        )
+    out += [] if document["drifting"] else ["None."]
+    out += ["", "## Machines alike", "", "Of these the data do not tell the parameters apart (95 %).", ""]
+    for kind in document["types"]:
+        for component, found in kind["responses"].items():
+            groups = [", ".join(group) for group in found["alike"]]
+            name = plain_text(kind["type"] or "machines")
+            out += [f"- {name}, {component}: {group}" for group in groups] or [f"- {name}, {component}: none"]
+    return out

@@ -1,0 +1,223 @@
+"""`errpipe fleet`: one pipeline for many machines, in processes of their own or on a Dask cluster; one report.
+
+Workers get paths and give back a few numbers; whatever a machine's run makes stands in OUT/machines/NAME. A machine
+that fails, or whose worker dies, stops nobody else. What was finished is not run again.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from errpipe import jsonfile, yamlfile
+from errpipe.errors import ErrpipeError, UsageError
+from errpipe.yamlfile import Options
+
+MACHINES, TIMES = "machines", "times.csv"
+ATTEMPTS = 3  # of a machine whose worker dies; the last one alone, so that no other machine is blamed for it
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+Progress = Callable[[float, str], None]
+
+
+class FleetMachine(Options):
+    """One machine of a fleet."""
+
+    name: str = Field(pattern=NAME, description="Name of the machine and of its folder.")
+    type: str = Field("", description="Machines of one type are pooled.")
+    set: tuple[str, ...] = Field((), description="Keys of the pipeline for this machine, STAGE.KEY=VALUE.")
+
+
+class Fleet(Options):
+    """A pipeline, and the machines that it is run for."""
+
+    fleet: Literal[1] = Field(description="Version of the fleet format.")
+    title: str = Field("", description="One line for people.")
+    pipeline: str = Field(description="The pipeline file, relative to this file.")
+    recordings: str | None = Field(
+        None, description="Folder with one recording folder per machine, relative to this file: all are the fleet's."
+    )
+    stage: str = Field("ingest", description="Stage that reads a machine's recording.")
+    machines: tuple[FleetMachine, ...] = Field((), description="Machines, where they need keys of their own or a type.")
+    pool: bool = Field(False, description="Draw the parameters of each machine towards those of its type.")
+
+    @model_validator(mode="after")
+    def _some(self) -> Fleet:
+        if self.recordings is None and not self.machines:
+            raise ValueError("`recordings` or `machines` is needed")
+        names = [m.name.lower() for m in self.machines]
+        if len(set(names)) < len(names):
+            raise ValueError("two machines have one name")
+        return self
+
+
+def fleet(
+    file: Path, out: Path, jobs: int = 0, scheduler: str | None = None, progress: Progress = lambda share, text: None
+) -> dict[str, Any]:
+    """Run every machine, then write the report. Returns its document with times and memory.
+
+    jobs: processes, 0 for one per core; scheduler: address of a running Dask cluster instead. Raises ConfigError,
+    UsageError; what goes wrong with one machine stands in the document.
+    """
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+    from errpipe.stages._fleet_report import write_report
+
+    spec: Fleet = yamlfile.load(Path(file), Fleet)
+    root = Path(file).parent.absolute()
+    pipeline = root / spec.pipeline
+    tasks = [(str(pipeline), m.name, list(m.set), str(Path(out).absolute())) for m in machines_of(spec, root)]
+    load_pipeline(pipeline, STAGES, sets=tasks[0][2])  # a pipeline that cannot be read is said once, not once a machine
+    run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
+    results: dict[str, dict[str, Any]] = {}
+    for result in run:
+        results[result["name"]] = result
+        progress(len(results) / len(tasks), f"{result['name']}: {result['state']}")
+    ordered = [results[task[1]] for task in tasks]
+    types = {m.name: m.type for m in machines_of(spec, root)}
+    document = write_report(spec.title, spec.pool, types, ordered, Path(out))
+    rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
+    jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
+    return document | {"times": {r["name"]: {k: r[k] for k in ("seconds", "peak_mb", "attempts")} for r in ordered}}
+
+
+def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
+    """The machines that are listed, and every recording folder; a listed one brings its type and keys."""
+    listed = {m.name: m for m in spec.machines}
+    if spec.recordings is None:
+        return list(spec.machines)
+    folder = root / spec.recordings
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: there is no such folder (recordings of the fleet)")
+    found = sorted(p.name for p in folder.iterdir() if (p / "recording.yaml").is_file())
+    absent = [name for name in listed if name not in found]
+    if absent or not found:
+        raise UsageError(f"{folder}: holds no recording of {', '.join(absent) or 'any machine'}")
+    out = []
+    for name in found:
+        own = listed.get(name) or FleetMachine(name=name)
+        path = jsonfile.dumps((folder / name).as_posix(), indent=None).strip()
+        out.append(own.model_copy(update={"set": (f"{spec.stage}.recording={path}", *own.set)}))
+    return out
+
+
+def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict[str, Any]:
+    """One machine's pipeline, in this process: what became of it, seconds and the peak of its memory, MB.
+
+    Never raises: one machine's failure is a result.
+    """
+    from errpipe.pipeline import runner
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+    from errpipe.stages._fleet_report import facts
+
+    begin, state, message = time.perf_counter(), "done", ""
+    found: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    _reset_peak()
+    try:
+        spec = load_pipeline(Path(pipeline), STAGES, sets=sets)
+        runner.run(spec, Path(out) / MACHINES / name)
+        found = facts(spec, Path(out) / MACHINES / name)
+    except ErrpipeError as err:
+        state, message = ("refused" if err.exit_code == 4 else "failed"), str(err).replace(out, "OUT")
+    except Exception as err:
+        state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
+    seconds = time.perf_counter() - begin
+    result = {"name": name, "state": state, "message": message, "attempts": 1, "seconds": seconds}
+    return found | result | {"peak_mb": _peak_mb()}
+
+
+def _reset_peak() -> None:
+    """Let the peak of this process' memory count from now, where the system can (Linux)."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        return
+
+
+def _peak_mb() -> float:
+    """Peak of resident memory, MB; 0 where the system does not say."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")), 0.0)
+
+
+def _lost(task: Sequence[Any], attempts: int) -> dict[str, Any]:
+    message = f"its worker was killed {attempts} times (out of memory?)"
+    nothing = {"responses": {}, "drift": [], "model": "", "seconds": 0.0, "peak_mb": 0.0}
+    return nothing | {"name": task[1], "state": "failed", "message": message, "attempts": attempts}
+
+
+Task = tuple[str, str, list[str], str]
+
+
+def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[dict[str, Any]]:
+    """Results as they come. When a worker dies the pool is made anew and its unfinished machines are tried again."""
+    attempts = dict.fromkeys((task[1] for task in tasks), 0)
+    waiting = list(tasks)
+    count = jobs or os.cpu_count() or 1
+    while waiting:
+        alone = [t for t in waiting if attempts[t[1]] >= ATTEMPTS - 1]
+        batch = alone[:1] or waiting
+        done: set[str] = set()
+        for task, result in _one_pool(batch, min(count, len(batch)), attempts):
+            done.add(task[1])
+            yield result
+        for task in batch:
+            if task[1] not in done and attempts[task[1]] >= ATTEMPTS:
+                done.add(task[1])
+                yield _lost(task, attempts[task[1]])
+        waiting = [t for t in waiting if t[1] not in done]
+
+
+def _one_pool(tasks: Sequence[Task], count: int, attempts: dict[str, int]) -> Iterator[tuple[Task, dict[str, Any]]]:
+    """Results of one pool of processes until it is through or one of its workers dies; `attempts` is counted up."""
+    import multiprocessing
+
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
+        waiting = list(reversed(tasks))
+        running: dict[Future[dict[str, Any]], Task] = {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < count:  # no more than are at work, so that few are blamed for a death
+                    task = waiting.pop()
+                    running[pool.submit(run_machine, *task)] = task
+                    attempts[task[1]] += 1
+                future = next(as_completed(running))
+                result = future.result()
+                task = running.pop(future)
+                yield task, result | {"attempts": attempts[task[1]]}
+        except BrokenProcessPool:
+            return
+
+
+def _one_thread() -> None:
+    """One thread of linear algebra per process: results and cores are then those of one machine each."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]:
+    """The same through a running Dask cluster, which itself tries again what a dead worker held."""
+    try:
+        from distributed import Client
+        from distributed import as_completed as finished
+    except ImportError:
+        raise UsageError("--scheduler needs Dask: pip install 'errpipe[dask]'") from None
+    try:
+        client = Client(address, timeout=20, set_as_default=False)
+    except (OSError, ValueError) as err:
+        raise UsageError(f"--scheduler {address}: no Dask scheduler answers ({err})") from None
+    with client:
+        futures = {client.submit(run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks}
+        for future in finished(futures):
+            task = futures[future]
+            yield future.result() if future.status == "finished" else _lost(task, ATTEMPTS)

@@ -1,0 +1,177 @@
+"""`errpipe fleet`: many machines, in processes and on a Dask cluster, with failures, killed workers and pooled fits."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from errpipe.cli.app import main
+from errpipe.domain.error_model import ErrorModel
+from errpipe.stages import fleet as fleet_stage
+from tests.e2e.retrain.test_retrain import PIPELINE, record
+
+
+def site(where: Path, machines: int, days: int = 6) -> Path:
+    """A fleet of equal pipelines on machines whose days differ by name only, and one whose file is damaged."""
+    where.mkdir(parents=True, exist_ok=True)
+    (where / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    record(where / "recordings" / "m000", days)
+    source = (where / "recordings/m000/recording.csv").read_text(encoding="utf-8").splitlines()
+    manifest = (where / "recordings/m000/recording.yaml").read_text(encoding="utf-8")
+    for k in range(1, machines):
+        folder = where / "recordings" / f"m{k:03d}"
+        folder.mkdir(parents=True)
+        rng, rows = np.random.default_rng(k), [source[0]]
+        own = 1.0 + 0.1 * rng.standard_normal()
+        for line in source[1:]:
+            *cells, last = line.split(",")
+            rows.append(",".join([*cells, f"{own * float(last) + rng.normal(0, 0.3):.3f}"]))
+        (folder / "recording.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
+        (folder / "recording.yaml").write_text(manifest, encoding="utf-8")
+    damaged = where / "recordings/m001/recording.csv"
+    damaged.write_text(damaged.read_text(encoding="utf-8").replace("day 2,", "day 2,x", 1), encoding="utf-8")
+    (where / "fleet.yaml").write_text(
+        "fleet: 1\ntitle: hall 3\npipeline: axis.yaml\nrecordings: recordings\npool: true\n", encoding="utf-8"
+    )
+    return where / "fleet.yaml"
+
+
+def bytes_below(out: Path) -> dict[str, bytes]:
+    """Every file of a fleet's run but times and locks of the system."""
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes()
+        for p in sorted(out.rglob("*"))
+        if p.is_file() and ".errpipe" not in p.parts and p.name != "times.csv"
+    }
+
+
+def run(file: Path, out: Path, capsys: Any, *words: str) -> tuple[int, dict[str, Any]]:
+    capsys.readouterr()
+    code = main(["fleet", str(file), "--out", str(out), *words, "--json"])
+    return code, json.loads(capsys.readouterr().out)["result"]
+
+
+@pytest.mark.slow
+def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path: Path, capsys: Any) -> None:
+    file = site(tmp_path / "site", 5)
+    code, found = run(file, tmp_path / "a", capsys, "--jobs", "2")
+    states = {r["name"]: r["state"] for r in found["machines"]}
+    assert code == 4 and states.pop("m001") == "failed" and set(states.values()) == {"done"}
+    assert found["machines"][0]["name"] == "m001" and "recording.csv" in found["machines"][0]["message"]
+    left = [r["responses"]["EXX"]["rms_after"] for r in found["machines"][1:]]
+    assert left == sorted(left, reverse=True) and all(t["peak_mb"] > 20 for t in found["times"].values())
+
+    killed = threading.Event()
+
+    def kill_one() -> None:
+        for _ in range(600):
+            time.sleep(0.05)
+            if list((tmp_path / "b/machines").glob("*/.errpipe/work/*")):
+                os.kill(_children()[0], signal.SIGKILL)
+                killed.set()
+                return
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    code, found = run(file, tmp_path / "b", capsys, "--jobs", "2")
+    killer.join()
+    assert killed.is_set() and code == 4
+    assert max(t["attempts"] for t in found["times"].values()) >= 2
+    assert bytes_below(tmp_path / "a") == bytes_below(tmp_path / "b")
+
+    # resumed: what is done is not run again
+    model = tmp_path / "a/machines/m002/fit/error_model.json"
+    before = model.stat().st_mtime_ns
+    assert run(file, tmp_path / "a", capsys, "--jobs", "1")[0] == 4 and model.stat().st_mtime_ns == before
+
+
+def _children() -> list[int]:
+    """Processes that this one has spawned as workers, oldest first."""
+    out = []
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+            if int(words[1]) == os.getpid() and b"spawn_main" in (entry / "cmdline").read_bytes():
+                out.append(int(entry.name))
+        except (OSError, ValueError, IndexError):
+            continue
+    return sorted(out)
+
+
+def test_a_machine_whose_worker_always_dies_is_failed_and_the_others_are_done(monkeypatch: Any) -> None:
+    tasks = [("p", name, [], "o") for name in ("good", "deadly", "fine")]
+    calls: list[str] = []
+
+    def one_pool(batch: Any, count: int, attempts: dict[str, int]) -> Any:
+        for task in batch:
+            attempts[task[1]] += 1
+            calls.append(task[1])
+            if task[1] == "deadly":
+                return
+            yield task, {"name": task[1], "state": "done", "attempts": attempts[task[1]]}
+
+    monkeypatch.setattr(fleet_stage, "_one_pool", one_pool)
+    states = {r["name"]: r["state"] for r in fleet_stage._in_processes(tasks, 2)}
+    assert states == {"good": "done", "deadly": "failed", "fine": "done"} and calls.count("deadly") == 3
+
+
+def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text("fleet: 1\npipeline: axis.yaml\n", encoding="utf-8")
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+    assert "`recordings` or `machines` is needed" in capsys.readouterr().err
+    file.write_text("fleet: 1\npipeline: axis.yaml\nrecordings: r\nmachines: [{name: m9}]\n", encoding="utf-8")
+    (tmp_path / "r").mkdir()
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+    assert "holds no recording of m9" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_200_machines_on_a_dask_cluster_with_a_worker_killed(tmp_path: Path, capsys: Any) -> None:
+    distributed = pytest.importorskip("distributed")
+    file = site(tmp_path / "site", 200, days=4)
+    code, local = run(file, tmp_path / "a", capsys, "--jobs", "2")
+    assert code == 4 and [r["state"] for r in local["machines"]].count("done") == 199
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+
+        def kill_one() -> None:
+            while len(list((tmp_path / "b/machines").glob("*/errpipe.lock"))) < 20:
+                time.sleep(0.2)
+            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill_one)
+        killer.start()
+        code, spread = run(file, tmp_path / "b", capsys, "--scheduler", cluster.scheduler_address)
+        killer.join()
+    assert code == 4 and spread["machines"] == local["machines"]
+    assert bytes_below(tmp_path / "a") == bytes_below(tmp_path / "b")
+
+
+def test_twelve_machines_and_what_they_borrow_from_their_type(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pooled parameters stand in a model of each machine; a bad machine is the first of the report."""
+
+    def in_this_process(tasks: Any, jobs: int) -> Any:
+        return (fleet_stage.run_machine(*task) for task in tasks)
+
+    monkeypatch.setattr(fleet_stage, "_in_processes", in_this_process)
+    code, found = run(site(tmp_path / "site", 12, days=4), tmp_path / "o", capsys)
+    assert code == 4 and [r["name"] for r in found["machines"] if r["state"] != "done"] == ["m001"]
+    assert (tmp_path / "o/fleet.md").read_text(encoding="utf-8").count("| m0") == 12
+    (kind,) = found["types"]
+    pooled = kind["responses"]["EXX"]
+    assert len(pooled["machines"]) == 11
+    for name in pooled["machines"]:
+        own = ErrorModel.model_validate_json((tmp_path / f"o/machines/{name}/fit/error_model.json").read_text())
+        new = ErrorModel.model_validate_json((tmp_path / f"o/pooled/{name}/error_model.json").read_text())
+        a, b = ([p.value for t in m.components[0].terms for p in t.parameters] for m in (own, new))
+        assert b == pytest.approx(pooled["pooled"][name]) and a != b
