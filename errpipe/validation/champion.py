@@ -19,7 +19,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_causes, thermal_season
 from errpipe.fitting.holdout import Fold
-from errpipe.fitting.thermal_arithmetic import since_start_of
+from errpipe.fitting.thermal_arithmetic import rms, since_start_of
 
 TIE = 0.01
 LAGS = (900.0, 3600.0, 14400.0)  # s, of the lagged rises that the learners are given
@@ -84,7 +84,7 @@ def differences(recording: Recording, component: str, rows: np.ndarray) -> Fitte
         found = rises(r)
         return found[:, 1:] - found[:, :1]
 
-    table, y = columns(recording), target(recording, component)
+    table, y = columns(recording), since_start_of(recording, component)
     good = rows & np.isfinite(y) & np.isfinite(table).all(axis=1)
     gains = np.linalg.lstsq(table[good], y[good], rcond=None)[0]
     return _Values(lambda r: np.nan_to_num(columns(r)) @ gains)
@@ -95,7 +95,7 @@ def learner(make: Callable[[], Any], lags: Sequence[float]) -> Fitter:
 
     def fit(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
         table = rises(recording, lags)
-        y = target(recording, component)
+        y = since_start_of(recording, component)
         good = rows & np.isfinite(y) & np.isfinite(table).all(axis=1)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a network that stops before it has converged still competes
@@ -136,11 +136,6 @@ def candidates(options: thermal_season.SeasonOptions | None = None) -> tuple[Can
     )
 
 
-def target(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
-    """Deviation since the start of each run (mean of its first `rows` rows), um, shape (rows,)."""
-    return since_start_of(recording, component, rows)
-
-
 def compare(
     recording: Recording, component: str, folds: Sequence[Fold], entrants: Sequence[Candidate]
 ) -> dict[str, Any]:
@@ -150,7 +145,7 @@ def compare(
     """
     if not entrants or not folds:
         raise DataError("champion: no candidate or no group to leave out")
-    y = target(recording, component)
+    y = since_start_of(recording, component)
     found: dict[str, dict[str, float]] = {}
     for entrant in entrants:
         found[entrant.name] = {}
@@ -185,8 +180,3 @@ def decide(
     best = min((pooled[e.name] for e in able), default=float("inf"))
     winner = next((e.name for e in able if pooled[e.name] <= best * (1.0 + TIE)), "do nothing")
     return {"pooled": pooled, "verdict": verdict, "champion": winner}
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square; 0 of nothing."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0

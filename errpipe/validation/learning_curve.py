@@ -15,7 +15,8 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
-from errpipe.validation.champion import Fitter, rms, target
+from errpipe.fitting.thermal_arithmetic import rms, since_start_of
+from errpipe.validation.champion import Fitter
 
 
 def curve(
@@ -34,7 +35,7 @@ def curve(
     """
     if not sizes or min(sizes) < 1:
         raise DataError("learning curve: sizes are numbers of runs, at least 1")
-    y = target(recording, component)
+    y = since_start_of(recording, component)
     out = []
     for fold in holdout.groups(recording, scheme):
         for number, order in enumerate(_orders(recording, fold, orders, seed)):

@@ -24,8 +24,9 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
+from errpipe.fitting.thermal_arithmetic import rms, since_start_of
 from errpipe.models import Family
-from errpipe.validation.champion import Fitter, rms, target
+from errpipe.validation.champion import Fitter
 
 VERSION = 1
 RANDOM_FOLDS = 5
@@ -46,7 +47,7 @@ def table(
     in_season: also refit without each run, for the ratio (costs a fit per run).
     """
     folds = holdout.groups(recording, scheme)
-    y = target(recording, component)
+    y = since_start_of(recording, component)
     runs = holdout.groups(recording, "leave-one-run-out") if in_season else []
     own = _left_out(recording, component, fit, runs, y)[0] if runs else None
     residual, covered, half = _left_out(recording, component, fit, folds, y)

@@ -17,7 +17,7 @@ import numpy as np
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, recalibration, thermal_causes, thermal_season
+from errpipe.fitting import holdout, recalibration, thermal_arithmetic, thermal_causes, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.reporting import svg
 from errpipe.validation import champion, learning_curve, seasons
@@ -84,18 +84,18 @@ def cycles(recording: Recording, component: str) -> tuple[Any, str]:
 def hotter(recording: Recording, component: str) -> tuple[Any, str]:
     """A summer that never was: every day again with all temperatures shifted, as if the deviation stayed the same."""
     model = thermal_season.fit(recording, component)
-    y, run = champion.target(recording, component), recording.run_codes()
+    y, run = thermal_arithmetic.since_start_of(recording, component), recording.run_codes()
     told = []
     for shift in (-8.0, -4.0, 0.0, 2.0, 4.0, 6.0, 10.0, 15.0):
         moved = {n: recording.array(n) + shift for n in recording.names("temperature")}
         value = model.predict(Recording(recording.manifest, recording.frame.assign(**moved)))
         left = y - value.predicted
-        worse = [champion.rms(left[run == c]) > champion.rms(y[run == c]) for c in np.unique(run)]
+        worse = [thermal_arithmetic.rms(left[run == c]) > thermal_arithmetic.rms(y[run == c]) for c in np.unique(run)]
         told.append(
             {
                 "shift_K": shift,
-                "rms": champion.rms(left),
-                "uncompensated": champion.rms(y),
+                "rms": thermal_arithmetic.rms(left),
+                "uncompensated": thermal_arithmetic.rms(y),
                 "runs_worse_than_nothing": int(sum(worse)),
                 "largest": float(np.abs(value.predicted).max()),
                 "half_width": float(np.mean(value.upper - value.lower)) / 2,
@@ -124,7 +124,7 @@ def champions(recording: Recording, component: str) -> tuple[Any, str]:
 
 def left_out_values(recording: Recording, component: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Deviation, prediction by a model that never saw the row's season, and the season, per row."""
-    y = champion.target(recording, component)
+    y = thermal_arithmetic.since_start_of(recording, component)
     value, label = np.zeros(y.size), np.full(y.size, "", dtype=object)
     for fold in holdout.groups(recording, SEASON):
         value[fold.test] = thermal_season.fit(recording, component, rows=fold.train).values(recording)[fold.test]
@@ -167,11 +167,11 @@ def hours(recording: Recording, component: str) -> tuple[Any, str]:
 def failures(recording: Recording, component: str) -> tuple[Any, str]:
     """Each sensor failed in five ways two hours into every run of a season left out: healthy, failed, recovered."""
     told = []
-    y = champion.target(recording, component)
+    y = thermal_arithmetic.since_start_of(recording, component)
     run, t = recording.run_codes(), recording.time()
     for fold in holdout.groups(recording, SEASON):
         model = thermal_season.fit(recording, component, rows=fold.train)
-        healthy = champion.rms((y - model.values(recording))[fold.test])
+        healthy = thermal_arithmetic.rms((y - model.values(recording))[fold.test])
         for name in recording.names("temperature"):
             relation = _relation(recording, name, fold.train)
             for way, spoil in WAYS.items():
@@ -188,8 +188,8 @@ def failures(recording: Recording, component: str) -> tuple[Any, str]:
                         "sensor": name,
                         "failure": way,
                         "healthy": healthy,
-                        "failed": champion.rms((y - model.values(broken))[fold.test]),
-                        "recovered": champion.rms((y - model.values(mended))[fold.test]),
+                        "failed": thermal_arithmetic.rms((y - model.values(broken))[fold.test]),
+                        "recovered": thermal_arithmetic.rms((y - model.values(mended))[fold.test]),
                         "rows_to_detection": seen_after,
                     }
                 )

@@ -18,10 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, thermal_season
+from errpipe.fitting import holdout, thermal_arithmetic, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.guard import learn, trials, watch
-from errpipe.validation import champion
 
 SCHEMES = ("season", "run")
 
@@ -54,7 +53,7 @@ def judge(recording: Recording, component: str, scheme: str, how: dict[str, floa
         learnt_from = recording.take(train)
         guard = learn.learn(learnt_from)
         rows = recording.take(test)
-        truth = champion.target(rows, component)
+        truth = thermal_arithmetic.since_start_of(rows, component)
         run = rows.run_codes()
         season = rows.frame["season"].to_numpy()
         labels = {code: season[run == code][0] for code in np.unique(run)}

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout
+from errpipe.fitting import holdout, thermal_arithmetic
 from errpipe.fitting.thermal_season import SeasonOptions
 from errpipe.models.season import Season
 from errpipe.validation import champion, learning_curve, seasons
@@ -53,7 +53,7 @@ class Slope:
 
     def __init__(self, recording: Recording, component: str, rows: np.ndarray, name: str = "T_a"):
         self.name = name
-        x, y = self.rise(recording)[rows], champion.target(recording, component)[rows]
+        x, y = self.rise(recording)[rows], thermal_arithmetic.since_start_of(recording, component)[rows]
         self.slope = float(x @ y / (x @ x))
 
     def rise(self, recording: Recording) -> np.ndarray:
@@ -117,7 +117,7 @@ def test_a_season_model_is_judged_like_every_other_model(recording):
     fold = holdout.groups(recording, "leave-one-group-out:season")[1]
     told = Season(component="E_D", options=SeasonOptions(correction=False)).judge(recording, fold)["E_D"]
     assert told.label == "spring" and (np.sort(told.rows) == np.flatnonzero(fold.test)).all()
-    assert_allclose(told.before, champion.target(recording, "E_D")[told.rows])
+    assert_allclose(told.before, thermal_arithmetic.since_start_of(recording, "E_D")[told.rows])
     assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
 
 
@@ -177,7 +177,7 @@ def test_differences_of_rises_compete(recording):
     every = np.ones(len(recording), dtype=bool)
     found = champion.differences(recording, "E_D", every)
     a, b = champion.rises(recording).T
-    y = champion.target(recording, "E_D")
+    y = thermal_arithmetic.since_start_of(recording, "E_D")
     gap = b - a
     assert_allclose(found.values(recording), gap * (gap @ y) / (gap @ gap), atol=1e-9)
     assert "linear on differences of rises" in [c.name for c in champion.candidates()]
