@@ -55,6 +55,7 @@ VERBS = (
     "formats",
     "explain",
     "doctor",
+    "completion",
     "schema",
     "reference",
 )

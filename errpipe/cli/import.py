@@ -58,7 +58,7 @@ def command(
       errpipe import positions.csv --out recording --yes
       errpipe import log.txt --out recording --names x_cmd,x_fb --period 0.001 --yes
     """
-    from errpipe.cli.output import print_result, stage_module
+    from errpipe.cli.output import folded, print_result, stage_module
     from errpipe.errors import UsageError
 
     work = stage_module("import_files")
@@ -77,7 +77,7 @@ def command(
     )
     door = DoorOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
     proposal, shown = work.prepare(files, door, options)
-    lines = [*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])]
+    lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
     if not yes and not json and sys.stdin.isatty():
         sys.stderr.write("\n".join(lines) + "\n")
         yes = typer.confirm("Write this recording?", err=True)

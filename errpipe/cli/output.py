@@ -9,7 +9,9 @@ The JSON document, version 1, is the same for every verb, also when it fails:
 
 from __future__ import annotations
 
+import re
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib import import_module
@@ -19,6 +21,7 @@ from errpipe import jsonfile
 from errpipe.errors import ConfigError, UsageError
 
 DOCUMENT = 1
+WIDTH = 80  # columns of the narrowest terminal that people use
 
 
 def print_result(
@@ -39,7 +42,28 @@ def print_answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> N
     result = dict(result)
     says = result.pop("says", None)
     lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in result.items()]
-    print_result(command, result, [lines] if isinstance(lines, str) else lines, as_json=as_json)
+    print_result(command, result, folded([lines] if isinstance(lines, str) else lines), as_json=as_json)
+
+
+def folded(lines: Iterable[str]) -> list[str]:
+    """Lines for people within `WIDTH` columns: longer ones go on below their second column, or a little indented.
+
+    Words, and so paths, are never broken; rows of figures and drawings (`|`) stay as they are.
+    """
+    out: list[str] = []
+    for line in (part for text in lines for part in text.splitlines() or [""]):
+        if len(line) <= WIDTH or "|" in line or "\x1b" in line:
+            out.append(line)
+            continue
+        column = re.match(r"(\s*)(\S+(?: \S+)?\s{2,})?", line)
+        own, second = (len(column[1]), len(column[2] or "")) if column is not None else (0, 0)
+        below = own + second if second and own + second <= WIDTH // 2 else own + (2 if own else 0)
+        head, rest = line[: own + second], line[own + second :]
+        words = textwrap.wrap(rest, WIDTH - len(head), break_long_words=False, break_on_hyphens=False)
+        first = words[0] if words else ""
+        more = textwrap.wrap(rest[len(first) :].strip(), WIDTH - below, break_long_words=False, break_on_hyphens=False)
+        out += [head + first, *(" " * below + text for text in more)]
+    return out
 
 
 def short_value(value: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable
 from threading import Lock
 from typing import TextIO
@@ -11,6 +12,8 @@ from typing import TextIO
 from errpipe.pipeline.runner import Step, Talk
 
 _WIDTH = 24
+_COLUMNS = 79  # of a line that must not wrap, or it could not be taken back
+_SOON = 5.0  # s: what takes no longer needs no word on the time left
 
 
 def is_interactive(stream: TextIO) -> bool:
@@ -25,8 +28,10 @@ def is_interactive(stream: TextIO) -> bool:
 class ProgressReporter:
     """Reports what the engine does. Stages may run in parallel, so every line is written under a lock."""
 
-    def __init__(self, out: str, stream: TextIO | None = None):
+    def __init__(self, out: str, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic):
         self.out = out
+        self._clock = clock
+        self._began: dict[str, float] = {}
         self.stream = stream or sys.stderr
         self.moving = is_interactive(self.stream)
         self._lock = Lock()
@@ -43,10 +48,21 @@ class ProgressReporter:
 
     def _progress(self, name: str, fraction: float, text: str) -> None:
         if self.moving:
-            done = round(_WIDTH * min(max(fraction, 0.0), 1.0))
+            fraction = min(max(fraction, 0.0), 1.0)
+            done = round(_WIDTH * fraction)
             with self._lock:
-                self.stream.write(f"\r\033[K{name} [{'#' * done}{'.' * (_WIDTH - done)}] {text}")
+                left = self._left(name, fraction)
+                line = f"{name} [{'#' * done}{'.' * (_WIDTH - done)}] {left}{text}"
+                self.stream.write(f"\r\033[K{line[:_COLUMNS]}")
                 self.stream.flush()
+
+    def _left(self, name: str, fraction: float) -> str:
+        """How long a piece of work will still take by the share that is done; nothing where that is soon."""
+        elapsed = self._clock() - self._began.setdefault(name, self._clock())
+        if fraction <= 0.0 or elapsed / fraction <= _SOON:
+            return ""
+        left = elapsed * (1.0 - fraction) / fraction
+        return f"{left:.0f} s left, " if left < 120 else f"{left / 60:.0f} min left, "
 
     def _finished(self, step: Step) -> None:
         if step.action == "fresh":

@@ -95,9 +95,11 @@ def documents_in(folder: Path, family: Family) -> dict[str, Any]:
 
 
 def read_table(path: Path) -> CompensationTable:
-    """A compensation table, binary or JSON twin. Raises VerifyError where it is none."""
+    """A compensation table, binary or JSON twin. Raises DataError without a file, VerifyError where it is none."""
     from errpipe.tables import ect
 
+    if not Path(path).exists():
+        raise DataError(f"{path}: there is no such file (a compensation table is needed)")
     return ect.read_any(Path(path))
 
 

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe.errors import VerifyError
+from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
 from errpipe.stages import _artefacts
 
@@ -25,6 +25,8 @@ def verify(folder: Path) -> dict[str, Any]:
     from errpipe.tables import ect
 
     folder = Path(folder)
+    if not folder.exists():
+        raise DataError(f"{folder}: there is no such folder (what an export wrote is needed)")
     if not (folder / "export.json").is_file():
         raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe")
     document = jsonfile.read(folder / "export.json")
