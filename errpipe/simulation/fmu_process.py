@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import files
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 from errpipe.simulation.fmu_options import FmuOptions
 
 if TYPE_CHECKING:
@@ -60,6 +60,12 @@ class FmuProcess:
         self.token = secrets.token_hex(16)  # in its environment, by which strays are found
 
     def __enter__(self) -> FmuProcess:
+        """Raises UsageError on a system without POSIX processes: there an FMU could not be kept apart."""
+        if not hasattr(os, "fork"):
+            raise UsageError(
+                f"{self.file.name}: an FMU runs on Linux, macOS and in WSL only, where its process can be limited and "
+                "ended; on this system simulate elsewhere and give its results as CSV (source: {kind: csv})"
+            )
         script = Path(__file__).with_name("fmu_worker.py")
         self._prepare()
         self.printed = (self.folder / "printed.txt").open("w+b")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +143,24 @@ def test_absolute_readings_called_errors_are_not_exported(
     heard = capsys.readouterr().err
     assert "absolute readings" in heard and "[absolute-readings]" in heard and "beyond-limit" in heard
     assert not list((tmp_path.parent / "out").glob("export/*"))
+
+
+def test_a_sensor_that_stands_still_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A room at 22 degC all day: no library's warning reaches the terminal."""
+    monkeypatch.chdir(tmp_path)
+    rng, t = np.random.default_rng(5), np.arange(0.0, 4 * 3600, 60.0)
+    bearing = 22 + 12 * (1 - np.exp(-t / 2500))
+    rows = zip(t, bearing, 3 * (bearing - 22) + 0.3 * rng.normal(size=t.size), strict=True)
+    lines = ["t [s],T_bearing [degC],T_room [degC],E_Z [um]", *(f"{a},{b:.2f},22.0,{z:.2f}" for a, b, z in rows)]
+    (tmp_path / "day.csv").write_text("\n".join(lines))
+    (tmp_path / "p.yaml").write_text(
+        "pipeline: 1\nstages:\n  - {kind: ingest, recording: day}\n  - {kind: clean}\n  - kind: fit\n    components:\n"
+        "      - {component: E_Z, terms: [{term: offset}, {term: thermal_drift, sensor: T_bearing}]}\n"
+        "    holdout: {scheme: blocks, blocks: 5}\n  - {kind: validate}\n  - {kind: report}\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        commands("errpipe import day.csv --out day --yes", "errpipe run p.yaml --out out")
+    assert "Warning" not in capfd.readouterr().err

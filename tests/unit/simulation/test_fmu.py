@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import shutil
 import subprocess
@@ -288,6 +289,13 @@ def test_without_fmpy_the_extra_is_named(model: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install 'errpipe\[fmu\]'"):
         simulated(recorded(), model)
+
+
+def test_without_posix_processes_the_way_out_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows: nothing is started, and no internal error."""
+    monkeypatch.delattr(os, "fork")
+    with pytest.raises(UsageError, match=r"m\.fmu: an FMU runs on Linux, macOS and in WSL only.*kind: csv"):
+        FmuProcess(tmp_path / "m.fmu", tmp_path, None).__enter__()
 
 
 def test_nobody_imports_fmpy_here() -> None:
