@@ -16,6 +16,7 @@ STAGES: Choice[type[Stage]] = Choice.of_files(
         "fit",
         "identify",
         "identify_direct",
+        "identify_force",
         "ingest",
         "report",
         "simulate",

@@ -10,6 +10,7 @@ from errpipe.stages import _artefacts, _plausible
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
+PUSH = 100.0  # N: the force of an example
 LEAST_ZERO = 5e-5  # mm (deg): a zero that moves by less is not worth a line
 
 
@@ -27,7 +28,8 @@ def checklist(
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
     numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others))
     read = _within_travel(read, table)
-    lines += [f"- {says}." for says in (*_plausible.of_files(read), *_at_the_axis(table))] + ["", "## Switch it on", ""]
+    happens = (*_plausible.of_files(read), *_at_the_axis(table), *_of_force(table))
+    lines += [f"- {says}." for says in happens] + ["", "## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
@@ -94,6 +96,26 @@ def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -
     left = [x for x in _sample.loss(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
     says = "; ".join(f"{x.axis} {x.rms:.3g} um rms, largest seen {x.largest:.3g} um" for x in left)
     return [f"- with the numbers entered by hand: {says}"]
+
+
+def _of_force(table: CompensationTable) -> list[str]:
+    """What a force reading does, and that without one nothing is corrected for it."""
+    import numpy as np
+
+    from errpipe.targets import _sample
+
+    says = []
+    for force in (i for i in table.inputs if i.kind == "force"):
+        for axis in _sample.outputs_by_axis(table):
+            pushed = _sample.corrections(table, axis, {force.name: np.array([0.0, PUSH])}, np.ones(2))
+            moved = 1e3 * float(pushed[1] - pushed[0])  # um
+            if abs(moved) > 1e-3:
+                says.append(
+                    f"at {force.name} = {PUSH:g} N and mid travel {axis} is told to go {abs(moved):.3g} um "
+                    f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, or with an old one, no force "
+                    "correction is made"
+                )
+    return says
 
 
 def _at_the_axis(table: CompensationTable) -> list[str]:

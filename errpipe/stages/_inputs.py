@@ -11,13 +11,14 @@ from errpipe.errors import GateError
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rates import ReadingRate
 
+FORCE_STALE = 0.1  # s: an older force is of another cut
 # Role of a column -> kind of the controller's channel, lowest and highest believable reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "position": ("position", -1e5, 1e5, None),
     "command": ("position", -1e5, 1e5, None),
     "direction": ("direction", -1.0, 1.0, None),
     "velocity": ("velocity", -1e5, 1e5, None),
-    "force": ("force", -1e6, 1e6, None),
+    "force": ("force", -1e6, 1e6, FORCE_STALE),
     "temperature": ("sensor", -40.0, 200.0, 60.0),
     "pressure": ("sensor", 0.0, 1e6, 600.0),
     "humidity": ("sensor", 0.0, 100.0, 600.0),
@@ -87,6 +88,19 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
             name=name, kind=kind, axis=facts.get("axis", ""), low=-1.0, high=1.0, default=0.0, optional=True
         )
     default = min(max(sum(seen) / 2 if seen else 0.0, low), high)
+    if kind == "force":  # missing: no force, so no force correction, and everything else goes on
+        return TableInput(
+            name=name,
+            kind=kind,
+            axis=facts.get("axis") or "",
+            unit=facts.get("unit") or "",
+            low=low,
+            high=high,
+            stale_after_s=stale,
+            hold_s=0.0,
+            default=0.0,
+            fade_on_default=False,
+        )
     box = {}
     if seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)

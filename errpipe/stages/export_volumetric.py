@@ -49,9 +49,6 @@ class ExportVolumetric(SignOptions, Stage):
     ungated: bool = Field(
         False, description="Export an identification too that is not expected to make the machine better."
     )
-    axes: tuple[str, ...] | None = Field(
-        None, min_length=1, description="Linear axes that the table corrects; default: all that pass the gate."
-    )
     takes: ClassVar[Mapping[str, Need]] = {
         "identified_machine": Need("identified_machine"),
         "validation": Need("validation", optional=True, every=True),
@@ -96,22 +93,17 @@ class ExportVolumetric(SignOptions, Stage):
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
 
     def _passed(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
-        """Linear axes that the table corrects. Raises UsageError for an unknown axis, GateError where none may be."""
+        """Linear axes that the table corrects. Raises GateError where the machine may get worse."""
         from errpipe import jsonfile
-        from errpipe.errors import UsageError
         from errpipe.kinematics import remaining
         from errpipe.validation import machine
 
-        known = remaining.linear_axes(chain)
-        for axis in self.axes or ():
-            if axis not in known:
-                raise UsageError(f"export_volumetric: axes: {axis!r} is no linear axis (allowed: {', '.join(known)})")
         if self.ungated:
-            return self.axes or known
+            return remaining.linear_axes(chain)
         found = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]
         own = jsonfile.fingerprint(document)
         judged = [v["machine"]["tests"] for v in found if v.get("machine", {}).get("identification") == own]
-        return machine.pass_gate(document, judged, self.axes)
+        return machine.pass_gate(document, judged)
 
 
 def bound(chain: Any, table: CompensationTable) -> float:

@@ -108,14 +108,13 @@ def _of_components(chain: Chain, family: Direct, recording: Recording, progress:
     return {"groups": groups, "axes": axes} | {k: float(np.sqrt(v)) for k, v in total.items()}
 
 
-def pass_gate(
-    document: Mapping[str, Any], validations: list[Mapping[str, Any]], axes: tuple[str, ...] | None = None
-) -> tuple[str, ...]:
+def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]]) -> tuple[str, ...]:
     """The linear axes that a table of an identification may move.
 
     Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
-    out; an axis whose identified error is below the noise of a reading is left alone. axes: those to judge (default:
-    all). Raises GateError where no validation judged it, or where an axis or the machine may get worse.
+    out; an axis whose identified error is below the noise of a reading is left alone. Raises GateError where no
+    validation judged it, or where an axis or the machine may get worse: axes are compensated together or not at all,
+    as one that is corrected without the others turns the whole part.
     """
     if not validations:
         raise GateError(
@@ -123,21 +122,15 @@ def pass_gate(
             "after it, or say `ungated: true` to export it all the same)"
         )
     told = document["volumetric"]
-    wanted = {n: a for n, a in told["axes"].items() if axes is None or n in axes}
-    kept = {n: a for n, a in wanted.items() if a["effect_rms_um"] > document["noise_um"]}
-    wrong = [_harmful(n, a) for n, a in kept.items() if not a["probability_worse"] <= MOST_HARM]
-    wrong = wrong or ([] if told["probability_worse"] <= MOST_HARM or axes else [_harmful("the machine", told)])
-    for validation in validations:
-        for test, figures in validation.items():
-            judged_axes = {n: figures["axes"][n] for n in kept if n in figures["axes"]}
-            wrong += [_not_better(f"{n} in {test}", f) for n, f in judged_axes.items() if _worse(f)]
-            wrong += [] if wrong or not judged_axes or not _worse(figures) else [_not_better(test, figures)]
-    if not kept:
-        wrong = ["no axis has an identified error above the noise of a reading"]
+    kept = {n: a for n, a in told["axes"].items() if a["effect_rms_um"] > document["noise_um"]}
+    wrong = [] if kept else ["no axis has an identified error above the noise of a reading"]
+    for name, figures in ({"the machine": told} | kept).items():
+        wrong += [] if figures["probability_worse"] <= MOST_HARM else [_harmful(name, figures)]
+    for test, figures in (item for validation in validations for item in validation.items()):
+        parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}
+        wrong += [_not_better(name, part) for name, part in parts.items() if _worse(part)]
     if wrong:
-        raise GateError(
-            f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}{_others(kept, wrong, axes)}"
-        )
+        raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}")
     return tuple(kept)
 
 
@@ -159,11 +152,3 @@ def _not_better(name: str, told: Mapping[str, float]) -> str:
 def _help(document: Mapping[str, Any]) -> str:
     measures = [m["measure"] for m in document.get("would_show", ())][:3]
     return f" It would help to add: {'; '.join(measures)}." if measures else ""
-
-
-def _others(kept: Mapping[str, Any], wrong: list[str], axes: tuple[str, ...] | None) -> str:
-    bad = {w.split(":")[0].split(" ")[0] for w in wrong}
-    good = [n for n in kept if n not in bad]
-    return (
-        f" `axes: [{', '.join(good)}]` corrects the others alone." if good and axes is None and bad < set(kept) else ""
-    )

@@ -65,14 +65,13 @@ def test_what_nobody_judged_is_refused(cloud):
         gate.pass_gate(cloud[0], [])
 
 
-def test_one_axis_that_stays_as_bad_refuses_the_table_and_names_the_others(cloud):
+def test_one_axis_that_stays_as_bad_refuses_the_table(cloud):
     """A table of all components whose X goes from 37.7 to 39.2 um on what sat out."""
     document, judged = cloud
     judged = copy.deepcopy(judged)
     judged["test"]["axes"]["X"] = {"rms_before": 37.7, "rms_after": 39.2}
-    with pytest.raises(GateError, match=r"X in test: 37\.7 -> 39\.2 um.*Nothing was exported.*axes: \[Y, Z\]"):
+    with pytest.raises(GateError, match=r"X in test: 37\.7 -> 39\.2 um.*Nothing was exported"):
         gate.pass_gate(document, [judged])
-    assert gate.pass_gate(document, [judged], ("Y", "Z")) == ("Y", "Z")
 
 
 def test_one_axis_that_its_posterior_doubts_refuses_the_table(cloud):

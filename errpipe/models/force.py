@@ -1,0 +1,355 @@
+"""What machine, tool and workpiece give way to a cutting force: static push tests and beams of stepped sections.
+
+    deviation(z) = F * (structure(z) + workpiece(z) + tool)                               [um] = [N] * [um/N]
+
+The structure (tool post, spindle and its tilt) comes from push tests as a polynomial in the distance from the chuck;
+workpiece and tool are computed from their geometry (`kinematics.beam`), those of the push tests and those of the cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from errpipe.domain.recording import Frozen
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.judging import HeldOut
+    from errpipe.kinematics import beam
+
+FIGURES = "compliance.json"
+POINTS = 129  # of the compliance curve over the travel
+SEGMENTS = 40  # of the spline that carries it into the table
+MISSED = 0.002  # of the largest compliance: how far the spline may be off
+# Powers of the lever in structure(z), simplest first: a rigid spindle on springs has the square, and the lever too
+# where the middle of its springs is away from the chuck's face.
+POWERS = ((0,), (0, 2), (0, 1, 2))
+NAMES = ("level", "per_m", "per_m2")
+
+
+class Section(Frozen):
+    """A prismatic part of a shaft or tool: round by `diameter`, else rectangular by `width` and `height`."""
+
+    length: float = Field(gt=0, description="Along the axis.", json_schema_extra={"unit": "mm"})
+    diameter: float = Field(0.0, ge=0, description="Outer diameter.", json_schema_extra={"unit": "mm"})
+    bore: float = Field(0.0, ge=0, description="Inner diameter.", json_schema_extra={"unit": "mm"})
+    width: float = Field(0.0, ge=0, description="Across the force.", json_schema_extra={"unit": "mm"})
+    height: float = Field(0.0, ge=0, description="Along the force.", json_schema_extra={"unit": "mm"})
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Section:
+        if (self.diameter > 0) == (self.width > 0 and self.height > 0) or self.bore >= max(self.diameter, 1e-9):
+            raise ValueError("give a diameter (with a smaller bore), or a width and a height")
+        return self
+
+
+class Body(Frozen):
+    """A stepped shaft or tool, from its clamped end outwards."""
+
+    sections: tuple[Section, ...] = Field(min_length=1, max_length=100, description="From the clamped end outwards.")
+    young: float = Field(210e3, gt=0, description="Young's modulus.", json_schema_extra={"unit": "N/mm2"})
+    poisson: float = Field(0.3, ge=0, lt=0.5, description="Poisson's ratio.", json_schema_extra={"unit": "1"})
+    clamp_stiffness: float | None = Field(
+        None, gt=0, description="Radial stiffness of the clamping; none: rigid.", json_schema_extra={"unit": "N/um"}
+    )
+    clamp_turning: float | None = Field(
+        None, gt=0, description="Its stiffness against tilt; none: rigid.", json_schema_extra={"unit": "N m/urad"}
+    )
+    tailstock: float = Field(
+        0.0, ge=0, description="Stiffness of a centre at the far end; 0: none.", json_schema_extra={"unit": "N/um"}
+    )
+
+    def at(self, places: np.ndarray | None = None) -> np.ndarray:
+        """Compliance at distances from the clamped end (default: the far end), um/N."""
+        import numpy as np
+
+        from errpipe.errors import DataError
+        from errpipe.kinematics import beam
+
+        parts: list[beam.Stretch] = [beam.Stretch(**s.model_dump()) for s in self.sections]
+        support = beam.Support(self.clamp_stiffness, self.clamp_turning, self.tailstock)
+        where = np.array([self.length]) if places is None else places
+        try:
+            return beam.compliance(parts, where, support, self.young, self.poisson)
+        except ValueError as err:
+            raise DataError(f"identify_force: {err}: give `chuck_face` and all sections") from None
+
+    @property
+    def length(self) -> float:
+        """From the clamped to the far end, mm."""
+        return sum(s.length for s in self.sections)
+
+
+class Force(Family):
+    """Deviation per newton of a cutting force over the position of the cut, from push tests and geometry."""
+
+    family: Literal["force"] = Field("force", description="Model family.")
+    configuration: Literal["turning", "milling"] = Field(
+        "turning", description="turning: the workpiece gives way over the axis of the cut; milling: tool and structure."
+    )
+    component: str = Field("E_X", description="Component that the force moves, such as E_X, or E_D (twice the radius).")
+    force: str = Field(description="Column of the force, in the direction of the deviation.")
+    axis: str | None = Field(None, pattern="^[A-Z]$", description="Axis along which the cut moves (turning: Z).")
+    chuck_face: float = Field(
+        0.0, description="Position of the axis at the clamped end of the workpiece.", json_schema_extra={"unit": "mm"}
+    )
+    outwards: Literal[1, -1] = Field(1, description="Direction of the axis away from the clamped end.")
+    sign: Literal[1, -1] = Field(1, description="Direction of the deviation under a positive force; 1: away from it.")
+    workpiece: Body | None = Field(None, description="The workpiece that is cut.")
+    tool: Body | None = Field(None, description="The tool that cuts, from its holder outwards.")
+    pushed_workpiece: Body | None = Field(None, description="What was pushed on in the tests; default: rigid.")
+    pushed_tool: Body | None = Field(None, description="The tool of the tests; default: rigid.")
+    documents: ClassVar[tuple[str, ...]] = (FIGURES,)
+    in_fit: ClassVar[bool] = False
+
+    @model_validator(mode="after")
+    def _complete(self) -> Force:
+        if self.configuration == "turning" and self.axis is None:
+            raise ValueError("turning needs the axis of the cut (axis: Z)")
+        if self.configuration == "milling" and (self.workpiece or self.pushed_workpiece):
+            raise ValueError("milling takes the workpiece as rigid: leave it out")
+        return self
+
+    @property
+    def responses(self) -> tuple[str, ...]:
+        """One component."""
+        return (self.component,)
+
+    @property
+    def scheme(self) -> HoldOut:
+        """A whole push line or place sits out."""
+        from errpipe.fitting.holdout import HoldOut
+
+        return HoldOut(scheme="auto")
+
+    @property
+    def method_name(self) -> str:
+        """How it is solved."""
+        return "push tests and beam elements"
+
+    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+        """Fit the structure on every row. Raises DataError, VerifyError."""
+        import numpy as np
+
+        rows = np.ones(len(recording), dtype=bool)
+        found = _solve(self, recording, rows)
+        model, curve = _error_model(self, recording, found)
+        document = {
+            "compliance": 1,
+            "configuration": self.configuration,
+            "component": self.component,
+            "structure_um_per_N": {n: float(v) for n, v in zip(NAMES, found.values, strict=True)},
+            "standard_error": {n: float(v) for n, v in zip(NAMES, found.errors, strict=True)},
+            "noise_um": found.noise,
+            "curve": curve,
+            "without_force": "a missing or old force reading counts as 0 N: no force correction is made",
+            "validated": "on static push tests; no public recording of cutting force against part size was found",
+        }
+        worst = max(curve["um_per_N"])
+        return Fitted(model, {FIGURES: document}, {self.component: f"at most {1e3 * worst:.3g} um/kN"})
+
+    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+        """The structure from one side, the other side's deflections judged; zero is that of each run."""
+        import numpy as np
+
+        found = _solve(self, recording, fold.train)
+        force, lever, deviation, known = _rows(self, recording)
+        structure = np.vander(lever, len(NAMES), increasing=True) @ found.values
+        after = deviation - force * (structure + known) * self.sign * _twice(self)
+        return {self.component: held_out(fold, deviation, after, np.zeros(len(recording)))}
+
+    def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
+        """Compliance along the cut, with its parts."""
+        curve = documents[FIGURES]["curve"]
+        pick = range(0, len(curve["um_per_N"]), max(1, len(curve["um_per_N"]) // 8))
+        rows = [[curve["position"][k], *(1e3 * curve[n][k] for n in PARTS)] for k in pick]
+        caption = "A force reading that is missing or old counts as 0 N: then no force correction is made."
+        return [Table("Compliance", ["position, mm", *(f"{n.split('_')[0]}, um/kN" for n in PARTS)], rows, caption)]
+
+
+PARTS = ("um_per_N", "structure_um_per_N", "workpiece_um_per_N", "tool_um_per_N")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Coefficients of structure(z), um/N per power 0 to 2 of the lever in m; their standard errors; noise, um."""
+
+    values: np.ndarray
+    errors: np.ndarray
+    noise: float
+
+
+def _twice(options: Force) -> float:
+    from errpipe.domain import components
+
+    return 2.0 if components.parse(options.component).kind == "diameter" else 1.0
+
+
+def _rows(options: Force, recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Force (N), lever (m), deviation less its run's zero (um), what the tests' own bodies give (um/N); (rows,).
+
+    A run's zero is what it would read at no force, by its own straight line over the force.
+    """
+    import numpy as np
+
+    from errpipe.drivers.motion import position
+    from errpipe.errors import DataError
+    from errpipe.fitting.design import response_name
+
+    if options.force not in recording.names("force"):
+        there = ", ".join(recording.names("force")) or "none"
+        raise DataError(f"identify_force: no column {options.force!r} of role force (there are: {there})")
+    force = recording.array(options.force)
+    deviation = recording.array(response_name(recording, options.component)).copy()
+    place = np.zeros(len(force)) if options.axis is None else position(recording, options.axis)
+    away = options.outwards * (place - options.chuck_face)
+    run = recording.run_codes()
+    pushes = force[:, None] * (away[:, None] * 1e-3) ** np.arange(len(NAMES))
+    design = np.column_stack([np.ones(len(force)), pushes])
+    known_all = np.isfinite(design).all(axis=1) & np.isfinite(deviation)
+    for code in np.unique(run):
+        rows = (run == code) & known_all
+        deviation[run == code] -= (
+            np.linalg.lstsq(design[rows], deviation[rows], rcond=None)[0][0] if rows.any() else 0.0
+        )
+    known = np.zeros(len(force))
+    if options.pushed_workpiece is not None:
+        known = known + options.pushed_workpiece.at(away)
+    if options.pushed_tool is not None:
+        known = known + options.pushed_tool.at()
+    return force, away * 1e-3, deviation, known
+
+
+def _solve(options: Force, recording: Recording, rows: np.ndarray) -> Structure:
+    """Least squares of what the pushed bodies leave over force times powers of the lever, which by BIC."""
+    import numpy as np
+
+    from errpipe.errors import DataError
+
+    force, lever, deviation, known = _rows(options, recording)
+    use = rows & np.isfinite(force) & np.isfinite(lever) & np.isfinite(deviation)
+    if use.sum() < 4 or np.ptp(force[use]) <= 0:
+        raise DataError(f"identify_force: at least 4 readings at different forces are needed (found {int(use.sum())})")
+    left = (options.sign * deviation / _twice(options) - force * known)[use]
+    best: tuple[float, Structure] | None = None
+    places = np.unique(np.round(lever[use], 4)).size
+    for powers in (p for p in POWERS if len(p) <= places):
+        design = lever[use][:, None] ** np.array(powers) * force[use][:, None]
+        values, *_ = np.linalg.lstsq(design, left, rcond=None)
+        residual = left - design @ values
+        noise = float(np.sqrt(residual @ residual / max(len(left) - len(powers), 1)))
+        score = len(left) * np.log(max(residual @ residual, 1e-18) / len(left)) + len(powers) * np.log(len(left))
+        if best is None or score < best[0]:
+            every, errors = np.zeros(len(NAMES)), np.zeros(len(NAMES))
+            every[list(powers)] = values
+            errors[list(powers)] = noise * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+            best = (float(score), Structure(every, errors, noise))
+    assert best is not None  # a level was tried
+    return best[1]
+
+
+def _curve(options: Force, recording: Recording, found: Structure) -> dict[str, np.ndarray]:
+    """Compliance of the cut over the axis, um/N, with its parts; one place where no axis moves."""
+    import numpy as np
+
+    from errpipe.drivers.motion import position
+    from errpipe.errors import DataError
+
+    if options.axis is None:
+        at = np.zeros(1)
+    elif options.workpiece is not None:
+        reach = options.chuck_face + options.outwards * np.array([0.0, options.workpiece.length])
+        at = np.linspace(reach.min(), reach.max(), POINTS)
+    else:
+        seen = position(recording, options.axis)
+        at = np.linspace(np.nanmin(seen), np.nanmax(seen), POINTS)
+    away = np.clip(options.outwards * (at - options.chuck_face), 0.0, None) if options.axis else np.zeros(1)
+    structure = np.vander(away * 1e-3, len(NAMES), increasing=True) @ found.values
+    work = options.workpiece.at(away) if options.workpiece is not None else np.zeros(len(at))
+    tool = np.full(len(at), float(options.tool.at()[0]) if options.tool is not None else 0.0)
+    total = structure + work + tool
+    if total.min() < -3 * found.errors[0]:
+        raise DataError(
+            f"identify_force: the compliance would be {total.min():.3g} um/N: a force pulls what it should push. Check "
+            "the sign of force and deviation, `sign`, and what was pushed in the tests."
+        )
+    return dict(zip(("position", *PARTS), (at, total, structure, work, tool), strict=True))
+
+
+def _error_model(options: Force, recording: Recording, found: Structure) -> tuple[ErrorModel, dict[str, list[float]]]:
+    import numpy as np
+
+    from errpipe import __version__
+    from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
+    from errpipe.drivers.motion import position_name
+
+    curve = _curve(options, recording, found)
+    force, _, deviation, _ = _rows(options, recording)
+    largest = float(np.nanmax(np.abs(force)))
+    columns = [options.force, *([position_name(recording, options.axis)] if options.axis else [])]
+    ranges = {options.force: (-largest, largest)}
+    if options.axis:
+        ranges[columns[1]] = (float(curve["position"][0]), float(curve["position"][-1]))
+    gain = curve["um_per_N"] * options.sign * _twice(options)
+    part = ComponentModel(
+        component=options.component,
+        terms=_terms(options, curve["position"], gain),
+        rows=len(recording),
+        rows_effective=float(len(recording)),
+        rms_before=float(np.sqrt(np.nanmean(deviation**2))),
+        rms_after=found.noise * _twice(options),
+        half_width90=1.645 * found.noise * _twice(options),
+    )
+    manifest = recording.manifest
+    model = ErrorModel(
+        machine=manifest.machine,
+        title=manifest.title,
+        version=__version__,
+        columns={n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in columns},
+        components=(part,),
+        validity=Validity(ranges=ranges),
+        notes=("a force reading that is missing counts as 0 N: no force correction is made",),
+    )
+    return model, {n: [round(float(v), 9) for v in values] for n, values in curve.items()}
+
+
+def _terms(options: Force, at: np.ndarray, gain: np.ndarray) -> tuple[Any, ...]:
+    """Force times a level, and force times a curve over the axis, um per N."""
+    import numpy as np
+
+    from errpipe.domain.error_model import FittedParameter, FittedTerm
+    from errpipe.errors import VerifyError
+    from errpipe.terms import Curve, plain
+    from errpipe.terms.profile_driver import ProfileDriver
+
+    push: dict[str, Any] = {"driver": ({"input": options.force, "unit": "N"},)}
+    level = ProfileDriver(**push)
+    terms, values = [level], [np.array([gain.mean()])]
+    if options.axis and np.ptp(gain) > 0:
+        curve = Curve(segments=SEGMENTS, span=(float(at[0]), float(at[-1])))
+        basis = np.column_stack([np.ones(len(at)), curve.basis(at)])
+        found, *_ = np.linalg.lstsq(basis, gain, rcond=None)
+        worst = float(np.abs(basis @ found - gain).max())
+        if worst > MISSED * np.abs(gain).max():
+            raise VerifyError(f"identify_force: the table's curve would miss the compliance by {worst:.3g} um/N")
+        terms.append(ProfileDriver(axis=options.axis, profile=curve, **push))
+        values = [found[:1], found[1:]]
+    return tuple(
+        FittedTerm(
+            term=plain(term),
+            parameters=tuple(
+                FittedParameter(name=p.name, value=float(v), unit="um/N")
+                for p, v in zip(term.linear(), each, strict=True)
+            ),
+        )
+        for term, each in zip(terms, values, strict=True)
+    )
