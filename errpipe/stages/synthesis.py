@@ -1,34 +1,42 @@
-"""The error model of a machine in symbols: what each component does to the tool point, for any chain of linear axes."""
+"""The error model of a machine in symbols: what each component does to the tool point, for any chain of axes."""
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from errpipe.kinematics.chain import Chain
+    from errpipe.kinematics.polynomials import Polynomial
 
 ZERO = 1e-9  # mm: arms below are rounding
-TOOL = ("L", "TX", "TY", "TZ")  # length along the tool, offsets beside it
+SHORT = {"tool_length": "L", "tool_offset_X": "TX", "tool_offset_Y": "TY", "tool_offset_Z": "TZ"}
 
 
 def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
-    """The document and its lines. Raises UsageError for a machine with rotary axes, whose model is no polynomial."""
+    """The document and its lines. Per component an arm: a sum of products of positions, tool, sines and cosines, mm.
+
+    A displacement's factor has no unit. Each term's `expression` is plain arithmetic: Python and sympy read it.
+    """
     from errpipe import yamlfile
     from errpipe.domain.machine import Machine
-    from errpipe.errors import UsageError
+    from errpipe.kinematics import polynomials
     from errpipe.kinematics.chain import compile_chain
 
     chain = compile_chain(yamlfile.load(machine, Machine))
-    if chain.machine.rotary_axes():
-        raise UsageError(
-            f"synthesis: {chain.machine.name} has rotary axes; its model holds sines of their angles and is evaluated "
-            "as numbers only"
-        )
-    outputs = {f"E_{axis}": _terms(chain, k) for k, axis in enumerate("XYZ")}
+    outputs: dict[str, list[dict[str, Any]]] = {f"E_{axis}": [] for axis in "XYZ"}
+    for (output, component), letters in polynomials.jacobian(chain, "workpiece").items():
+        if output in outputs:
+            scale = 1e3 if chain.angular[chain.index(component)] else 1.0  # um per urad at 1 mm is 1e-3: arms in mm
+            arm = {key: v * scale for key, v in _without_squares(letters).items() if abs(v * scale) > ZERO}
+            if arm:
+                parts = [{"coefficient": v, "of": [SHORT.get(n, n) for n in key]} for key, v in arm.items()]
+                outputs[output].append({"component": component, "arm": parts, "expression": _expression(parts)})
+    for terms in outputs.values():
+        terms.sort(key=lambda term: chain.index(term["component"]))
     count = sum(map(len, outputs.values()))
     document: dict[str, Any] = {
-        "synthesis": 1,
+        "synthesis": 2,
         "machine": chain.machine.name,
         "components": len(chain.components),
         "terms": count,
@@ -36,51 +44,48 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
     }
     lines = [f"{chain.machine.name}: {len(chain.components)} components, {count} terms; um, urad x arm in mm / 1000"]
     for name, terms in outputs.items():
-        lines.append(f"{name} =")
-        lines += [f"  {_text(term)}" for term in terms]
+        lines += [f"{name} =", *(f"  {_text(term)}" for term in terms)]
     return document, lines
 
 
-def _terms(chain: Chain, k: int) -> list[dict[str, Any]]:
-    """Per component that acts on direction k: a constant arm and one per symbol, mm; displacements: factor 1.
+def _without_squares(letters: Polynomial) -> Polynomial:
+    """The same with sin^2 written as 1 - cos^2, so that equal arms read alike."""
+    out: Polynomial = {}
+    waiting = list(letters.items())
+    while waiting:
+        key, value = waiting.pop()
+        twice = next((n for n, times in Counter(key).items() if n.startswith("sin ") and times > 1), None)
+        if twice is None:
+            out[key] = out.get(key, 0.0) + value
+            continue
+        rest = list(key)
+        rest.remove(twice)
+        rest.remove(twice)
+        cosine = twice.replace("sin", "cos")
+        waiting += [(tuple(sorted(rest)), value), (tuple(sorted((*rest, cosine, cosine))), -value)]
+    return dict(sorted(out.items(), key=lambda item: (not item[0], len(item[0]), item[0])))
 
-    The Jacobian of a chain of linear axes is affine in positions and tool, so its value at one place and its steps
-    along each symbol are all of it.
-    """
-    import numpy as np
 
-    from errpipe.kinematics import synthesis as model
+def _expression(parts: list[dict[str, Any]]) -> str:
+    """A sum of products, such as `L*cos(B) - 120`."""
+    text = ""
+    for part in parts:
+        value, names = part["coefficient"], [_function(n) for n in part["of"]]
+        size = [] if names and abs(abs(value) - 1.0) < ZERO else [f"{abs(value):g}"]
+        text += f" {'-' if value < 0 else '+'} " + "*".join(size + names)
+    text = text.removeprefix(" + ")
+    return f"-{text.removeprefix(' - ')}" if text.startswith(" - ") else text
 
-    still = np.zeros((1, len(chain.axes)))
-    base = model.jacobian(chain, still, chain.tip(0.0, (0.0, 0.0, 0.0)))[0, k]
-    steps = {}
-    for a, axis in enumerate(chain.axes):
-        q = still.copy()
-        q[0, a] = 1.0
-        steps[axis] = model.jacobian(chain, q, chain.tip(0.0, (0.0, 0.0, 0.0)))[0, k] - base
-    tips = [(1.0, (0.0, 0.0, 0.0)), *((0.0, tuple(row)) for row in np.eye(3))]
-    for name, (length, offset) in zip(TOOL, tips, strict=True):
-        steps[name] = model.jacobian(chain, still, chain.tip(length, offset))[0, k] - base
-    out = []
-    for c, component in enumerate(chain.components):
-        scale = 1e3 if chain.angular[c] else 1.0  # um per urad at 1 mm is 1e-3: arms in mm
-        per = {n: float(v[c] * scale) for n, v in steps.items() if abs(v[c] * scale) > ZERO}
-        constant = float(base[c] * scale)
-        if per or abs(constant) > ZERO:
-            out.append({"component": component, "constant": constant if abs(constant) > ZERO else 0.0, "per": per})
-    return out
+
+def _function(name: str) -> str:
+    function, _, axis = name.rpartition(" ")
+    return f"{function}({axis})" if function else name
 
 
 def _text(term: dict[str, Any]) -> str:
     """One term as a line, such as `+ (L + Z - 120) EBX`."""
-    parts = [_signed(v, n) for n, v in term["per"].items()]
-    if not parts:
-        return f"{_signed(term['constant'], term['component'])}".strip()
-    if term["constant"]:
-        parts.append(_signed(term["constant"], ""))
-    return f"+ ({' '.join(parts).removeprefix('+ ')}) {term['component']}"
-
-
-def _signed(value: float, name: str) -> str:
-    size = "" if abs(abs(value) - 1.0) < ZERO and name else f"{abs(value):g} " if name else f"{abs(value):g}"
-    return f"{'-' if value < 0 else '+'} {size}{name}"
+    arm, component = term["expression"], term["component"]
+    if len(term["arm"]) > 1:
+        return f"+ ({arm}) {component}"
+    sign, size = ("-", arm[1:]) if arm.startswith("-") else ("+", arm)
+    return f"{sign} {component}" if size == "1" else f"{sign} {size} {component}"
