@@ -19,7 +19,7 @@ from errpipe.terms.offset import Offset
 from errpipe.terms.profile_driver import ProfileDriver
 from errpipe.terms.smooth_curve import SmoothCurve
 
-SEGMENTS = 48  # of the spline that takes a curve up
+SEGMENTS = 48  # of the spline that takes a curve up; more where the curve has more than 65 points
 CLOSE = 0.02  # um, urad: how near the spline must come to the identified curve
 
 
@@ -72,12 +72,13 @@ def _curve(name: str, axis: str, curve: Mapping[str, Any]) -> list[FittedTerm]:
     """A level and a spline that give an identified curve back."""
     value = np.asarray(curve["value"], dtype=float)
     at = curve["start"] + curve["step"] * np.arange(len(value))
-    term = SmoothCurve(axis=axis, segments=SEGMENTS, span=(float(at[0]), float(at[-1])))
+    segments = max(SEGMENTS, len(at) * 3 // 4)
+    term = SmoothCurve(axis=axis, segments=segments, span=(float(at[0]), float(at[-1])))
     basis = np.column_stack([np.ones(len(at)), term._profile().basis(at)])
     found, *_ = np.linalg.lstsq(basis, value, rcond=None)
     worst = float(np.abs(basis @ found - value).max())
     if worst > CLOSE + 1e-3 * float(np.ptp(value)):
-        raise VerifyError(f"{name}: a spline of {SEGMENTS} stretches misses the identified curve by {worst:.3g}")
+        raise VerifyError(f"{name}: a spline of {segments} stretches misses the identified curve by {worst:.3g}")
     unit = curve["unit"]
     return [_fitted(Offset(), [found[0]], unit), _fitted(term, found[1:], unit)]
 

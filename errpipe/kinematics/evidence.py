@@ -13,6 +13,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
+ROUGHER, ROUGH_POWER = 2.0, 1.5  # second start of the search: logarithm of sizes over typical ones; smoothness
+
 
 @dataclass(frozen=True)
 class Spreads:
@@ -105,13 +107,23 @@ def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarr
         slope[-1] = moments.count - (fit - u @ u) - (len(u) - left.sum())
         return value, slope[free] + away / spreads.certainty[free]
 
-    first = centre.copy() if start is None else np.log(start)
-    if start is None:
-        first[-1] = np.log(_residual(spreads, moments, unpack(centre[free])))
-    limits = [(c - 6, c + 6) for c in centre[:-2]] + [(np.log(1.2), np.log(6.0)), (first[-1] - 4, first[-1] + 4)]
-    bounds = [limit for limit, f in zip(limits, free, strict=True) if f]
-    found = minimize(cost, first[free], jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
-    return unpack(found.x)
+    def search(first: np.ndarray) -> tuple[float, np.ndarray]:
+        limits = [(c - 6, c + 6) for c in centre[:-2]] + [(np.log(1.2), np.log(6.0)), (first[-1] - 4, first[-1] + 4)]
+        bounds = [limit for limit, f in zip(limits, free, strict=True) if f]
+        found = minimize(cost, first[free], jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
+        return float(found.fun), found.x
+
+    if start is not None:
+        return unpack(search(np.log(start))[1])
+    smooth, rough_curve = centre.copy(), centre.copy()
+    rough_curve[:-2] += ROUGHER
+    rough_curve[-2] = np.log(ROUGH_POWER)
+    for first in (smooth, rough_curve):
+        first[-1] = np.log(_residual(spreads, moments, unpack(first[free])))
+    best = search(smooth)
+    if cost(rough_curve[free])[0] < best[0]:  # a wave too short for the smooth start to feel
+        best = min(best, search(rough_curve), key=lambda one: one[0])
+    return unpack(best[1])
 
 
 def _residual(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> float:

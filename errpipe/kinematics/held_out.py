@@ -20,6 +20,7 @@ from errpipe.kinematics.observations import Observations
 CELLS = 50  # of the travel: places in one cell of this lattice are one place
 SAME = 0.5  # share of its places that a run has in common with another one of the same line, circle or plate
 MOST_GROUPS = 6  # identifications repeated; more groups sit out several at a time
+FEATURE_GROUPS, FEWEST_FEATURES = 5, 30  # of a part: six features at least judge each time, for its six of set-up
 LEAST = 8  # readings of an identification
 
 
@@ -37,11 +38,17 @@ def groups(chain: Chain, obs: Observations) -> tuple[np.ndarray, tuple[str, ...]
     """Group of each row (n,), and the groups' labels; one group means that nothing can sit out.
 
     Runs that share most of their places are one group. Where that leaves a single one (a cloud seen with three tools),
-    each run is its own group.
+    each run is its own group. Of a single run (a part) every fifth place, a feature with all its readings, sits out in
+    turn.
     """
     labels, run = np.unique(obs.label.astype(str), return_inverse=True)
     low, high = chain.travel.T
     cell = np.round((obs.q - low) / (high - low) * CELLS).astype(int)
+    if len(labels) == 1:
+        _, place = np.unique(cell, axis=0, return_inverse=True)
+        place = place.reshape(-1)
+        turns = FEATURE_GROUPS if place.max() + 1 >= FEWEST_FEATURES else 1
+        return place % turns, tuple(f"places {k + 1}, {k + 1 + turns} ..." for k in range(turns))
     seen = [set(map(tuple, cell[run == r])) for r in range(len(labels))]
     number = np.arange(len(labels))
     for i, own in enumerate(seen):

@@ -9,6 +9,9 @@ The manifest's constants name the protocol and the set-up (mm; `name@run` for on
     beam_X                       direction of a laser beam (any length)
     seconds                      measuring time
 
+A part is one run: a row per feature at its nominal place, with the deviations that the feature has (a bore's centre no
+E_Z, a face E_Z alone); how it lay on the CMM and how warm it was cut is set-up.
+
 Columns: `run`, a position for each axis (left out: 0, or the centre), and the error: E_R along a bar or beam,
 E_X E_Y E_Z at the tool point, E_A E_B E_C for a level or autocollimator.
 """
@@ -130,6 +133,7 @@ PROTOCOLS: dict[str, Callable[[_Run], o.Observations]] = {
     "ball_plate": _points("XYZABC"),
     "ball_array": _points("XYZABC"),
     "hole_pattern": _points("XYC"),
+    "part": _points("XYZABC", scale=True),  # features that a CMM measured: bore centres in X and Y, faces along Z
 }
 
 

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from errpipe.domain.recording import Recording
+from errpipe.kinematics import direct, protocols, records
 from errpipe.kinematics import observations as o
-from errpipe.kinematics import protocols, records
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.direct import Laser
+
+AT_THE_TOOL, FEWEST, MOST = (
+    12,
+    20,
+    48,
+)  # waves: of tests at the tool; of records; beyond 48 `unfollowed` says what is missed
+LEAST_MISSED = 0.05  # um, urad: less is no shape
 
 
 def of_tests(
@@ -28,3 +37,34 @@ def of_tests(
     if single:
         every.append(records.observations(chain, single, lasers=lasers, squares=squares))
     return o.concatenate(every), counts
+
+
+def modes(tests: Mapping[str, Recording]) -> int:
+    """Waves per error motion that the readings can show: two less than the targets of the densest record."""
+    dense = 0
+    for recording in tests.values():
+        for component in (c for c in recording.components() if direct.is_motion(c)):
+            at = recording.array(direct.position_of(recording, component))
+            value = recording.array(str(recording.name("error", component=component)))
+            dense = max(dense, len(direct.targets_of(at[np.isfinite(at) & np.isfinite(value)])[0]))
+    return min(MOST, max(FEWEST, dense - 2)) if dense else AT_THE_TOOL
+
+
+def unfollowed(chain: Chain, obs: o.Observations, residual: np.ndarray) -> dict[str, float]:
+    """What repeated readings of a component's targets agree on and its curve does not follow, rms in um or urad.
+
+    Mean residual of each target and side, less what the scatter of single readings leaves of it.
+    """
+    out: dict[str, float] = {}
+    for label in dict.fromkeys(obs.label.tolist() if obs.own is not None else ()):
+        name = str(label).split(" ")[-1]
+        rows = np.flatnonzero((obs.label == label) & ~np.isnan(obs.own).any(axis=1)) if obs.own is not None else ()
+        if name not in chain.components or len(rows) == 0:
+            continue
+        place = direct.targets_of(obs.q[rows, chain.drives[chain.index(name)]])[1]
+        count = np.maximum(np.bincount(place), 1)
+        mean = np.bincount(place, weights=residual[rows]) / count
+        left = float(np.mean(mean**2) - np.mean(obs.noise[rows] ** 2) * np.mean(1.0 / count))
+        if left > LEAST_MISSED**2:
+            out[name] = max(out.get(name, 0.0), float(np.sqrt(left)))
+    return out

@@ -18,12 +18,17 @@ from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.identify import Identified
 from errpipe.kinematics.observations import Observations
 
-NODES = 65  # points of a curve
+NODES, PER_WAVE = 65, 8  # points of a curve: at least; per wave of its basis (straight lines then miss 2 % of it)
 PLACES = 200  # of the volume at which the remainder and the predicted error are looked at
 
 
-def document(found: Identified, obs: Observations, *, extra: bool = True) -> dict[str, Any]:
-    """Everything found, JSON values only: um, urad, mm, deg; `extra` proposes measurements for what is not seen."""
+def document(
+    found: Identified, obs: Observations, *, extra: bool = True, missed: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Everything found, JSON values only: um, urad, mm, deg; `extra` proposes measurements for what is not seen.
+
+    missed: rms of what a component's curve does not follow (um, urad): its interval holds that too.
+    """
     chain = found.model.chain
     without = tuple(n for i, n in enumerate(chain.components) if i not in set(found.model.prior.component))
     seen = observability.examine(chain, obs, noise=found.noise, without=without)
@@ -32,8 +37,9 @@ def document(found: Identified, obs: Observations, *, extra: bool = True) -> dic
         if chain.drives[c] < 0 or name in without:
             continue
         low, high = chain.travel[chain.drives[c]]
-        p = np.linspace(low, high, NODES)
+        p = np.linspace(low, high, max(NODES, PER_WAVE * found.model.bases[chain.drives[c]].modes // 2 + 1))
         value, error = found.component(name, p)
+        error = np.hypot(error, (missed or {}).get(name, 0.0))
         curves[name] = {
             "unit": chain.unit(name),
             "start": float(p[0]),
@@ -89,4 +95,5 @@ def errors(chain: Chain, found: Mapping[str, Any], nodes: int = 201) -> MachineE
     for name, curve in found["curves"].items():
         grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
         values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
+        nodes = max(nodes, len(grid))
     return MachineErrors.of(chain, values, nodes)

@@ -123,6 +123,13 @@ def hole_pattern(chain: Chain) -> list[Run]:
     return [Run("plate", q, 100.0)]
 
 
+def part(chain: Chain) -> list[Run]:
+    """A stepped block: bores in three steps, faces between them; `metrology.record` reads what each feature has."""
+    spread = np.linspace(0.08, 0.92, 6)
+    steps = [fractions(chain, spread, spread, share) for share in (0.2, 0.5, 0.8)]
+    return [Run("part", np.concatenate(steps), 120.0)]
+
+
 def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int = 60, seed: int = 2) -> np.ndarray:
     """Rotary axes through their travel, the linear ones following a ball on the table; poses in reach only.
 
@@ -185,6 +192,7 @@ PROTOCOLS: dict[str, Callable[[Chain], list[Run]]] = {
     "ball_plate": ball_plate,
     "ball_array": ball_array,
     "hole_pattern": hole_pattern,
+    "part": part,
     "r_test": r_test,
     "rotary_ballbar": rotary_ballbar,
 }

@@ -163,6 +163,8 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
         for d in directions:
             i = "XYZ".index(d)
             out[f"E_{d}"] = (moved - ideal[:, 0])[:, i] * 1e3 + rng.normal(0, noise, len(run.q))
+            if protocol == "part":  # bores and faces in turn: a bore's centre has no height, a face no place
+                out[f"E_{d}"][np.arange(len(run.q)) % 2 == int(d != "Z")] = np.nan
     return pd.DataFrame(out)
 
 

@@ -45,8 +45,11 @@ def solve(stage: Any, context: Context) -> Solved:
         raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
     seen, _ = readings.of_tests(chain, tests, stage.setups(), stage.squares)
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
-    found = identify.identify(identify.Parametrisation.of(chain, stage.modes, stage.without), seen)
-    document = summary.document(found, seen) | {"procedure": stage.procedure()}
+    modes = readings.modes(tests) if stage.modes is None else stage.modes
+    found = identify.identify(identify.Parametrisation.of(chain, modes, stage.without), seen)
+    missed = readings.unfollowed(chain, seen, found.residual)
+    document = summary.document(found, seen, missed=missed)
+    document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
     if single:
         each = zip(seen.label, seen.noise, strict=True)
         noise = {str(tag).split(" ")[-1]: float(size * found.noise) for tag, size in each}

@@ -23,7 +23,12 @@ class Identify(Stage):
 
     kind: Literal["identify"]
     machine: InputPath = Field(description="Machine file with the kinematic chain.")
-    modes: int = Field(12, ge=2, le=40, description="Waves per error motion; they are shrunk to what the data say.")
+    modes: int | None = Field(
+        None,
+        ge=2,
+        le=120,
+        description="Waves per error motion, shrunk to what the data say; default: as many as the targets can show.",
+    )
     without: tuple[str, ...] = Field((), description="Components taken to be nothing, such as spindle growth.")
     lasers: dict[str, Beam] = LASERS
     squares: dict[str, float] = SQUARES
@@ -58,7 +63,7 @@ class Identify(Stage):
     def procedure(self) -> dict[str, Any]:
         """Options that repeat the identification on other rows, JSON values."""
         lasers = {name: beam.model_dump(mode="json") for name, beam in self.lasers.items()}
-        return {"modes": self.modes, "without": list(self.without), "lasers": lasers, "squares": dict(self.squares)}
+        return {"without": list(self.without), "lasers": lasers, "squares": dict(self.squares)}
 
     def setups(self) -> dict[str, Any]:
         """Laser set-ups as the corrections take them."""

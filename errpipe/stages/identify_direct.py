@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field
-
 from errpipe.pipeline.stage import Context, Need
 from errpipe.stages import _artefacts
 from errpipe.stages.identify import IDENTIFICATION, Identify
@@ -20,7 +18,6 @@ class IdentifyDirect(Identify):
     """
 
     kind: Literal["identify_direct"]  # type: ignore[assignment]  # a stage of its own kind, with the same options
-    modes: int = Field(20, ge=2, le=40, description="Waves per error motion; they are shrunk to what the data say.")
     takes: ClassVar[Mapping[str, Need]] = Identify.takes
     gives: ClassVar[tuple[str, ...]] = ("identified_machine", "error_model")
 
@@ -45,7 +42,7 @@ class IdentifyDirect(Identify):
         model = direct_model.error_model(last, found, found["noise_of"])
         family = Direct(
             machine=yamlfile.load(self.machine, Machine),
-            modes=self.modes,
+            modes=found["procedure"]["modes"],
             components=tuple(motions),
             lasers={n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},
         )

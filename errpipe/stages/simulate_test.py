@@ -31,6 +31,7 @@ class SimulateTest(Stage):
         "ball_plate",
         "ball_array",
         "hole_pattern",
+        "part",
         "r_test",
         "rotary_ballbar",
     ] = Field("point_cloud", description="Which test; direct: laser and level along each axis, both ways.")

@@ -79,6 +79,9 @@ def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
     for component in document["components"]:
         for group in component["groups"]:
             group["coverage90"] = known.get(group["label"], group["coverage90"])
+        covered = [g["coverage90"] for g in component["groups"] if g["coverage90"] is not None]
+        if covered:
+            component["coverage90"] = float(np.mean(covered))
 
 
 def component_figures(recording: Recording, component: str, folds: Sequence[HeldOut]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.kinematics import direct, identify, observability, protocols, records, synthesis
+from errpipe.kinematics import direct, identify, observability, protocols, readings, records, summary, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import compile_chain
 from errpipe.models import direct as direct_family
@@ -310,3 +310,40 @@ def test_intervals_of_direct_records_cover():
     assert 0.92 <= inside <= 0.98
     assert 0.92 <= constants <= 0.98
     assert ratio < 1.2
+
+
+def wave(targets: int) -> Recording:
+    """EXX of a wave of 50 mm and 2 um along 800 mm, three times up and down."""
+    rng = np.random.default_rng(4)
+    up = np.linspace(0.0, 800.0, targets)
+    x = np.tile(np.r_[up, up[::-1]], 3)
+    side = np.tile(np.r_[np.ones(targets), -np.ones(targets)], 3)
+    value = 2.0 * np.sin(2 * np.pi * x / 50.0) + rng.normal(0, 0.05, x.size)
+    columns = {
+        "run": Column(role="run"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "side": Column(role="direction", axis="X"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    frame = pd.DataFrame({"run": np.repeat(["1", "2", "3"], 2 * targets), "x": x, "side": side, "EXX": value})
+    return Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
+
+
+@pytest.mark.parametrize("most, followed", [(None, True), (20, False)])
+def test_the_curve_follows_what_the_targets_show_or_says_what_it_misses(most, followed):
+    """81 targets 10 mm apart show a wave of 50 mm; twenty waves of the basis miss it, and the interval says so."""
+    chain = ready("vertical-centre")
+    assert tuple(chain.travel[chain.axes.index("X")]) == (0.0, 800.0)
+    recording = wave(81)
+    obs, _ = readings.of_tests(chain, {"x": recording})
+    modes = readings.modes({"x": recording}) if most is None else most
+    rest = tuple(c for c in chain.components if c != "EXX")
+    found = identify.identify(identify.Parametrisation.of(chain, modes, rest), obs)
+    missed = readings.unfollowed(chain, obs, found.residual)
+    curve = summary.document(found, obs, extra=False, missed=missed)["curves"]["EXX"]
+    at = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
+    off = np.array(curve["value"]) - 2.0 * np.sin(2 * np.pi * at / 50.0)
+    off -= off.mean()
+    assert (np.sqrt(np.mean(off**2)) < 0.25) == followed
+    assert np.mean(np.abs(off) <= curve["half_width95"]) > 0.9
+    assert bool(missed.get("EXX", 0.0) > 1.0) != followed
