@@ -28,6 +28,7 @@ def _named(protocol):
     ball_plate,
     ball_array,
     hole_pattern,
+    part,
     r_test,
     rotary_ballbar,
 ) = map(_named, runs_of.PROTOCOLS)
