@@ -18,6 +18,8 @@ def checklist(
     target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable, others: Sequence[str] = ()
 ) -> str:
     """The text for one target. read: what the controller makes of its files; others: targets loaded besides."""
+    from errpipe.targets._loss import at_most
+
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     if table.title.startswith(_artefacts.UNGATED):
         lines += [
@@ -45,13 +47,13 @@ def checklist(
         lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
     lines += ["", "## What this format leaves behind", ""]
     lines += [
-        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, largest seen {x['largest_um']:.3g} um"
+        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, at most {at_most(x['bound_um'])} um"
         for x in lost
     ]
     lines += _with_numbers(table, read, numbers)
     if lost:
         seen = lost[0]["states"]
-        lines += ["", f"Seen on {seen} random settled states inside validity and at its ends; not a bound."]
+        lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
 
 
@@ -87,14 +89,14 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
 
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:
     """What is left once the numbers are entered; nothing where they add nothing to the files."""
-    from errpipe.targets import _sample
     from errpipe.targets._base import ReadBack
+    from errpipe.targets._loss import at_most, losses
 
     parts = tuple(number.curve for number in numbers if number.curve is not None)
     if not parts:
         return []
-    left = [x for x in _sample.loss(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
-    says = "; ".join(f"{x.axis} {x.rms:.3g} um rms, largest seen {x.largest:.3g} um" for x in left)
+    left = [x for x in losses(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
+    says = "; ".join(f"{x.axis} {x.rms:.3g} um rms, at most {at_most(x.bound)} um" for x in left)
     return [f"- with the numbers entered by hand: {says}"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -247,18 +248,19 @@ def chosen(names: Sequence[str]) -> list[Any]:
 
 
 def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
-    """Losses per axis on random states inside validity, many of them at its ends: no bound, and not called one."""
-    from errpipe.targets import _sample
+    """Losses per axis: a bound over all settled states inside validity; rms and the largest on random ones."""
+    from errpipe.targets import _loss
 
     return [
         {
             "axis": x.axis,
+            "bound_um": math.ceil(x.bound * 10**DIGITS) / 10**DIGITS,
             "largest_um": round(x.largest, DIGITS),
             "rms_um": round(x.rms, DIGITS),
             "table_rms_um": round(x.table_rms, DIGITS),
-            "states": _sample.STATES,
+            "states": _loss.STATES,
         }
-        for x in _sample.loss(table, read)
+        for x in _loss.losses(table, read)
     ]
 
 
@@ -269,12 +271,16 @@ def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list
 
 def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
-    seen = f" um on {lost[0]['states']} states" if lost else " nothing: no axis is moved"
-    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, {x['largest_um']:.3g} largest seen" for x in lost) + seen
+    from errpipe.targets._loss import at_most
+
+    seen = " um" if lost else " nothing: no axis is moved"
+    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost) + seen
 
 
 def _line(row: dict[str, Any]) -> str:
+    from errpipe.targets._loss import at_most
+
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
-    loss = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, {row['largest_um']:.3g} largest seen"
+    loss = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, at most {at_most(row['bound_um'])}"
     return f"{row['target']:<22} {row['axis']}  {loss}"

@@ -136,7 +136,9 @@ def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     if not _comparable(lost, row):
         return set(then) == {x["axis"] for x in lost}
     return set(then) == {x["axis"] for x in lost} and all(
-        abs(x[key] - then[x["axis"]][key]) <= SAME_UM for x in lost for key in ("largest_um", "rms_um", "table_rms_um")
+        abs(x[key] - then[x["axis"]].get(key, x[key])) <= SAME_UM
+        for x in lost
+        for key in ("bound_um", "largest_um", "rms_um", "table_rms_um")
     )
 
 

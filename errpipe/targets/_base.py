@@ -8,7 +8,7 @@ the loss of the format, in micrometres, and is always reported.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -245,14 +245,3 @@ def expect(condition: bool, target: str, what: str) -> None:
     """Raise VerifyError where a file is not what the controller takes."""
     if not condition:
         raise VerifyError(f"{target}: {what}")
-
-
-@dataclass(frozen=True)
-class Loss:
-    """What a format cannot say: largest and rms difference to the table per axis, um (or thousandths of a degree)."""
-
-    axis: str
-    largest: float
-    rms: float
-    table_rms: float
-    reasons: tuple[str, ...] = field(default_factory=tuple)

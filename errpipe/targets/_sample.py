@@ -10,12 +10,10 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable, Output
 from errpipe.tables import batch
-from errpipe.targets._base import Curve, Line, Loss, Plane, Points, ReadBack
+from errpipe.targets._base import Curve, Line, Plane, Points
 
 SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
-STATES = 2000  # random states on which a loss is measured
-AT_ENDS = 0.3  # share of them at an end of each range
 PER_KELVIN = 2.0  # K on either side for a slope
 MOST_CURVE = 4000
 LEAST_REVERSAL = 1e-4  # mm (deg) of lost motion: a tenth of a micrometre
@@ -257,34 +255,3 @@ def plane(table: CompensationTable, axis: str, over: tuple[str, str], points: tu
     states = {names[over[0]]: a, names[over[1]]: b}
     mean = (corrections(table, axis, states, np.ones(a.size)) + corrections(table, axis, states, -np.ones(a.size))) / 2
     return Plane(axis, over, grids[0], grids[1], mean.reshape(points[0].count, points[1].count))
-
-
-def loss(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss]:
-    """Difference between the table and what a controller makes of a file, on random settled states inside validity.
-
-    Ends of travel and of validity are drawn often: it is there that a straight line or a held value is furthest off.
-    """
-    rng = np.random.default_rng(seed)
-    names, side = positions_of(table), np.where(rng.random(STATES) < 0.5, 1.0, -1.0)
-
-    def drawn(low: float, high: float) -> np.ndarray:
-        at = rng.random(STATES)
-        inside = low + (high - low) * rng.random(STATES)
-        return np.where(at < AT_ENDS / 2, low, np.where(at > 1 - AT_ENDS / 2, high, inside))
-
-    states = {name: drawn(*span(table, axis)) for axis, name in names.items()}
-    states |= {i.name: drawn(*i.valid) for i in table.inputs if i.valid is not None and i.name not in states}
-    at = {axis: states[name] for axis, name in names.items()}
-    start = middle(table)
-    others = [i.name for i in table.inputs if i.name in start and i.name not in names.values()]
-    sensors = {name: states.get(name, np.full(STATES, start[name])) for name in others}
-    out = []
-    for axis in outputs_by_axis(table):
-        want = corrections(table, axis, states, side)
-        gap = 1e3 * (read.correction(axis, at, side, sensors) - want)
-        out.append(Loss(axis, float(np.abs(gap).max()), _rms(gap), 1e3 * _rms(want)))
-    return out
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -14,7 +14,7 @@ import pytest
 
 from errpipe.kernels import table_cycle
 from errpipe.tables import batch, bounds, pack
-from errpipe.targets import _sample
+from errpipe.targets import _loss
 from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
 from errpipe.targets.linuxcnc_screw import LinuxcncScrew
 from tests.e2e.linuxcnc import machine, session
@@ -143,7 +143,7 @@ def test_a_screw_file_leaves_what_was_predicted(linuxcnc, capsys):
     )
     residual = record.deviation()
     gap = np.abs(residual - rest)[settled]
-    general = {x.axis: x for x in _sample.loss(made, read)}
+    general = {x.axis: x for x in _loss.losses(made, read)}
     with capsys.disabled():
         print("\nScrew files, um:                                             rms X Y Z, largest X Y Z")
         print(told("residual in LinuxCNC", residual[settled]))

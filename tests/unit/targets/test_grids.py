@@ -12,7 +12,7 @@ from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import TableInput
 from errpipe.stages import targets as stage
-from errpipe.targets import TARGETS, _sample
+from errpipe.targets import TARGETS, _loss, _sample
 from errpipe.terms._base import Lowered
 from tests.unit.targets import machines
 
@@ -89,7 +89,7 @@ def test_one_screw_in_two_files_of_one_control_acts_once(tmp_path, lost):
     assert {f["file"].split("/")[0] for f in files} == {p.name for p in parts[: 2 if lost else 1]}
     if lost:
         _, read = stage.write_together(table, parts)
-        (whole,) = _sample.loss(table, read)
+        (whole,) = _loss.losses(table, read)
         assert whole.largest < 0.1
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import VerifyError
-from errpipe.targets import TARGETS, _sample
+from errpipe.targets import TARGETS, _loss, _sample
 from tests.unit.targets import machines
 
 (CEC,) = [t for t in TARGETS if t.name == "sinumerik_cec"]
@@ -107,9 +107,9 @@ def test_the_loss_of_a_tilt_is_that_of_rounding():
     """Sums of curves over one axis each leave 1.4 um rms of the tilt, 5.4 um at most."""
     table = machines.tilting()
     files = CEC.write(table)
-    (whole,) = _sample.loss(table, CEC.read_back(files))
+    (whole,) = _loss.losses(table, CEC.read_back(files))
     read = CEC.read_back(files)
-    (sums,) = _sample.loss(table, type(read)(curves=read.curves))
+    (sums,) = _loss.losses(table, type(read)(curves=read.curves))
     print(f"\ntilting axis: sums of curves lose {sums.rms:.2f} um rms, with products {whole.rms:.4f}")
     assert sums.rms > 1.4 and sums.largest > 5 and whole.rms < 0.05 and whole.largest < 0.11
 
@@ -153,6 +153,6 @@ def test_two_outputs_of_one_axis_add_up_in_every_format():
         at = {"X": np.array([0.0, 500.0]), "Y": np.zeros(2), "Z": np.zeros(2)}
         ends = read.correction("X", at, np.ones(2), {"T": np.full(2, 20.0)})
         assert 1e3 * (ends[1] - ends[0]) == pytest.approx(-14.0, abs=target.rounding_um + 0.1)
-        (lost,) = _sample.loss(table, read)
+        (lost,) = _loss.losses(table, read)
         assert lost.table_rms == pytest.approx(14.0 / np.sqrt(3), rel=0.1), target.name
         assert lost.rms < 8.0 or not target.keeps_level, target.name  # zero where the control counts from

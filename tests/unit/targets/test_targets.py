@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import GateError, VerifyError
-from errpipe.targets import TARGETS, _sample
+from errpipe.targets import TARGETS, _loss, _sample
 from tests.unit.targets import machines
 
 every = pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
@@ -158,8 +158,8 @@ def test_loss_is_reported_in_micrometres():
     (lec,) = [t for t in TARGETS if t.name == "sinumerik_lec"]
     (warm,) = [t for t in TARGETS if t.name == "sinumerik_temperature"]
     table = machines.warm()
-    by_curve = {x.axis: x for x in _sample.loss(table, read(lec, table))}
-    by_line = {x.axis: x for x in _sample.loss(table, read(warm, table))}
+    by_curve = {x.axis: x for x in _loss.losses(table, read(lec, table))}
+    by_line = {x.axis: x for x in _loss.losses(table, read(warm, table))}
     assert by_curve["X"].rms > 5.0
     assert by_line["X"].largest < 0.6
     assert by_line["Z"].largest < 0.1

@@ -13,7 +13,7 @@ from errpipe.errors import VerifyError
 from errpipe.stages import targets as stage
 from errpipe.stages.verify import verify
 from errpipe.tables import ect
-from errpipe.targets import TARGETS, _sample
+from errpipe.targets import TARGETS, _loss, _sample
 from tests.unit.targets import machines
 
 BY_NAME = {t.name: t for t in TARGETS}
@@ -47,10 +47,10 @@ def bent_and_warm():
 def test_together_they_say_nearly_everything(names):
     table = bent_and_warm()
     _, read = stage.write_together(table, [BY_NAME[n] for n in names])
-    whole = {x.axis: x for x in _sample.loss(table, read)}
+    whole = {x.axis: x for x in _loss.losses(table, read)}
     assert max(x.largest for x in whole.values()) < 0.6  # rounding, and the settled slope at the edge of its fade
     for name in names:
-        alone = {x.axis: x for x in _sample.loss(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
+        alone = {x.axis: x for x in _loss.losses(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
         assert max(x.rms for x in alone.values()) > 5 * max(x.rms for x in whole.values()), name
 
 
@@ -98,7 +98,7 @@ def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
 def test_a_cross_curve_that_stands_alone_holds_its_constant(name):
     """Y moves over X only: nothing else would hold the height of the bow in the middle of X."""
     table = bent_and_warm()
-    found = {x.axis: x for x in _sample.loss(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
+    found = {x.axis: x for x in _loss.losses(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
     assert found["Y"].largest < 0.15
 
 

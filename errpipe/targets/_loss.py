@@ -1,0 +1,168 @@
+"""What a format loses of a table: a bound over all settled states inside validity, and rms over random ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.table import CompensationTable
+from errpipe.tables import maximum
+from errpipe.tables.expansion import SIDE, Expansion, Term, Terms, collected, scaled
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, Line, Plane, ReadBack
+from errpipe.targets._whole import WholeTable
+
+STATES = 2000  # random states for the rms
+AT_ENDS = 0.3  # share of them at an end of each range
+UM = 1e3  # per mm (thousandths of a degree per degree)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Of one axis, um (or thousandths of a degree): between files and table, and of the table itself.
+
+    bound: no settled state inside travel and validity, approached from either side, differs by more; largest, rms: on
+    STATES random ones; table_rms: what the table corrects on them.
+    """
+
+    axis: str
+    bound: float
+    largest: float
+    rms: float
+    table_rms: float
+
+
+def losses(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss]:
+    """Per axis, what a controller makes of the files against what the table says."""
+    found = bounds(table, read)
+    states, side = _states(table, np.random.default_rng(seed))
+    names, start = _sample.positions_of(table), _sample.middle(table)
+    at = {axis: states[name] for axis, name in names.items()}
+    others = [i.name for i in table.inputs if i.name in start and i.name not in names.values()]
+    sensors = {name: states.get(name, np.full(STATES, start[name])) for name in others}
+    out = []
+    for axis in _sample.outputs_by_axis(table):
+        want = _sample.corrections(table, axis, states, side)
+        gap = UM * (read.correction(axis, at, side, sensors) - want)
+        out.append(Loss(axis, found[axis].bound, float(np.abs(gap).max()), _rms(gap), UM * _rms(want)))
+    return out
+
+
+def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Random settled states, many of them at ends of travel and of validity, and the side each is approached from."""
+    side = np.where(rng.random(STATES) < 0.5, 1.0, -1.0)
+
+    def drawn(low: float, high: float) -> np.ndarray:
+        at = rng.random(STATES)
+        inside = low + (high - low) * rng.random(STATES)
+        return np.where(at < AT_ENDS / 2, low, np.where(at > 1 - AT_ENDS / 2, high, inside))
+
+    names = _sample.positions_of(table)
+    states = {names[axis]: drawn(*ends) for axis, ends in travel(table).items()}
+    known = [i for i in table.inputs if i.valid is not None and not i.optional and i.name not in states]
+    states |= {i.name: drawn(*i.valid) for i in known if i.valid is not None}
+    return states, side
+
+
+def travel(table: CompensationTable) -> dict[str, tuple[float, float]]:
+    """Axis -> where a loss is looked for: its profiles' range inside validity, with room to run up to each point."""
+    out = {}
+    for i in table.inputs:
+        if i.kind == "position":
+            low, high = _sample.span(table, i.axis)
+            valid = i.valid or (low, high)
+            low = max(low, valid[0], i.low + _sample.RUN_UP)
+            out[i.axis] = low, max(low, min(high, valid[1], i.high - _sample.RUN_UP))
+    return out
+
+
+def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Largest]:
+    """Axis -> bound of the difference between files and table, um."""
+    axes = _sample.outputs_by_axis(table)
+    if isinstance(read, WholeTable) and read.table == table:
+        return dict.fromkeys(axes, maximum.Largest(0.0, 0.0))
+    more: dict[str, list[np.ndarray]] = {}
+    for c in read.curves:
+        more.setdefault(c.over, []).append(c.positions)
+    for p in read.planes:
+        for axis, grid in zip(p.over, (p.first, p.second), strict=True):
+            more.setdefault(axis, []).append(grid)
+    for q in read.products:
+        for axis, grid in zip(q.over, q.positions, strict=True):
+            more.setdefault(axis, []).append(grid)
+    tables = [table, *([read.table] if isinstance(read, WholeTable) else [])]
+    room = Expansion(travel(table), more, tables, run_up=_sample.RUN_UP)
+    out, moved = {}, _moved(room, table)
+    if isinstance(read, WholeTable):
+        theirs = _moved(room, read.table)
+    else:
+        theirs = {axis: _read(room, table, read, axis) for axis in axes}
+    for axis in axes:
+        gap = [*scaled(theirs.get(axis, []), UM), *scaled(moved[axis], -UM)]
+        out[axis] = maximum.largest(collected(gap), room.knots)
+    return out
+
+
+def _moved(room: Expansion, table: CompensationTable) -> dict[str, Terms]:
+    """Axis -> correction of a table, mm (deg)."""
+    deviation = room.outputs(table, _sample.middle(table))
+    return {
+        axis: [
+            x for o in outputs for x in scaled(deviation[o.name], -o.factor * _sample.MACHINE_UNITS[o.correction_unit])
+        ]
+        for axis, outputs in _sample.outputs_by_axis(table).items()
+    }
+
+
+def _read(room: Expansion, table: CompensationTable, read: ReadBack, axis: str) -> Terms:
+    """Correction of one axis by files, mm (deg)."""
+    out: Terms = []
+    for c in read.curves:
+        out += _curve(room, c) if c.axis == axis else []
+    for p in read.planes:
+        out += _plane(room, p) if p.axis == axis else []
+    for q in read.products:
+        if q.axis == axis:
+            first, second = (room.curve(over, x, v) for over, x, v in zip(q.over, q.positions, q.values, strict=True))
+            out += room.product([first], [second])
+    for line in read.lines:
+        out += _line(room, table, line) if line.axis == axis else []
+    return out
+
+
+def _curve(room: Expansion, c: Curve) -> Terms:
+    """Mean of both directions, and half their difference times the side."""
+    half = room.curve(c.over, c.positions, (c.up - c.down) / 2)
+    mean = room.curve(c.over, c.positions, (c.up + c.down) / 2)
+    return [mean, Term(half.factor, half.curves, (SIDE + c.over,))]
+
+
+def _plane(room: Expansion, p: Plane) -> Terms:
+    """Bilinear: for each position of the first axis a hat over it times the row over the second."""
+    out = []
+    for hat, row in zip(np.eye(p.first.size), p.values, strict=True):
+        if row.any():
+            curves = {**room.curve(p.over[0], p.first, hat).curves, **room.curve(p.over[1], p.second, row).curves}
+            out.append(Term(1.0, curves))
+    return out
+
+
+def _line(room: Expansion, table: CompensationTable, line: Line) -> Terms:
+    """(reading - reference) x (level + slope x (position - zero))."""
+    channel = table.inputs[table.input_index(line.sensor)]
+    along: Mapping[str, np.ndarray] = room.knots
+    way = [Term(line.slope, {line.axis: along[line.axis] - line.zero})] if line.axis in along and line.slope else []
+    return room.product([*room.input(channel), Term(-line.reference)], [Term(line.level), *way])
+
+
+def at_most(bound: float) -> str:
+    """A bound in three digits that are not below it."""
+    unit = 10.0 ** (math.floor(math.log10(bound)) - 2) if bound > 0 else 1.0
+    return f"{math.ceil(bound / unit - 1e-9) * unit:.3g}"
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

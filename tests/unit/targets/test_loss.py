@@ -1,0 +1,160 @@
+"""What a format loses: a bound that no state exceeds, random or searched for, and that is not far above the worst."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.bench_tables import machine
+from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.drivers.lowered import Lowered
+from errpipe.errors import GateError
+from errpipe.tables import expansion, maximum
+from errpipe.tables.reference import Evaluator
+from errpipe.targets import TARGETS, _loss, _sample
+from errpipe.targets._base import ReadBack
+from tests.faults import sequences
+from tests.unit.tables.made import everything
+from tests.unit.targets import machines
+
+FACTOR = 1.1  # bound over the worst state that a search finds
+
+
+def bent_by_temperature():
+    """Drivers that are not straight in the reading: a power, a lookup, a clip, a product of two, an approach."""
+    growth = d.Lookup(start=10.0, step=5.0, values=(0.0, 3.0, 4.0, 9.0, 8.0), of=d.Input(name="T"))
+    bowed = d.Power(exponent=1.7, of=d.above("T", 20.0))
+    capped = d.Clip(low=-3.0, high=6.0, of=d.above("T", 20.0))
+    pairs = [
+        Lowered(growth),
+        Lowered(bowed, "X", lambda x: 0.3 * np.sin(x / 70.0)),
+        Lowered(d.Product(of=(capped, capped)), "X", lambda x: x / 500.0),
+        Lowered(d.Approach(length=0.4, axis="X", threshold=0.001), None, lambda x: np.full(np.shape(x), -2.0)),
+    ]
+    return machines.compile_(("EXX", pairs))
+
+
+TABLES = {
+    "wave": machines.wavy_both_directions,
+    "bed": machines.bent,
+    "warm": machines.warm,
+    "tilt": machines.tilting,
+    "two outputs": machines.two_outputs,
+    "screw and column": lambda: sequences.table(0),
+    "volume": lambda: machine(thermal=True),
+    "not straight": bent_by_temperature,
+}
+
+
+def search(table, read, axis, seed):
+    """The largest difference, um, that random states and a search around the worst of them find."""
+    rng = np.random.default_rng(seed)
+    states, side = _loss._states(table, rng)
+    names, start = _sample.positions_of(table), _sample.middle(table)
+    ends = {names[a]: e for a, e in _loss.travel(table).items()}
+    ends |= {i.name: i.valid for i in table.inputs if i.valid is not None and i.name not in ends}
+
+    def gap(at, side):
+        sensors = {n: at.get(n, np.full(side.size, v)) for n, v in start.items() if n not in names.values()}
+        own = read.correction(axis, {a: at[n] for a, n in names.items()}, side, sensors)
+        return 1e3 * np.abs(own - _sample.corrections(table, axis, at, side))
+
+    worst = 0.0
+    for width in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003):
+        found = gap(states, side)
+        best = int(found.argmax())
+        worst = max(worst, float(found[best]))
+        for name, (low, high) in ends.items():
+            near = states[name][best] + width * (high - low) * rng.normal(size=_loss.STATES) * (rng.random(2000) < 0.5)
+            near[0] = states[name][best]
+            states[name] = np.clip(near, low, high)
+        side = np.where(rng.random(_loss.STATES) < 0.8, side[best], -side[best])
+    return worst
+
+
+@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize(
+    "target", ["nothing", "linuxcnc_screw", "sinumerik_cec", "klipper_sections", "mach4_screw_map"]
+)
+def test_no_state_exceeds_the_bound_and_it_is_close(name, target):
+    table = TABLES[name]()
+    formats = {t.name: t for t in TARGETS}
+    try:
+        read = formats[target].read_back(formats[target].write(table)) if target in formats else ReadBack()
+    except GateError:
+        return  # a format that refuses the table loses nothing of it
+    for axis, found in _loss.bounds(table, read).items():
+        worst = search(table, read, axis, seed=5)
+        assert worst <= found.bound * (1 + 1e-9) + 1e-9
+        assert found.reached <= found.bound
+        assert found.bound <= FACTOR * worst + 0.02, (axis, found, worst)
+
+
+def test_a_narrow_peak_that_random_states_miss_is_in_the_bound():
+    peak = Lowered(d.ONE, "X", lambda x: np.maximum(0.0, 30.0 * (1.0 - np.abs(x - 377.3) / 0.7)))
+    table = tables.compile_table(
+        [tables.ComponentSource("EXX", "um", (peak,))], inputs=machines.INPUTS, travel=machines.AXES, error_bound=1.0
+    )
+    (seen,) = _loss.losses(table, ReadBack())
+    (found,) = _loss.bounds(table, ReadBack()).values()
+    profile = table.profiles[0]
+    highest = profile.scale * max(profile.values)
+    assert seen.largest < 0.98 * highest <= found.bound == seen.bound == pytest.approx(highest)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_every_node_of_a_random_table_lies_within_its_expansion(seed):
+    """Bounds of nodes and profiles against the evaluator, on tables of every operation."""
+    table = everything(seed)
+    names, start = _sample.positions_of(table), _sample.middle(table)
+    ends = {a: e for a, e in _loss.travel(table).items() if e[0] < e[1]}
+    if len(names) < sum(i.kind == "position" for i in table.inputs) or set(ends) != set(names):
+        return  # two inputs of one axis, or no way to go: no machine has that
+    approaches = [n for n in table.nodes if n.op == "approach"]
+    if any(table.nodes[n.of[1]].op != "direction" for n in approaches):
+        return  # what builds up towards something that is no direction
+    room = expansion.Expansion(ends, tables=(table,))
+    spans = [expansion.span(x) for x in room._nodes(table, start)]
+    rng = np.random.default_rng(seed)
+    states, _ = _loss._states(table, rng)
+    for k in range(60):
+        evaluator, at = Evaluator(table), start | {n: float(v[k]) for n, v in states.items()}
+        for reading in (start, at, at, at):  # no run-up: a lag of a position would be behind by it
+            evaluator.cycle(reading, dt=0.0 if reading is start else _sample.SETTLED)
+        for number, (value, (low, high)) in enumerate(zip(evaluator.nodes(), spans, strict=True)):
+            room_for_rounding = 1e-9 * (1 + abs(low) + abs(high))
+            assert low - room_for_rounding <= value <= high + room_for_rounding, (number, table.nodes[number])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_largest_of_an_expansion_is_that_of_all_its_corners(seed, monkeypatch):
+    """Branch and bound over three axes against every knot and every sign."""
+    rng = np.random.default_rng(seed)
+    knots = {axis: np.arange(7.0 + k) for k, axis in enumerate("XYZ")}
+
+    def curve(axis):
+        return {axis: rng.normal(size=knots[axis].size)}
+
+    terms = [expansion.Term(rng.normal(), {**curve("X"), **curve("Z")}, ("T",))]
+    terms += [expansion.Term(rng.normal(), curve(a), u) for a in "XYZ" for u in ((), ("side X",), ("T", "side X"))]
+    terms += [
+        expansion.Term(rng.normal(), {**curve("X"), **curve("Y"), **curve("Z")}),
+        expansion.Term(0.3, {}, ("~1",)),
+    ]
+    exact = 0.0
+    for signs in np.ndindex(2, 2, 2):
+        sign = dict(zip(("T", "side X", "~1"), (1 - 2 * s for s in signs), strict=True))
+        total = np.zeros([k.size for k in knots.values()])
+        for x in terms:
+            shaped = [v.reshape([-1 if a == axis else 1 for axis in "XYZ"]) for a, v in x.curves.items()]
+            total = total + x.factor * np.prod([sign[u] for u in x.unknowns]) * np.prod(
+                np.broadcast_arrays(total * 0 + 1, *shaped), axis=0
+            )
+        exact = max(exact, float(np.abs(total).max()))
+    assert maximum.largest(terms, knots).reached == pytest.approx(exact)
+    monkeypatch.setattr(maximum, "MOST_CELLS", 20)
+    searched = maximum.largest(terms, knots)
+    assert exact <= searched.bound * (1 + 1e-12) and searched.bound <= 1.0201 * exact
+    monkeypatch.setattr(maximum, "MOST_BOXES", 8)
+    assert exact <= maximum.largest(terms, knots).bound * (1 + 1e-12)
