@@ -2,11 +2,13 @@
 
 Value     corrections in each output's unit (mm), to be added to the commanded positions: minus the deviation.
 Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index) into a structure, FB_EctCycle runs it
-          once per position cycle, FB_EctSwitch exchanges two tables while the machine runs, FB_EctFind numbers the
-          inputs by name, FB_EctWatch tells of missed calls. A new table is new bytes: nothing is compiled again.
+          once per position cycle, FB_EctStore keeps the last good file in RETAIN memory and exchanges two tables while
+          the machine runs (FB_EctSwitch), FB_EctFind numbers the inputs by name, FB_EctWatch tells of missed calls. A
+          new table is new bytes: nothing is compiled again.
           FB_EctLoad refuses what the other readers refuse, every rule of the format page.
-Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL; PLCopen XML (TC6 2.01). The table itself stands in them
-          as an array of bytes, so that a program runs before the first download.
+Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL with errpipe.plcproj, a library project with its version;
+          PLCopen XML (TC6 2.01). The table itself stands in them as an array of bytes (in the library it does not), so
+          that a program runs before the first download.
 Accepts   only what every compiler tried takes: no // comments, no __ in names, literal bounds, reals with a point,
           no TRUNC, explicit conversions, no rounding of ties (floor is LREAL_TO_DINT and a comparison), FOR only
           between literal bounds (MATIEC runs a FOR from a to a not at all), WHILE elsewhere, NOT only before a
@@ -35,8 +37,9 @@ from errpipe.targets._whole import WholeTable
 
 TYPES = ("ECT_FILE", "ECT_INPUTS", "ECT_FRESH", "ECT_OUTPUTS", "ECT_TABLE")
 FUNCTIONS = ("EctInt", "EctReal", "EctNull", "EctMisfit", "EctExp", "EctPower", "EctMove", "EctClosing")
-BLOCKS = ("FB_EctLoad", "FB_EctCycle", "FB_EctSwitch", "FB_EctFind", "FB_EctWatch")
+BLOCKS = ("FB_EctLoad", "FB_EctCycle", "FB_EctSwitch", "FB_EctStore", "FB_EctFind", "FB_EctWatch")
 DATA = "GVL_EctData"
+LIBRARY_VERSION = "2.0.0"  # first number: of the table format; the others count changes of the blocks
 # Room for other tables than the one exported: what the arrays hold at least.
 LEAST_ROOM = {
     "inputs": 32,
@@ -85,6 +88,7 @@ class IecSt(Target):
             files[f"{name}.{'TcDUT' if name in TYPES else 'TcPOU'}"] = _twincat(name, text)
         files[f"{DATA}.TcGVL"] = _twincat(DATA, _data_block(data, table, room))
         files["ect.plcopen.xml"] = _plcopen(units)
+        files["errpipe.plcproj"] = _library()
         return files
 
     @classmethod
@@ -239,6 +243,29 @@ def _twincat(name: str, text: str) -> str:
     return f"{head}{inner}</TcPlcObject>\n"
 
 
+def _library() -> str:
+    """A TwinCAT 3 library project of all types and blocks; the table's bytes belong to the program that uses it."""
+    files = [f"{name}.{'TcDUT' if name in TYPES else 'TcPOU'}" for name in (*TYPES, *FUNCTIONS, *BLOCKS)]
+    items = "".join(f'    <Compile Include="{f}">\n      <SubType>Code</SubType>\n    </Compile>\n' for f in files)
+    facts = {
+        "FileVersion": "1.0.0.0",
+        "SchemaVersion": "2.0",
+        "ProjectGuid": f"{{{uuid.uuid5(_NAMESPACE, 'library')}}}",
+        "Name": "errpipe",
+        "Released": "true",
+        "Title": "errpipe",
+        "DefaultNamespace": "errpipe",
+        "Company": "errpipe",
+        "ProjectVersion": LIBRARY_VERSION,
+    }
+    rows = "".join(f"    <{key}>{value}</{key}>\n" for key, value in facts.items())
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        '<Project DefaultTargets="Build" xmlns="http://schemas.microsoft.com/developer/msbuild/2003">\n'
+        f"  <PropertyGroup>\n{rows}  </PropertyGroup>\n  <ItemGroup>\n{items}  </ItemGroup>\n</Project>\n"
+    )
+
+
 # PLCopen XML ------------------------------------------------------------------------------------------
 
 _SECTION = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR_IN_OUT": "inOutVars", "VAR": "localVars"}
@@ -309,8 +336,9 @@ def _plcopen(units: Mapping[str, str]) -> str:
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n'
         '<project xmlns="http://www.plcopen.org/xml/tc6_0201" xmlns:xhtml="http://www.w3.org/1999/xhtml">\n'
-        f'<fileHeader companyName="errpipe" productName="errpipe" productVersion="1" creationDateTime="{_DATE}"/>\n'
-        f'<contentHeader name="ect"><coordinateInfo>{scaling}</coordinateInfo></contentHeader>\n'
+        f'<fileHeader companyName="errpipe" productName="errpipe" productVersion="{LIBRARY_VERSION}" '
+        f'creationDateTime="{_DATE}"/>\n<contentHeader name="errpipe" version="{LIBRARY_VERSION}">'
+        f"<coordinateInfo>{scaling}</coordinateInfo></contentHeader>\n"
         f"<types>\n<dataTypes>\n{types}\n</dataTypes>\n<pous>\n{pous}\n</pous>\n</types>\n"
         "<instances><configurations/></instances>\n</project>\n"
     )

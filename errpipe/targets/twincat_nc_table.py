@@ -1,7 +1,8 @@
 """TwinCAT NC PTP position compensation: arrays for `MC_TableBasedPositionCompensation` (Tc2_MC2).
 
 Value     an additive correction in mm: set point + value (minus the deviation).
-Order     equidistant, ascending; one function block per direction (WorkDirectionPositive, WorkDirectionNegative).
+Order     equidistant, ascending; one function block per direction (WorkDirectionPositive, WorkDirectionNegative). The
+          calls stand below the arrays: inputs by the manual's page of the block; not run here, no TwinCAT.
 Literals  IEC real literals with a point; the file is a global variable list, compiled with the PLC program.
 """
 
@@ -15,6 +16,7 @@ from errpipe.errors import VerifyError
 from errpipe.targets._base import Curve, expect
 from errpipe.targets._screw_map import ScrewMap
 
+RAMP = 1.0  # mm/s: 1 um/ms, as corrections of a table move at most (`tables/limits.py`)
 SIDES = {"Up": "WorkDirectionPositive", "Down": "WorkDirectionNegative"}
 _ELEMENT = re.compile(r"\(Position := ([-+\d.E]+), Compensation := ([-+\d.E]+)\)")
 
@@ -31,7 +33,7 @@ class TwincatNcTable(ScrewMap):
     remark = {"": "(* {} *)"}
     source = "Tc2_MC2: MC_TableBasedPositionCompensation, ST_PositionCompensationTableElement"
     activation = (
-        "one MC_TableBasedPositionCompensation per direction, Ramp in mm/s set to the axis' creep speed",
+        "call P_Compensation<axis> in the task of the axis, bEnable TRUE once it is homed",
         "compare AxisRef position with and without Enable at three points, from both sides",
     )
 
@@ -53,7 +55,7 @@ def literal(value: float) -> str:
 
 def _text(axis: str, curve: Curve) -> str:
     last = curve.positions.size - 1
-    lines = ["VAR_GLOBAL CONSTANT"]
+    lines = ["VAR_GLOBAL"]
     for side, value in (("Up", curve.up), ("Down", curve.down)):
         lines.append(f"    (* {axis}, {SIDES[side]}: mm, added to the set point *)")
         lines.append(f"    aCompensation{axis}{side} : ARRAY[0..{last}] OF ST_PositionCompensationTableElement := [")
@@ -66,7 +68,21 @@ def _text(axis: str, curve: Curve) -> str:
         low, high = literal(curve.positions[0]), literal(curve.positions[-1])
         lines.append(f"        MinPosition := {low}, MaxPosition := {high},")
         lines.append(f"        NoOfTableElements := {last + 1}, Direction := {SIDES[side]}, Modulo := FALSE);")
-    return "\n".join([*lines, "END_VAR", ""])
+    return "\n".join([*lines, f"    Axis{axis} : AXIS_REF;", "END_VAR", "", *_program(axis)])
+
+
+def _program(axis: str) -> list[str]:
+    """Calls of both blocks; in a stop the last correction is kept (DisableModeHold)."""
+    lines = [f"PROGRAM P_Compensation{axis}", "VAR_INPUT", "    bEnable : BOOL;", "END_VAR", "VAR"]
+    lines += [f"    fb{side} : MC_TableBasedPositionCompensation;" for side in SIDES] + ["END_VAR"]
+    for side in SIDES:
+        table = f"aCompensation{axis}{side}"
+        lines += [
+            f"    fb{side}(Axis := Axis{axis}, Enable := bEnable, TableParameter := stParameter{axis}{side},",
+            f"        pTable := ADR({table}), TableSize := SIZEOF({table}),",
+            f"        Ramp := {literal(RAMP)}, DisableMode := DisableModeHold);",
+        ]
+    return [*lines, "END_PROGRAM", ""]
 
 
 def _read(name: str, text: str) -> Curve:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,45 +17,63 @@ from errpipe.targets import iec_st
 from tests.faults import runners, sequences
 from tests.faults.sequences import Part
 from tests.unit.targets.c import test_c_runtime as c
+from tests.unit.targets.st import matiec, translate
 from tests.unit.targets.st import test_iec_st as st
-from tests.unit.targets.st import translate
 
 PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
 BEGIN, END = "<!-- figures: make faults -->\n", "<!-- end of figures -->\n"
 COUNT = 10_000
 
 
-@dataclass(frozen=True)
+HEAD = (
+    "| evaluator | sequences | cycles | largest step, of the slew | largest size, of the magnitude "
+    "| off at the end, um | unsafe |"
+)
+
+
+@dataclass
 class Result:
     """What some sequences did: largest step and size in parts of their limits, um off at the end, unsafe ones."""
 
-    sequences: int
-    cycles: int
-    step: float
-    size: float
-    off: float
-    unsafe: int
+    sequences: int = 0
+    cycles: int = 0
+    step: float = 0.0
+    size: float = 0.0
+    off: float = 0.0
+    unsafe: int = 0
+
+    def add(self, parts: list[Part], corrections: np.ndarray, single: bool = False) -> None:
+        """One more sequence."""
+        found = sequences.judge(parts, corrections)
+        self.sequences += 1
+        self.cycles += len(corrections)
+        self.step, self.size = max(self.step, found.step), max(self.size, found.size)
+        self.off = max(self.off, found.off)
+        self.unsafe += not found.is_safe(single)
 
 
-def run(evaluator: Callable[[list[Part]], np.ndarray], count: int, single: bool = False) -> Result:
-    """Sequences 0 to count - 1 through one evaluator."""
-    cycles = unsafe = 0
-    step = size = off = 0.0
+def run(
+    evaluators: Mapping[str, Callable[[list[Part]], np.ndarray]], count: int, every: Mapping[str, int] | None = None
+) -> dict[str, Result]:
+    """Sequences 0 to count - 1 through each evaluator, or every so many of them."""
+    found = {name: Result() for name in evaluators}
     for seed in range(count):
         parts = sequences.sequence(seed)
-        found = sequences.judge(parts, evaluator(parts))
-        cycles += sum(len(p.mode) for p in parts)
-        step, size, off = max(step, found.step), max(size, found.size), max(off, found.off)
-        unsafe += not found.is_safe(single)
-    return Result(count, cycles, step, size, off, unsafe)
+        for name, evaluator in evaluators.items():
+            if seed % (every or {}).get(name, 1) == 0:
+                found[name].add(parts, evaluator(parts), single=name == "C, single")
+    return found
 
 
 def compiled(name: str, folder: Path) -> runners.Shared:
     """The C runtime or the function blocks as a shared library."""
-    if name == "Structured Text":
+    folder.mkdir(exist_ok=True)
+    if name.startswith("Structured Text"):
         room = iec_st.room_for(sequences.table(0))
-        code = translate.by_lines([iec_st.unit(unit, room) for unit in st.UNITS])
-        st.Block(folder, code)
+        units = [iec_st.unit(unit, room) for unit in st.UNITS]
+        if "MATIEC" in name:
+            return runners.Shared(matiec.build(folder, units))
+        st.Block(folder, translate.by_lines(units))
         return runners.Shared(folder / "st.so")
     single = name == "C, single"
     built = c.build(folder, *(["-DECT_SINGLE"] if single else []))
@@ -64,32 +82,25 @@ def compiled(name: str, folder: Path) -> runners.Shared:
 
 def main(count: int) -> int:
     """Run, print, write; 1 where a sequence was unsafe."""
-    lines = [
-        "| evaluator | sequences | cycles | largest step, of the slew | largest size, of the magnitude "
-        "| off at the end, um | unsafe |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    # The reference is slow Python: its sequences are the first ones, and the kernels give its bits (test_faults.py).
-    shares = {"reference": 50, "kernels (Numba)": 1, "C, double": 1, "C, single": 1, "Structured Text": 10}
-    bad = 0
+    names = ["C, double", "C, single", "Structured Text"]
+    if matiec.compiler():
+        names.append("Structured Text, MATIEC")
     with tempfile.TemporaryDirectory() as folder:
-        for number, (name, share) in enumerate(shares.items()):
-            own = Path(folder) / str(number)
-            own.mkdir()
-            plain = {"reference": runners.by_reference, "kernels (Numba)": runners.by_numba}
-            evaluator = plain.get(name) or compiled(name, own)
-            found = run(evaluator, max(count // share, 1), name == "C, single")
-            bad += found.unsafe
-            lines.append(
-                f"| {name} | {found.sequences} | {found.cycles} | {found.step:.6f} | {found.size:.6f} "
-                f"| {found.off:.4f} | {found.unsafe} |"
-            )
-            print(lines[-1], flush=True)
+        evaluators = {"reference": runners.by_reference, "kernels (Numba)": runners.by_numba}
+        evaluators |= {name: compiled(name, Path(folder) / str(n)) for n, name in enumerate(names)}
+        # The reference is slow Python: the kernels, which run every sequence, give its bits (test_faults.py).
+        found = run(evaluators, count, {"reference": 50})
+    lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- |"]
+    for name, r in found.items():
+        lines.append(
+            f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} | {r.off:.4f} | {r.unsafe} |"
+        )
+    print("\n".join(lines))
     text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
     PAGE.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
-    return int(bad > 0)
+    return int(any(r.unsafe for r in found.values()))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from errpipe.kernels.table_codes import HOLD, OFF, ON
 from errpipe.tables import ect, limits
 from errpipe.tables.reference import Evaluator
 from tests.faults import campaign, runners, sequences
+from tests.unit.targets.st import matiec
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 toolchain = pytest.mark.toolchain
@@ -42,9 +43,19 @@ def test_compiled_evaluators_are_safe(name, tmp_path):
             assert np.array_equal(found, runners.by_numba(parts)), seed
 
 
+@needs_gcc
+@toolchain
+@pytest.mark.skipif(matiec.compiler() is None, reason="no iec2c: set IEC2C to a MATIEC that was built")
+def test_the_blocks_compiled_by_matiec_give_the_same_bits(tmp_path):
+    run = campaign.compiled("Structured Text, MATIEC", tmp_path)
+    for seed in range(40):
+        parts = sequences.sequence(seed)
+        assert np.array_equal(run(parts), runners.by_numba(parts)), seed
+
+
 @pytest.mark.slow
-def test_a_thousand_sequences():
-    assert campaign.run(runners.by_numba, 1000).unsafe == 0
+def test_five_hundred_sequences():
+    assert campaign.run({"kernels": runners.by_numba}, 500)["kernels"].unsafe == 0
 
 
 def test_without_limits_the_same_sequences_are_unsafe(monkeypatch):

@@ -6,6 +6,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,10 +15,11 @@ import pytest
 from bench.bench_tables import machine
 from errpipe.errors import VerifyError
 from errpipe.tables import ect
-from errpipe.targets import iec_st
+from errpipe.targets import iec_st, twincat_nc_table
+from tests.faults import sequences
 from tests.unit.tables.made import everything, stimulus, ten_um_too_long
 from tests.unit.targets.c.test_c_runtime import damaged, numba_stream, python_takes
-from tests.unit.targets.st import translate
+from tests.unit.targets.st import matiec, translate
 
 UNITS = (*iec_st.TYPES, *iec_st.FUNCTIONS, *iec_st.BLOCKS)
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
@@ -172,6 +174,70 @@ def test_inputs_are_found_by_name_and_missed_calls_are_seen(tmp_path):
     assert [other.dll.missed(tick) for tick in (5, 6, 7, 10, 11, 0, 20)] == [0, 0, 0, 2, 2, 2, 2]
 
 
+STORE = """
+static FB_EctStore keeper; static ECT_FILE kept; static DINT given, good;
+int keep(const uint8_t *data, size_t size, int news, uint32_t only)
+{
+    __builtin_memcpy(file, data, size);
+    given = (DINT)size;
+    keeper.bNew = news;
+    keeper.nOnly = only;
+    FB_EctStore_run(&keeper, &file, &given, &kept, &good, &first, &second);
+    return keeper.nError;
+}
+uint32_t running(void)
+{
+    return keeper.nActive == 1 ? first.nName : keeper.nActive == 2 ? second.nName : 0;
+}
+void power_loss(void) /* RETAIN is all that stays */
+{
+    __builtin_memset(&keeper, 0, sizeof keeper);
+    __builtin_memset(&first, 0, sizeof first);
+    __builtin_memset(&second, 0, sizeof second);
+    __builtin_memset(file, 0, sizeof file);
+}
+void spoil(size_t at) { kept[at] ^= 4; }
+"""
+
+
+@needs_gcc
+@pytest.mark.toolchain
+@pytest.mark.parametrize("compiled_by", ["translation", "MATIEC"])
+def test_the_last_good_table_is_there_after_a_loss_of_power(tmp_path, compiled_by):
+    if compiled_by == "MATIEC":
+        if matiec.compiler() is None:
+            pytest.skip("no iec2c: set IEC2C to a MATIEC that was built")
+        plc = ctypes.CDLL(str(matiec.build(tmp_path, units())))
+        plc.power_loss()
+    else:
+        plc = Block(tmp_path, translate.by_lines(units()) + STORE).dll
+    plc.running.restype = ctypes.c_uint32
+    own, other, foreign = (ect.dumps(sequences.table(n)) for n in (0, 1, 2))
+    fewer = ect.dumps(sequences.table(1).model_copy(update={"outputs": sequences.table(1).outputs[:1]}))
+    broken = bytes([*foreign[:700], foreign[700] ^ 1, *foreign[701:]])
+
+    def name(data):
+        return int.from_bytes(data[20:24], "little")
+
+    def keep(data, news=0, only=0):
+        return plc.keep(data, ctypes.c_size_t(len(data)), news, ctypes.c_uint32(only))
+
+    assert keep(own) == 0 and plc.running() == name(own), "the program's table, nothing kept"
+    assert keep(other, 1) == 0 and plc.running() == name(other), "a download"
+    for data, only, why in ((broken, 0, 5), (fewer, 0, 101), (foreign, name(other), 100)):
+        assert keep(data, 0) in (0, 5, 101, 100)
+        assert keep(data, 1, only) == why and plc.running() == name(other)
+    plc.power_loss()
+    keep(own)
+    assert plc.running() == name(other), "the last good one, not the program's nor one that was refused"
+    plc.power_loss()
+    plc.spoil(ctypes.c_size_t(900))
+    assert keep(own) == 0 and plc.running() == name(own), "RETAIN memory was damaged"
+    plc.power_loss()
+    keep(own, only=name(own))
+    assert plc.running() == name(own)
+
+
 def test_plain_structured_text_has_no_global_variables():
     """MATIEC refuses them outside a resource; the bytes come from a function block."""
     files = iec_st.IecSt.write(ten_um_too_long())
@@ -271,10 +337,35 @@ def test_blark_reads_the_twincat_files(tmp_path):
         assert all(result.exception is None for result in blark.parse(tmp_path / name))
 
 
+def test_the_library_project_lists_every_type_and_block_and_its_version(tmp_path):
+    solution = pytest.importorskip("blark.solution")
+    files = iec_st.IecSt.write(ten_um_too_long())
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    project = solution.TwincatPlcProject.from_filename(tmp_path / "errpipe.plcproj")
+    assert {Path(str(s.saved_path)).name.split(".")[0] for s in project.sources} == set(UNITS)
+    root = ElementTree.fromstring(files["errpipe.plcproj"].encode())
+    found = {e.tag.split("}")[1]: e.text for e in root[0]}
+    assert found["ProjectVersion"] == iec_st.LIBRARY_VERSION and found["Title"] == "errpipe"
+    assert f'version="{iec_st.LIBRARY_VERSION}"' in files["ect.plcopen.xml"]
+
+
+def test_the_example_and_the_calls_of_nc_tables_parse():
+    parse = pytest.importorskip("blark.parse").parse_source_code
+    example = iec_st.IecSt.write(ten_um_too_long())["example_twincat.st"]
+    nc = twincat_nc_table.TwincatNcTable.write(ten_um_too_long())
+    for text in (example, *nc.values()):
+        assert parse(text).exception is None
+        assert parse(text.replace("END_IF;", "END_IIF;").replace("Enable :=", "Enable ::=")).exception is not None
+    for word in ("REFERENCE TO ECT_TABLE", "VAR_GLOBAL RETAIN", "AXIS_REF", "FB_EctStore", "FB_EctWatch", "FB_EctFind"):
+        assert word in example
+    calls = re.findall(r"pTable := ADR\((\w+)\), TableSize := SIZEOF\((\w+)\)", nc["GVL_Compensation_X.st"])
+    assert calls == [("aCompensationXUp",) * 2, ("aCompensationXDown",) * 2]
+
+
 def test_plcopen_xml_is_valid():
     """Against the TC6 2.01 schema, which comes with the package plcrex (pip install --no-deps plcrex)."""
     from importlib.util import find_spec
-    from pathlib import Path
 
     xmlschema = pytest.importorskip("xmlschema")
     spec = find_spec("plcrex")

@@ -7,6 +7,7 @@ real compilers differ, and the exported code must not depend on it.
 from __future__ import annotations
 
 import re
+from typing import ClassVar
 
 PRELUDE = """
 #include <stdint.h>
@@ -31,6 +32,8 @@ BITS = {"OR": "|", "AND": "&", "XOR": "^"}
 class Unit:
     """One type, function or block: its kind, name and variables by section."""
 
+    known: ClassVar[dict[str, Unit]] = {}
+
     def __init__(self, text: str):
         self.text = re.sub(r"\(\*.*?\*\)", "", text, flags=re.S)
         head = re.search(r"^(TYPE|FUNCTION_BLOCK|FUNCTION) (\w+)(?: : (\w+))?", self.text, re.M)
@@ -47,6 +50,7 @@ class Unit:
             elif section == "-" and not line.startswith("END_"):
                 body.append(line.strip())
         self.body = [line for line in body if line]
+        self.known[self.name] = self
 
     def names(self, *sections):
         return {v[0]: v for s in sections for v in self.sections.get(s, [])}
@@ -114,8 +118,22 @@ def statement(unit: Unit, line: str) -> str:
         return "}"
     if line == "EXIT;":
         return "break;"
+    if m := re.match(r"(fb\w+)\((.*)\);$", line):
+        return call(unit, m[1], [(a, expr(b)) for a, b in re.findall(r"(\w+) := ([^,]+)", m[2])])
     left, right = re.match(r"(.*?) := (.*);$", line).groups()
+    if unit.names("VAR_IN_OUT").get(left, ("",) * 4)[3] == "ECT_FILE":
+        return f"__builtin_memcpy(&{expr(left)}, &{expr(right)}, sizeof {expr(left)});"
     return f"{expr(left)} = {expr(right)};"
+
+
+def call(unit: Unit, name: str, given: list[tuple[str, str]]) -> str:
+    """A call of a function block: inputs are set, what is passed by reference follows the block in its own order."""
+    block = unit.names("VAR")[name][3]
+    mine = place(unit, name)
+    own = Unit.known[block].names("VAR_IN_OUT")
+    sets = "".join(f"{mine}.{a} = {b}; " for a, b in given if a not in own)
+    passed = "".join(f", &({dict(given)[a]})" for a in own)
+    return f"{sets}{block}_run(&{mine}{passed});"
 
 
 def frame(unit: Unit, body: list[str]) -> str:
@@ -279,6 +297,8 @@ def tree_statement(unit: Unit, s) -> str:
     ex = lambda e: tree_expression(unit, e)  # noqa: E731
     kind = type(s).__name__
     if kind == "AssignmentStatement":
+        if str(s.expression) in unit.names("VAR_IN_OUT"):  # a whole array
+            return f"__builtin_memcpy(&{ex(s.variables[0])}, &{ex(s.expression)}, sizeof {ex(s.expression)});"
         return "".join(f"{ex(v)} = " for v in s.variables) + ex(s.expression) + ";"
     if kind == "IfStatement":
         out = f"if ({ex(s.if_expression)}) {{\n{tree_block(unit, s.statements)}\n}}"
@@ -294,6 +314,8 @@ def tree_statement(unit: Unit, s) -> str:
         return f"while ({ex(s.expression)}) {{\n{tree_block(unit, s.statements)}\n}}"
     if kind == "ExitStatement":
         return "break;"
+    if kind == "FunctionCallStatement":
+        return call(unit, str(s.name), [(str(p.name), ex(p.value)) for p in s.parameters])
     raise NotImplementedError(f"{kind}: {s}")
 
 
