@@ -126,6 +126,7 @@ READERS: dict[str, Callable[[str, str, Path], list[str]]] = {
     "tcdut": _xml,
     "tcgvl": _xml,
     "xml": _xml,
+    "plcproj": _xml,
     "txt": lambda name, text, folder: (_g_code if text.startswith("%") else _lines("#"))(name, text, folder),
     "cfg": _ini,
     "comp": lambda name, text, folder: (_component if ";;" in text else _lines("#"))(name, text, folder),
