@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench import bench_cortex
 from bench.bench_tables import machine
 from errpipe import tables
 from errpipe.errors import VerifyError
@@ -293,16 +294,6 @@ BOARDS = {
 }
 
 
-def case_header(table, readings, folder: Path, work: int) -> None:
-    data = ect.dumps(table)
-    rows = ",\n".join("{" + ", ".join(f"{float(v)!r}f" for v in row) + "}" for row in readings)
-    (folder / "case.h").write_text(
-        f"#define INPUTS {len(table.inputs)}\n#define CYCLES {len(readings)}\n#define WORK {work}\n"
-        f"static const unsigned char TABLE[] = {{{', '.join(map(str, data))}}};\n"
-        f"static const float READINGS[CYCLES][INPUTS] = {{{rows}}};\n"
-    )
-
-
 @pytest.mark.skipif(bool(ARM), reason=f"not installed: {', '.join(ARM)}")
 @pytest.mark.slow
 @pytest.mark.parametrize("board", BOARDS)
@@ -312,21 +303,18 @@ def test_a_cortex_m_gives_the_bits_of_this_machine(tmp_path, library, board, sin
     readings, _, _ = warm_up(table, 60, 2)
     data = ect.dumps(table)
     work = library.dll.ect_work_size(data, ctypes.c_size_t(len(data)))
-    case_header(table, readings.astype(np.float32), tmp_path, work)
+    bench_cortex.case_header(table, readings.astype(np.float32), tmp_path, work)
     model, cpu = BOARDS[board]
     common = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{tmp_path}", f"-I{RUNTIME}"]
     common += ["-DECT_SINGLE"] if single else []
     sources = [RUNTIME / "ect.c", HERE / "arm" / "main.c"]
     run(COMPILERS[0], *common, *sources, "-o", tmp_path / "host")
-    start = ["-nostartfiles", "--specs=rdimon.specs", "-T", HERE / "arm" / "mps2.ld", HERE / "arm" / "startup.c"]
-    run("arm-none-eabi-gcc", *cpu, *common, *start, *sources, "-o", tmp_path / "board.elf")
-    quiet = ["-nographic", "-monitor", "none", "-serial", "none"]
-    semihosting = ["-semihosting-config", "enable=on,target=native", "-icount", "shift=0"]
-    kernel = ["-kernel", tmp_path / "board.elf"]
-    there = run("qemu-system-arm", "-M", model, *quiet, *semihosting, *kernel, timeout=120)
+    there = bench_cortex.emulated(tmp_path, model, cpu, common)
     here = run(tmp_path / "host").stdout
     assert here.startswith("exact 1\n") and here.count("\n") == 61
     assert there.stdout == here
+    counted, most = int(there.stderr.split()[0]), bench_cortex.MOST["instructions_per_cycle"]
+    assert counted <= bench_cortex.ALLOWED * most or board != "m4f" or not single
     with capsys.disabled():
         print(f"\n{board}, {'single' if single else 'double'}, 21 components and 8 sensors: {there.stderr.strip()}")
 
