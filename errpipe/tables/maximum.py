@@ -143,8 +143,8 @@ def largest(terms: Terms, knots: Mapping[str, np.ndarray]) -> Largest:
     if math.prod(search.knots) * len(search.signed) <= MOST_CELLS:
         grid = np.meshgrid(*(np.arange(n) for n in search.knots), indexing="ij")
         index = np.stack([g.ravel() for g in grid], axis=1) if grid else np.zeros((1, 0), dtype=int)
-        found = float(search.size(index).max())
-        return Largest(found + ROUNDING * every, found)
+        reached = float(search.size(index).max())
+        return Largest(reached + ROUNDING * every, reached)
     found = _branch(search)
     return Largest(found.bound + ROUNDING * every, found.reached)
 
