@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from errpipe.domain import table as t
-from errpipe.tables.arithmetic import power
+from errpipe.kernels.arithmetic import power
 from errpipe.tables.reference import Evaluator
 
 SIDE = "side "  # what the name of an axis' side begins with
