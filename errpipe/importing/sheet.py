@@ -37,10 +37,14 @@ class Sheet:
 
     def limited(self) -> Sheet:
         """The sheet itself. Raises DataError where it holds more cells than memory should be spent on."""
-        cells = sum(len(row) for row in self.rows)
-        if cells > MOST_CELLS:
-            raise DataError(f"{self.name}: {cells} cells (at most {MOST_CELLS} are imported; split the file)")
+        affordable(sum(len(row) for row in self.rows), self.name)
         return self
+
+
+def affordable(cells: int, name: object) -> None:
+    """Raise DataError where so many cells, or lines, are more than memory should be spent on."""
+    if cells > MOST_CELLS:
+        raise DataError(f"{name}: {cells} cells (at most {MOST_CELLS} are imported; split the file)")
 
 
 def number(cell: Any, comma: bool) -> float | None:

@@ -28,6 +28,10 @@ from typing import Any
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS = 1, 36, 38  # of linux/prctl.h
 MAX_ENTRIES = 20_000  # of the archive; FMUs with their sources and documentation have some hundred
+MAX_PROCESSES = (
+    64  # that an FMU may have at a time; those with a solver or an interpreter beside them have two or three
+)
+MAX_THREADS = 512  # of all of them together
 POLL = 0.2  # s between two looks at the FMU and its disk
 
 
@@ -168,9 +172,27 @@ def prctl(option: int, value: int) -> None:
         ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0)
 
 
+def threads_of(user: int) -> int:
+    """How many threads a user has now, from /proc; 0 where there is no /proc."""
+    total = 0
+    for name in os.listdir("/proc") if os.path.isdir("/proc") else []:
+        try:
+            if name.isdigit() and os.stat(f"/proc/{name}").st_uid == user:
+                total += len(os.listdir(f"/proc/{name}/task"))
+        except OSError:
+            continue
+    return total
+
+
 def become(user: int) -> None:
-    """Give up root's rights for good, and the right to gain any."""
+    """Give up root's rights for good, and the right to gain any; at most MAX_THREADS more threads."""
+    import resource
+
     prctl(PR_SET_NO_NEW_PRIVS, 1)
+    most = threads_of(user or os.getuid()) + MAX_THREADS
+    _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
+    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(resource.RLIMIT_NPROC, (most, most))  # the kernel counts threads of a user; root's it does not
     if user:
         os.setgroups([])
         os.setgid(user)
@@ -272,8 +294,13 @@ def supervise(control: int, user: int, disk_mb: int) -> None:
             break
         pid, code = os.waitpid(child, os.WNOHANG)
         status = code if pid == child else None
-        if status is None and size_mb(".") > disk_mb:
-            sys.stderr.write(f"it wrote more than {disk_mb} MB and was ended\n")
+        beyond = ""
+        if size_mb(".") > disk_mb:
+            beyond = f"wrote more than {disk_mb} MB"
+        elif len(descendants(os.getpid())) > MAX_PROCESSES:
+            beyond = f"started more than {MAX_PROCESSES} processes"
+        if status is None and beyond:
+            sys.stderr.write(f"it {beyond} and was ended\n")
             sys.stderr.flush()
             break
     end_all()

@@ -22,11 +22,14 @@ import signal
 import sys
 import tempfile
 import time
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 TIME_LIMIT = 60  # s of one attempt on a busy machine; none should take two
 MEMORY = 4 << 30  # bytes of address space; Arrow and Numba reserve much that they do not use
@@ -46,6 +49,7 @@ class Door:
     file: Path
     lines: list[list[str]]
     sound: bytes = b""
+    fresh: Path | None = None  # what a command writes, removed before each attempt
     tried: int = 0
     codes: Counter[int] = field(default_factory=Counter)
 
@@ -119,9 +123,13 @@ def doors(folder: Path) -> list[Door]:
     def command(*words: str | Path) -> list[str]:
         return [str(word) for word in words]
 
-    rec, par = recording_folder(folder / "rec"), parquet_folder(folder / "par" / "rec", 200)
+    at = np.arange(40)
+    measured = 10 * (at % 10) / 9 + 0.3 * np.sin(7.0 * at)
+    rec, par = recording_folder(folder / "rec", dev=measured), parquet_folder(folder / "par" / "rec", 200)
     pipeline, second = folder / "p.yaml", folder / "par" / "p.yaml"
-    pipeline.write_text(PIPELINE)
+    pipeline.write_text(PIPELINE + EXPORTED)
+    machine, model = folder / "machine.yaml", folder / "model.json"
+    machine.write_bytes((Path(__file__).parents[2] / "examples/machines/horizontal-centre-ni-1997.yaml").read_bytes())
     second.write_text(PIPELINE)
     ect_file, twin, program, laser = (folder / name for name in ("t.ect", "t.json", "p.ngc", "laser.rtl"))
     table = machines.wavy_both_directions()
@@ -133,7 +141,9 @@ def doors(folder: Path) -> list[Door]:
     correct = command("correct", program, "--table", ect_file, "--start", "0,0,0", "--out", folder / "o.ngc")
     at = ["--at", "x=100"]
     with contextlib.redirect_stdout(io.StringIO()):
-        main(run)
+        assert main(run) == 0
+    shutil.copy(folder / "out" / "fit" / "error_model.json", model)
+    predict = command("predict", model, rec, "--out", folder / "p.csv")
     found = [
         Door("table (.ect)", ect_file, [command("eval", ect_file, *at), command("whatis", ect_file)]),
         Door("table (JSON)", twin, [command("eval", twin, *at)]),
@@ -143,6 +153,9 @@ def doors(folder: Path) -> list[Door]:
         Door("Parquet", par / "rows.parquet", [command("run", second, "--out", folder / "out2")]),
         Door("NC program", program, [correct]),
         Door("lock file", folder / "out" / "errpipe.lock", [run]),
+        Door("model", model, [predict, command("whatis", model)]),
+        Door("machine", machine, [command("synthesis", machine), command("check", machine)]),
+        Door("exported folder", folder / "out/export/export.json", [command("verify", folder / "out" / "export")]),
         Door("laser file", laser, [command("whatis", laser)]),
     ]
     with contextlib.redirect_stdout(io.StringIO()):  # all of it once in this process: the forked ones need not import
@@ -150,14 +163,79 @@ def doors(folder: Path) -> list[Door]:
             for line in door.lines:
                 code = main(line)
                 assert code == 0, (line, code)
+    for door in _measurements(folder):
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(door.lines[0]) == 0, door.name
+        shutil.rmtree(door.fresh)
+        code, said = forked(partial(main, door.lines[0]), folder)
+        assert code == 0, (door.name, said)
+        found.append(door)
     found.append(Door("FMU archive", _archive(folder), []))
+    found.append(Door("FMU description", _description(folder), []))
     return found
+
+
+def _measurements(folder: Path) -> list[Door]:
+    """Files of each importing door, of the same axis."""
+    import h5py
+    import nptdms
+    import openpyxl
+    from scipy.io import savemat
+
+    rows = [(x, 0.02 * x + 0.3 * (n % 3), 20 + 0.1 * n) for n, x in enumerate([0.0, 100.0, 200.0, 300.0] * 6)]
+    names = ("position [mm]", "EXX [um]", "T nut [degC]")
+    columns = {name: [row[n] for row in rows] for n, name in enumerate(names)}
+    book = openpyxl.Workbook()
+    for row in [names, *rows]:
+        book.active.append(row)
+    book.save(folder / "m.xlsx")
+    with nptdms.TdmsWriter(str(folder / "m.tdms")) as writer:
+        writer.write_segment([nptdms.ChannelObject("g", n, c) for n, c in columns.items()])
+    with h5py.File(folder / "m.h5", "w") as file:
+        for name, values in columns.items():
+            file[name] = values
+    savemat(
+        folder / "m.mat",
+        {name.split(" ")[0].replace("EXX", "deviation_um"): values for name, values in columns.items()},
+        do_compression=True,
+    )
+    (folder / "m.csv").write_text(";".join(names) + "\n" + "".join(";".join(map(str, r)) + "\n" for r in rows))
+    out = folder / "imported"
+    said = ["--yes", "--axis", "X", "--component", "EXX", "--unit", "um", "--sign", "actual-minus-commanded"]
+    kinds = {"spreadsheet": "m.xlsx", "TDMS": "m.tdms", "HDF5": "m.h5", "MAT": "m.mat", "CSV to import": "m.csv"}
+    return [
+        Door(kind, folder / name, [["import", str(folder / name), "--out", str(out), *said]], fresh=out)
+        for kind, name in kinds.items()
+    ]
+
+
+def _description(folder: Path) -> Path:
+    """The description of an FMU; the FMU is packed around it."""
+    path = folder / "modelDescription.xml"
+    path.write_text(DESCRIPTION)
+    return path
+
+
+def _described(door: Door, folder: Path) -> int:
+    """Exit code 3 where the process of an FMU refuses its description."""
+    from errpipe.simulation import fmu_worker
+
+    with zipfile.ZipFile(folder / "d.fmu", "w") as archive:
+        archive.write(door.file, "modelDescription.xml")
+    os.chdir(folder)
+    shutil.rmtree(folder / "unpacked", ignore_errors=True)
+    work = fmu_worker.Work()
+    try:
+        json.dumps(work.load({"fmu": str(folder / "d.fmu"), "memory_mb": MEMORY >> 20, "disk_mb": 16}))
+    except MemoryError:
+        raise
+    except Exception:  # whatever the FMU library raises becomes a message of the process
+        return 3
+    return 0
 
 
 def _archive(folder: Path) -> Path:
     """A zip of three files, unpacked by what unpacks FMUs."""
-    import zipfile
-
     path = folder / "m.fmu"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in ("modelDescription.xml", "resources/a.txt", "binaries/linux64/m.so"):
@@ -180,6 +258,18 @@ def _unpack(door: Door, folder: Path) -> int:
     return 0
 
 
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}" variableNamingConvention="structured">
+<CoSimulation modelIdentifier="m" canHandleVariableCommunicationStepSize="true"/>
+<UnitDefinitions><Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions>
+<DefaultExperiment startTime="0" stopTime="1" stepSize="0.1"/>
+<ModelVariables>
+<ScalarVariable name="rise" valueReference="0" causality="input"><Real unit="K" start="0.0"/></ScalarVariable>
+<ScalarVariable name="z" valueReference="1" causality="output"><Real/></ScalarVariable>
+</ModelVariables>
+<ModelStructure><Outputs><Unknown index="2"/></Outputs></ModelStructure>
+</fmiModelDescription>
+"""
 LASER = """HEADER::
 File type: rtl
 USER-TEXT::
@@ -193,6 +283,10 @@ DEVIATIONS::
 1 2 0.4
 1 3 1.0
 EOF::
+"""
+EXPORTED = """  - kind: fit
+    components: [{component: EXX, terms: [{term: offset}, {term: backlash, axis: X}]}]
+  - {kind: export, ungated: true, targets: [linuxcnc_screw]}
 """
 PROGRAM = """%
 N5 G17 G21 G90 G54 G94
@@ -226,6 +320,17 @@ def _sealed(data: bytes) -> bytes:
     return bytes(out)
 
 
+def _repacked(data: bytes, rng: random.Random) -> bytes:
+    """An archive with one of its files changed, whole otherwise."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as target:
+        chosen = rng.choice(source.namelist())
+        for name in source.namelist():
+            content = source.read(name)
+            target.writestr(name, mutated(content, rng) if name == chosen else content)
+    return out.getvalue()
+
+
 def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door], list[str]]:
     """Mutate one file after the other until time is up; the doors with what they answered, and what was found."""
     from errpipe.cli.app import main
@@ -239,9 +344,14 @@ def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door]
         data = mutated(door.sound, rng)
         if door.name == "table (.ect)" and rng.random() < 0.8:
             data = _sealed(data)
+        elif zipfile.is_zipfile(io.BytesIO(door.sound)) and rng.random() < 0.8:
+            data = _repacked(door.sound, rng)
         door.file.write_bytes(data)
+        if door.fresh is not None:
+            shutil.rmtree(door.fresh, ignore_errors=True)
         line = rng.choice(door.lines) if door.lines else ["unpack"]
-        work = partial(main, line) if door.lines else partial(_unpack, door, folder)
+        inside = _unpack if door.file.suffix == ".fmu" else _described
+        work = partial(main, line) if door.lines else partial(inside, door, folder)
         code, said = forked(work, folder.parent)
         door.file.write_bytes(door.sound)
         door.tried += 1
@@ -316,11 +426,11 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
 
 def report(opened: list[Door], killed: int, found: list[str]) -> Iterator[str]:
     """What was tried and what was found, as a table and lines."""
-    yield f"{'door':<14} {'tried':>7}  exit codes"
+    yield f"{'door':<16} {'tried':>7}  exit codes"
     for door in opened:
         codes = ", ".join(f"{code}: {n}" for code, n in sorted(door.codes.items()))
-        yield f"{door.name:<14} {door.tried:>7}  {codes}"
-    yield f"{'SIGKILL':<14} {killed:>7}"
+        yield f"{door.name:<16} {door.tried:>7}  {codes}"
+    yield f"{'SIGKILL':<16} {killed:>7}"
     yield f"found: {len(found)}"
     yield from found
 

@@ -41,7 +41,7 @@ class Hostile(Fmi2Slave):
         if not self.done:
             self.done = True
             try:
-                attacks = "nothing close spread write link pipe fill flood kill".split()
+                attacks = "nothing close spread write link pipe fill flood kill breed".split()
                 getattr(self, attacks[int(self.mode)])()
             except OSError as err:
                 print("refused:", err.strerror)
@@ -76,6 +76,12 @@ class Hostile(Fmi2Slave):
             for fd in range(3, 12):
                 try: os.write(fd, b"x" * 65536)
                 except OSError: pass
+    def breed(self):
+        try:
+            for _ in range(4000): subprocess.Popen(["sleep", "4245"], start_new_session=True)
+        except OSError as err:
+            print("refused:", err.strerror)
+        time.sleep(600)
     def kill(self):
         for pid in (os.getppid(), int(open(f"/proc/{os.getppid()}/stat").read().rsplit(")")[-1].split()[1])):
             try: os.kill(pid, signal.SIGKILL)
@@ -144,6 +150,13 @@ def test_no_process_survives_also_not_in_a_session_of_its_own(
         with pytest.raises(DataError):
             simulate(built[0], mode, time_limit=3.0)
     assert running(str(seconds)) == [] and running(str(seconds + 1)) == []
+
+
+def test_one_that_starts_processes_without_end_is_ended(built: tuple[Path, Path]) -> None:
+    began = time.monotonic()
+    with pytest.raises(DataError, match="more than 64 processes"):
+        simulate(built[0], 9, time_limit=30.0)
+    assert time.monotonic() - began < 25 and running("4245") == []
 
 
 @pytest.mark.parametrize("mode", [3, 4])

@@ -5,14 +5,17 @@ A door module has
     suffixes                file name endings it is asked for first
     sniff(path, head)       whether the first bytes look like it; never raises
     read(path, options)     -> list of Sheet; raises DataError
+    binary                  True where a small file can unpack to much: it is read in a process of its own first
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from types import ModuleType
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing.doors import delimited, excel, halsampler, hdf5, matlab, mtconnect, tdms
 from errpipe.importing.sheet import DoorOptions, Sheet
 
@@ -20,6 +23,8 @@ DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, halsample
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log belongs in Parquet beside a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16
+MOST_MEMORY = 3 << 30  # bytes beside what is in use: 256 MB of packed numbers as Python's
+MOST_SECONDS = 120
 
 
 def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
@@ -38,9 +43,55 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
         head = stream.read(HEAD_BYTES)
     for door in DOORS:
         if door.sniff(path, head):
+            if getattr(door, "binary", False):
+                _tried(door, path, options)
             sheets = door.read(path, options)
             if not any(sheet.rows for sheet in sheets):
                 raise DataError(f"{path}: no rows ({door.name})")
             return door.name, sheets
     kinds = ", ".join(door.name for door in DOORS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
+
+
+def _tried(door: ModuleType, path: Path, options: DoorOptions) -> None:
+    """Read a file in a process of its own, bounded in memory and time, before this one does. Raises DataError."""
+    if not hasattr(os, "fork") or sys.platform == "darwin":  # no fork, or none that is safe: read unbounded
+        return
+    answers, said = os.pipe()
+    sys.stderr.flush()
+    child = os.fork()
+    if child == 0:
+        os.close(answers)
+        _read_and_say(door, path, options, said)
+    os.close(said)
+    with os.fdopen(answers, "rb") as stream:
+        text = stream.read(1 << 16).decode(errors="replace")
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code == 2:
+        raise UsageError(text)
+    if code == 3:
+        raise DataError(text)
+    if code != 0:
+        raise DataError(f"{path}: takes more than {MOST_MEMORY >> 30} GB of memory or {MOST_SECONDS} s to read")
+
+
+def _read_and_say(door: ModuleType, path: Path, options: DoorOptions, said: int) -> None:
+    import resource
+
+    code = 1
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a library that runs out of memory says so in its own words
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGESIZE")
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        for which, most in ((resource.RLIMIT_AS, used + MOST_MEMORY), (resource.RLIMIT_CPU, MOST_SECONDS)):
+            _, hard = resource.getrlimit(which)
+            most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+            resource.setrlimit(which, (most, most))
+        door.read(path, options)
+        code = 0
+    except ErrpipeError as err:
+        os.write(said, str(err).encode()[: 1 << 16])
+        code = 2 if isinstance(err, UsageError) else 3
+    finally:
+        os._exit(code)

@@ -10,10 +10,11 @@ import codecs
 import csv
 import re
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
 
 name = "delimited text"
 suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
@@ -44,21 +45,32 @@ def _wide(head: bytes) -> str | None:
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError where it is no table."""
     data = path.read_bytes()
+    affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)
     lines = text.splitlines()
     if any(len(line) > LONGEST_LINE for line in lines[:SAMPLE_LINES]):
         raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")
     separator = _separator(lines[:SAMPLE_LINES])
-    rows: list[list[Cell]]
     if separator == " ":
-        rows = [list(re.split(r"\s+", line.strip())) if line.strip() else [] for line in lines]
+        cells: Iterable[list[Cell]] = (list(re.split(r"\s+", line.strip())) if line.strip() else [] for line in lines)
     else:
-        try:
-            rows = [[cell.strip() or None for cell in row] for row in csv.reader(lines, delimiter=separator)]
-        except csv.Error as err:
-            raise DataError(f"{path}: not a table: {err}") from None
+        cells = ([cell.strip() or None for cell in row] for row in csv.reader(lines, delimiter=separator))
+    try:
+        rows = _bounded(cells, path)
+    except csv.Error as err:
+        raise DataError(f"{path}: not a table: {err}") from None
     words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
     return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}"]).limited()]
+
+
+def _bounded(cells: Iterable[list[Cell]], path: Path) -> list[list[Cell]]:
+    """The rows, no more of them than memory should be spent on."""
+    rows, count = [], 0
+    for row in cells:
+        count += len(row)
+        affordable(count, path)
+        rows.append(row)
+    return rows
 
 
 def _decode(path: Path, data: bytes) -> tuple[str, str]:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
 
 name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+binary = True
 _OLE = b"\xd0\xcf\x11\xe0"
 
 
@@ -32,11 +33,12 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             near = did_you_mean(options.sheet, names)
             raise UsageError(f"{path}: no sheet {options.sheet!r} (sheets: {', '.join(names)}).{near}")
         chosen = [options.sheet] if options.sheet is not None else names
-        found = [
-            Sheet(n, [[_cell(c) for c in row] for row in book.get_sheet_by_name(n).to_python(skip_empty_area=False)])
-            for n in chosen
-        ]
-    except UsageError:
+        found = []
+        for each in chosen:
+            sheet = book.get_sheet_by_name(each)
+            affordable(sheet.total_height * sheet.total_width, f"{path}: {each}")
+            found.append(Sheet(each, [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]))
+    except (UsageError, DataError, MemoryError):
         raise
     except Exception as err:  # calamine raises many kinds, none of them ours
         raise DataError(f"{path}: not a workbook that can be read ({type(err).__name__})") from None

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, number
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "LinuxCNC halsampler"
 suffixes = (".log", ".sampler", ".txt")
@@ -42,6 +42,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         if len(numbers) != width or len(values) != width:
             raise DataError(f"{path}:{n}  {line[:60]!r} is not {width} numbers")
         rows.append(numbers)
+        affordable(len(rows) * width, path)
     if overruns:
         notes.append(f"{overruns} overruns: samples were lost there")
     counted = len(rows) > 2 and all(rows[i + 1][0] == rows[i][0] + 1 for i in range(min(len(rows) - 1, 200)))

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError, UsageError
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.sheet import DoorOptions, Sheet, affordable
 
 name = "HDF5"
 suffixes = (".h5", ".hdf5", ".hdf", ".nc")
+binary = True
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MOST_SETS = 200
 
@@ -34,14 +35,24 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.size and len(found) < MOST_SETS:
+            its_own(path, key, item)
             found.append((key, item[()], _unit(item)))
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
+    except (DataError, MemoryError):
+        raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
         raise DataError(f"{path}: not an HDF5 file that can be read ({type(err).__name__})") from None
     return [s.limited() for s in sheets_of(found, path.stem) if options.sheet in (None, s.name)]
+
+
+def its_own(path: Path, key: str, item: Any) -> None:
+    """Raise DataError where a data set keeps its values in other files, or states more of them than are imported."""
+    if item.external or item.is_virtual:
+        raise DataError(f"{path}: {key} keeps its values in another file (copy them into this one)")
+    affordable(item.size, f"{path}: {key}")
 
 
 def _unit(item: Any) -> str:

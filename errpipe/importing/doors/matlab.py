@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.doors.hdf5 import its_own
+from errpipe.importing.sheet import DoorOptions, Sheet, affordable
 
 name = "MATLAB"
 suffixes = (".mat",)
+binary = True
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -28,9 +30,12 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
         try:
             file = loadmat(path, squeeze_me=True, struct_as_record=True)
+        except MemoryError:
+            raise
         except Exception as err:  # scipy raises ValueError, TypeError, zlib.error, ... for damaged files
             raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
         found = [part for key, value in file.items() if not key.startswith("__") for part in _parts(key, value)]
+    affordable(sum(array.size for _, _, array in found), path)
     groups: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
     sheets = []
     for group, key, array in found:
@@ -65,12 +70,15 @@ def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and not key.startswith("#refs#"):
+            its_own(path, key, item)
             group, _, leaf = key.rpartition("/")
             found.append((group, leaf, np.squeeze(item[()]).T))
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
+    except (DataError, MemoryError):
+        raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError for damaged files
         raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
     return found

@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, number
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "MTConnect"
 suffixes = (".xml",)
@@ -45,6 +45,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     if not samples:
         raise DataError(f"{path}: no numeric sample with a time stamp")
     names = list(dict.fromkeys(label for _, label, _ in samples))
+    affordable(len({stamp for stamp, _, _ in samples}) * len(names), path)
     held: dict[str, float | None] = dict.fromkeys(names)
     rows: dict[str, list[Cell]] = {}
     for stamp, label, value in sorted(samples, key=lambda s: s[0]):

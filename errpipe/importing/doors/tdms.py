@@ -11,6 +11,7 @@ from errpipe.importing.sheet import DoorOptions, Sheet
 
 name = "TDMS"
 suffixes = (".tdms",)
+binary = True
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -28,7 +29,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         file = TdmsFile.read(str(path))
         groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
         return [_sheet(group).limited() for group in groups]
-    except DataError:
+    except (DataError, MemoryError):
         raise
     except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
         raise DataError(f"{path}: not a TDMS file that can be read ({type(err).__name__})") from None
