@@ -7,6 +7,7 @@ Compile   -std=c99 -ffp-contract=off; -DECT_SINGLE where there is no double. No 
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping
 from importlib import resources
@@ -19,6 +20,8 @@ from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
 _PER_LINE = 16
+
+RUNTIME = ("ect.h", "ect.c", "ect_identity.h", "ect_identity.c")
 
 
 class CRuntime(Target):
@@ -33,6 +36,8 @@ class CRuntime(Target):
     remark = {"table.h": "/* {} */"}
     source = "schemas/ect-2.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"
     activation = (
+        "ect_is_identity holds the bytes against the SHA-256 that may run here (ECT_TABLE_IDENTITY in table.h); a "
+        "signature is checked before the table is brought to the controller (`minisign -V`), not by the runtime",
         "ect_load must return ECT_OK; e.crc shows the table's checksum: compare it with `errpipe whatis table.ect`",
         "emergency stop or drives without power: mode ECT_HOLD; before and while homing: ECT_OFF",
         "call ect_cycle once per position cycle; bit 0 of e.status must be set and e.heartbeat must count",
@@ -42,7 +47,7 @@ class CRuntime(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         runtime = resources.files("errpipe.tables").joinpath("runtime")
-        files = {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c")}
+        files = {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in RUNTIME}
         data = ect.dumps(table)
         return files | {"table.h": _header(table, data), "table.c": _source(data), "example.c": _example(table)}
 
@@ -66,6 +71,7 @@ def _macro(kind: str, name: str) -> str:
 def _header(table: CompensationTable, data: bytes) -> str:
     rows = [(_macro("IN", i.name), n, f"{i.name}, {i.unit or '-'}") for n, i in enumerate(table.inputs)]
     rows += [(_macro("OUT", o.name), n, f"{o.name}, {o.correction_unit}") for n, o in enumerate(table.outputs)]
+    identity = ", ".join(f"0x{b:02x}" for b in hashlib.sha256(data).digest())
     taken: set[str] = set()
     lines = []
     for macro, number, what in rows:
@@ -78,6 +84,7 @@ def _header(table: CompensationTable, data: bytes) -> str:
         "#ifndef ECT_TABLE_H\n#define ECT_TABLE_H\n\n#include <stdint.h>\n\n"
         f"#define ECT_TABLE_SIZE {len(data)}\n"
         f"#define ECT_CYCLE_S {table.position_cycle_s!r}\n"
+        f"/* SHA-256 of ect_table */\n#define ECT_TABLE_IDENTITY {{{identity}}}\n"
         + "\n".join(lines)
         + "\n\nextern const uint8_t ect_table[ECT_TABLE_SIZE];\n\n#endif\n"
     )
@@ -95,8 +102,11 @@ def _example(table: CompensationTable) -> str:
 #include <stdio.h>
 
 #include "ect.h"
+#include "ect_identity.h"
 #include "table.h"
 
+/* What this machine may run; a table from elsewhere (a file, a flash page) is held against it in the same way. */
+static const uint8_t allowed[ECT_IDENTITY_SIZE] = ECT_TABLE_IDENTITY;
 static uint64_t work[1u << 16]; /* ect_work_size() says how much of it is needed */
 
 int main(void)
@@ -104,7 +114,12 @@ int main(void)
     static const ect_real readings[] = {{{readings}}};
     ect e;
     uint32_t o;
-    ect_error error = ect_load(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work);
+    ect_error error;
+    if (!ect_is_identity(ect_table, ECT_TABLE_SIZE, allowed)) {{
+        printf("refused: another table than the one allowed here\\n");
+        return 1;
+    }}
+    error = ect_load(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work);
     if (error != ECT_OK) {{
         printf("refused: %s (record %u)\\n", ect_says(error), (unsigned)e.where);
         return 1;

@@ -32,7 +32,7 @@ COUNTS = 1000  # per mm; one turn of the encoder, and one index, a millimetre
 BASE = 50_000  # ns: 20 kHz
 SPEED = 8.0  # mm/s
 POINTS = 25
-COLD, WARM = 20.0, 30.0
+COLD, WARM, HOT = 20.0, 30.0, 39.0
 
 
 def table():
@@ -164,7 +164,7 @@ def program() -> str:
     """Two millimetres over the first index, then all points upwards and downwards."""
     places = np.linspace(1.0, 49.0, POINTS)
     rows = [f"G1 X{x:.3f}\nG4 P0.15" for x in (*places, 50.0, *places[::-1])]
-    return "\n".join(["G21 G90 G61", f"F{60 * SPEED:.0f}", "G1 X-2", "G1 X0", *rows, "G1 X0", "M2", ""])
+    return "\n".join(["G21 G90 G61", f"F{60 * SPEED:.0f}", "G1 X-2", "G1 X0", *rows, "G1 X0", "G1 X47.7", "M2", ""])
 
 
 def test_the_loop_is_brought_to_the_corrected_place(capsys):
@@ -180,7 +180,8 @@ def test_the_loop_is_brought_to_the_corrected_place(capsys):
         wiring = re.sub(r"^(setp|# |net errpipe-inject-(enable|homed)).*\n", "", wiring, flags=re.M)
         shared = "net enable => errpipe-inject.x.enable\nnet homed => errpipe-inject.x.homed\n"
         plan = {"settle_s": 0.3, "program_s": 120, "least_s": 1.0, "read": [], "joints": 1}
-        plan |= {"cool": {}}
+        plan |= {"cool": {}, "stops": 4, "stop_pins": ["errpipe-inject.x.injected", "errpipe-inject.x.counts"]}
+        plan |= {"while_stopped": {"errpipe.in-t": HOT}}
         fresh = re.findall(r"^pin in bit (fresh_\w+)", (folder / "errpipe.comp").read_text(), re.M)
         connect = CONNECT + shared + "".join(f"setp errpipe.{p.replace('_', '-')} 1\n" for p in fresh)
         core = CORE + "".join(["addf errpipe servo-thread\n"])
@@ -211,6 +212,9 @@ def test_the_loop_is_brought_to_the_corrected_place(capsys):
 
 def judge(made, temperature, facts, rows, capsys) -> None:
     assert facts["told"] == [] and facts["overruns"] == 0
+    # Injected counts and the encoder's own, in each of four emergency stops (in which it gets hot) and after it.
+    stops = np.array(facts["stops"])
+    assert stops.shape == (9, 2) and abs(stops[0, 0]) > 20 and np.ptp(stops, axis=0).tolist() == [0, 0], stops
     wanted, raw, counter, injected, illegal = rows[:, 1], *(rows[:, k].astype(int) for k in (2, 3, 4, 5))
     found = rows[:, 8].astype(bool)
     assert not np.any(rows[:, 7]) and illegal[-1] == 0

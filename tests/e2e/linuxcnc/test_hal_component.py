@@ -217,6 +217,26 @@ def test_a_thread_of_another_rate_moves_nothing_and_says_so(folder):
     assert (code, wrong, float(moved)) == (0, "TRUE", 0.0) and int(beats, 0) > 10
 
 
+@pytest.mark.parametrize("allowed", [True, False], ids=["own", "other"])
+def test_only_the_allowed_table_moves(folder, allowed):
+    only = int(ect.fingerprint(table()), 16) + (0 if allowed else 1)
+    (folder / "only.hal").write_text(
+        f"loadrt threads name1=servo-thread period1={PERIOD_NS}\nloadrt errpipe\naddf errpipe servo-thread\n"
+        f"setp errpipe.only {only}\nsetp errpipe.in-x 123\nsetp errpipe.in-y 100\nsetp errpipe.enable 1\n"
+        "setp errpipe.in-t-nut 21\nsetp errpipe.in-tool-length 0\n"
+        "start\nloadusr -w sleep 2\ngetp errpipe.refused\ngetp errpipe.correction-x\ngetp errpipe.heartbeat\n"
+    )
+    env = session.environment(folder)
+    try:
+        code = session.quiet(["halrun", "-f", "only.hal"], env, folder, 20)
+    finally:
+        session.end(env, folder)
+    assert code == 0, session.said(folder)
+    refused, moved, beats = session.values(folder)
+    assert code == 0 and refused == str(not allowed).upper() and int(beats, 0) > 10
+    assert (float(moved) != 0.0) == allowed
+
+
 def test_a_damaged_table_is_refused_by_the_controller(folder):
     """One wrong byte in the component's table: LinuxCNC does not start with it, and says why."""
     text = LinuxcncHal.write(table())[COMPONENT]

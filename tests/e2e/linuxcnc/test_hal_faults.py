@@ -21,7 +21,7 @@ CYCLES = 7000
 UNCONNECTED = 1e31  # what a pin reads that nobody drives: not sane, so missing
 PRINT_UM = 1e-9  # halsampler prints six decimals of nm
 STREAM = """loadrt threads name1=servo-thread period1=1000000
-loadrt streamer depth=8000 cfg=fffbbb
+loadrt streamer depth=8000 cfg=fffbbbb
 loadrt errpipe
 loadrt scale count=2
 setp scale.0.gain 1e6
@@ -38,6 +38,7 @@ net column streamer.0.pin.2 => errpipe.in-t-column
 net on streamer.0.pin.3 => errpipe.enable
 net home streamer.0.pin.4 => errpipe.homed
 net off streamer.0.pin.5 => errpipe.off
+net anew streamer.0.pin.6 => errpipe.reset
 net cx errpipe.correction-x => scale.0.in
 net cz errpipe.correction-z => scale.1.in
 net cxn scale.0.out => sampler.0.pin.0
@@ -47,29 +48,33 @@ net r errpipe.rejected-t-nut => sampler.0.pin.3
 """
 
 
-def faults() -> np.ndarray:
-    """x, two sensors, enable, homed, off per cycle: the parts with faults of many sequences, short calms between."""
+def faults(first: int = 0) -> np.ndarray:
+    """x, two sensors, enable, homed, off, reset per cycle: parts with faults of many sequences, then 300 cycles off."""
     rows = []
-    for seed in range(40):
+    for seed in range(first, first + 40):
         parts = sequences.sequence(seed)[:-1]
         for part in parts:
             mode = part.mode[:, None]
             homed = np.where(mode == OFF, seed % 2, 1)  # off by one pin or by the other
-            bits = np.hstack([mode != HOLD, homed, (mode == OFF) & (homed == 1)])
+            anew = (np.arange(len(mode)) == 0)[:, None] & (part.begins == "reset")
+            bits = np.hstack([mode != HOLD, homed, (mode == OFF) & (homed == 1), anew])
             rows.append(np.hstack([part.readings, bits]))
     whole = np.vstack(rows)[:CYCLES].astype(float)
+    whole[-300:, 3:] = (1, 1, 1, 0)
     whole[:, :3] = np.where(np.abs(whole[:, :3]) < 1e6, whole[:, :3], UNCONNECTED)  # NaN fails the comparison too
     return whole
 
 
-def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_reference(capsys):
-    made = sequences.table(0)
-    given = np.array([[float(f"{v:.9f}") for v in row] for row in faults()])
+@pytest.mark.parametrize("number", [0, 1])
+def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_reference(number, capsys):
+    """Then the other table: this one is taken off first (`off`), and the other comes in from 0, as both runs show."""
+    made = sequences.table(number)
+    given = np.array([[float(f"{v:.9f}") for v in row] for row in faults(40 * number)])
     with session.alone() as folder:
         (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
         module = session.install(folder / COMPONENT)
         try:
-            found, _, _ = stream(folder, given, STREAM, bits=3)
+            found, _, _ = stream(folder, given, STREAM, bits=4)
         finally:
             module.unlink()
     assert len(found) == CYCLES and np.array_equal(np.diff(found[:, 0]), np.ones(CYCLES - 1)), "a cycle was lost"
@@ -81,6 +86,10 @@ def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_refe
     steps = np.abs(np.diff(corrections, axis=0, prepend=np.zeros((1, 2))))
     size = np.abs(corrections) / np.array([o.magnitude for o in made.outputs])
     largest = f"largest step {(steps / slew).max():.6f} of the slew, size {size.max():.6f} of the magnitude"
+    assert np.all(corrections[-1] == 0.0) and np.abs(corrections[0]).max() <= slew.max(), (
+        "a table can be exchanged here"
+    )
+    assert given[:, 6].sum() > 10, "resets"
     with capsys.disabled():
         print(f"\nHAL: {CYCLES} cycles of faults, {largest}")
     assert np.all(steps <= slew + PRINT_UM) and size.max() <= 1.0 + 1e-9
@@ -92,10 +101,14 @@ def by_reference(made, given: np.ndarray) -> tuple[np.ndarray, int]:
     """Corrections, um, and the nut's refused readings; one that does not change is not new where it may go stale."""
     evaluator, out = Evaluator(made), []
     names, last = [i.name for i in made.inputs], [0.0] * 3
-    for x, nut, column, on, homed, off in given.tolist():
+    before = 0.0
+    for x, nut, column, on, homed, off, anew in given.tolist():
+        if anew and not before:
+            evaluator.reset()
+        before = anew
         readings = dict(zip(names, (x, nut, column), strict=True))
         stale = {i.name for i in made.inputs if i.stale_after_s is not None}
-        new = {n: v for (n, v), before in zip(readings.items(), last, strict=True) if n not in stale or v != before}
+        new = {n: v for (n, v), old in zip(readings.items(), last, strict=True) if n not in stale or v != old}
         last = list(readings.values())
         cycle = evaluator.cycle(new, enable=bool(homed and not off), hold=bool(homed and not off and not on))
         out.append(list(cycle.correction.values()))

@@ -71,14 +71,26 @@ def run_program():
 
 
 def emergency_stops(count):
-    """Where the motor of joint 0 is told to be before the first stop, and after each one and going on."""
-    places = [hal.get_value("errpipe.command-x")]
+    """What some pins read before the first stop, and after each one and going on; `while_stopped` in each stop too."""
+    names = PLAN.get("stop_pins", ["errpipe.command-x"])
+
+    def read():
+        values = [hal.get_value(name) for name in names]
+        return values if len(values) > 1 else values[0]
+
+    places = [read()]
     for _ in range(count):
         for state in (linuxcnc.STATE_ESTOP, linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
             command.state(state)
             command.wait_complete(10)
             time.sleep(0.5)
-        places.append(hal.get_value("errpipe.command-x"))
+            if state == linuxcnc.STATE_ESTOP and PLAN.get("while_stopped"):
+                set_pins(PLAN["while_stopped"])
+                time.sleep(0.3)
+                places.append(read())
+                set_pins(PLAN["heat"])
+                time.sleep(0.3)
+        places.append(read())
     return places
 
 

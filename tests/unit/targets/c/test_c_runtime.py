@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
 import random
 import re
@@ -285,6 +286,36 @@ def test_memory_is_known_before_it_runs(library):
     assert library.dll.ect_work_size(data[:300], ctypes.c_size_t(300)) == 0
 
 
+# Identity --------------------------------------------------------------------------------------------
+
+
+def test_the_identity_of_a_table_is_its_sha256(tmp_path):
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-shared", "-fPIC"]
+    run(COMPILERS[0], *flags, RUNTIME / "ect_identity.c", "-o", tmp_path / "i.so")
+    dll, rng = ctypes.CDLL(str(tmp_path / "i.so")), np.random.default_rng(1)
+    for size in (*range(200), 4096, len(ect.dumps(machine(thermal=True)))):
+        data = rng.bytes(size)
+        right = hashlib.sha256(data).digest()
+        own = ctypes.create_string_buffer(32)
+        dll.ect_identity(data, ctypes.c_size_t(size), own)
+        assert own.raw == right
+        assert dll.ect_is_identity(data, ctypes.c_size_t(size), right) == 1
+        wrong = bytes([*right[:31], right[31] ^ 1])
+        assert dll.ect_is_identity(data, ctypes.c_size_t(size), wrong) == 0
+
+
+def test_the_example_refuses_another_table_than_the_one_allowed(tmp_path):
+    own, other = CRuntime.write(ten_um_too_long()), CRuntime.write(machine())
+    allowed = re.search(r"#define ECT_TABLE_IDENTITY .*", own["table.h"])[0]
+    other["table.h"] = re.sub(r"#define ECT_TABLE_IDENTITY .*", allowed, other["table.h"])
+    for name, text in other.items():
+        (tmp_path / name).write_text(text)
+    sources = [tmp_path / name for name in ("ect.c", "ect_identity.c", "table.c", "example.c")]
+    run(COMPILERS[0], "-std=c99", "-O1", *sources, "-o", tmp_path / "example")
+    done = subprocess.run([tmp_path / "example"], capture_output=True, text=True)
+    assert done.returncode == 1 and "another table" in done.stdout
+
+
 # Cortex-M in an emulator -----------------------------------------------------------------------------
 
 ARM = [name for name in ("arm-none-eabi-gcc", "qemu-system-arm") if shutil.which(name) is None]
@@ -330,7 +361,7 @@ def test_the_exported_files_compile_and_move_the_machine_back(tmp_path, single):
     files["example.c"] = files["example.c"].replace("(ect_real)0.0", "(ect_real)1000.0")
     for name, text in files.items():
         (tmp_path / name).write_text(text)
-    sources = [tmp_path / name for name in ("ect.c", "table.c", "example.c")]
+    sources = [tmp_path / name for name in ("ect.c", "ect_identity.c", "table.c", "example.c")]
     run(COMPILERS[0], *STRICT, *(["-DECT_SINGLE"] if single else []), *sources, "-o", tmp_path / "example")
     number, correction = run(tmp_path / "example").stdout.split()
     assert number == "0" and float(correction) == pytest.approx(-0.01, abs=1e-9)
