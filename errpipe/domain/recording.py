@@ -148,6 +148,21 @@ class Derived(Frozen):
         return self
 
 
+class ActsOn(Frozen):
+    """The axis that corrects a component without an axis of its own."""
+
+    axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
+    factor: float | None = Field(
+        None,
+        ge=-10,
+        le=10,
+        description="Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
+        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
+        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
+        json_schema_extra={"unit": "1"},
+    )
+
+
 class Column(Frozen):
     """What one column of the tables is."""
 
@@ -155,6 +170,9 @@ class Column(Frozen):
     unit: str | None = Field(None, description="Unit as it stands in the table.")
     axis: str | None = Field(None, description="Letter of the axis by ISO 841, such as X.")
     component: str | None = Field(None, description="Component by ISO 230-1, such as EXX, E_Z or F_X.")
+    acts_on: ActsOn | None = Field(
+        None, description="The axis that corrects an error component which names none itself, such as E_D."
+    )
     location: str | None = Field(None, description="Where the sensor sits.")
     of: str | None = Field(None, description="What a group is of: season, day, duty_cycle, machine.")
     derived: Derived | None = Field(None, description="How the column is computed, where no table holds it.")
@@ -178,6 +196,8 @@ class Column(Frozen):
     def _complete(self) -> Column:
         if self.role in ("error", "simulated") and self.component is None:
             raise ValueError(f"a column of role {self.role} needs a component, such as EXX or E_Z")
+        if self.acts_on is not None and self.role != "error":
+            raise ValueError(f"acts_on is said of a column of role error (found {self.role})")
         if (
             self.role in ("position", "command", "actual", "direction", "velocity", "acceleration")
             and self.axis is None

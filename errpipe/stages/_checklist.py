@@ -136,7 +136,7 @@ def _at_the_axis(table: CompensationTable) -> list[str]:
                 says.append(
                     f"a {components.describe(parsed.name)} of +10 um stands for {along:+g} um along {output.axis}, so "
                     f"{output.axis} is told to go {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
-                    "the export; turn one piece before trusting its sign)"
+                    "the export or the recording; turn one piece before trusting its sign)"
                 )
     return says
 

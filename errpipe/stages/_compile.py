@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from errpipe.domain.recording import ActsOn
 from errpipe.stages import _artefacts
 from errpipe.yamlfile import Options
 
@@ -16,21 +17,6 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.drivers.lowered import Lowered
     from errpipe.guard.description import SensorGuard
-
-
-class ActsOn(Options):
-    """The axis that corrects a component without an axis of its own."""
-
-    axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
-    factor: float | None = Field(
-        None,
-        ge=-10,
-        le=10,
-        description="Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
-        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
-        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
-        json_schema_extra={"unit": "1"},
-    )
 
 
 class CompileOptions(Options):
@@ -61,7 +47,9 @@ class CompileOptions(Options):
         json_schema_extra={"unit": "um/s2"},
     )
     acts_on: dict[str, ActsOn] = Field(
-        {}, description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves."
+        {},
+        description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves; "
+        "default: what the recording says of the column.",
     )
 
 
@@ -95,7 +83,7 @@ def compile_model(
     stated = tables.Limits(options.magnitude, options.slew, options.acceleration)
     table = tables.compile_table(
         sources,
-        outputs=tables.outputs_of(sources, _acts_on(options.acts_on, [s.name for s in sources])),
+        outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
         inputs=_inputs.table_inputs(model, guard, rates.learn(recording) if recording is not None else None),
         travel=_inputs.travel(model),
         error_bound=options.error_bound,
@@ -125,13 +113,25 @@ def travel_speeds(recording: Recording) -> dict[str, float]:
     return found
 
 
-def _acts_on(stated: Mapping[str, ActsOn], known: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0."""
+def _acts_on(
+    stated: Mapping[str, ActsOn], recording: Recording | None, known: Sequence[str]
+) -> dict[str, tuple[str, float]]:
+    """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0.
+
+    What the export states wins over what the recording says of the component's column.
+    """
     from errpipe.domain import components
     from errpipe.errors import UsageError, did_you_mean
 
+    columns = recording.manifest.columns.values() if recording is not None else ()
+    wanted = {
+        c.component: c.acts_on
+        for c in columns
+        if c.component is not None and c.acts_on is not None and c.component in known
+    }
+    wanted |= stated
     out = {}
-    for name, on in stated.items():
+    for name, on in wanted.items():
         if name not in known:
             raise UsageError(
                 f"export: acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"

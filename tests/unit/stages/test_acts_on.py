@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from errpipe import tables
 from errpipe.domain import driver as d
+from errpipe.domain.recording import ActsOn, Column, Manifest, Recording
 from errpipe.domain.table import TableInput
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, UsageError
 from errpipe.stages import targets as stage
-from errpipe.stages._compile import ActsOn, _acts_on
+from errpipe.stages._compile import _acts_on
 from errpipe.targets import TARGETS, _sample
 
 SENSOR = TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, default=20, valid=(15, 35), margin=5)
@@ -20,7 +22,7 @@ SENSOR = TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, def
 def diameter(**acts_on):
     """2 um of diameter per kelvin above 20 degC: at 25 degC pieces are 10 um too large."""
     source = tables.ComponentSource("E_D", "um", (Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 20.0),))),))
-    stated = _acts_on({name: ActsOn(**on) for name, on in acts_on.items()}, ["E_D"])
+    stated = _acts_on({name: ActsOn(**on) for name, on in acts_on.items()}, None, ["E_D"])
     return tables.compile_table([source], inputs=[SENSOR], outputs=tables.outputs_of([source], stated))
 
 
@@ -39,6 +41,20 @@ def test_a_control_that_holds_the_whole_table_takes_it_and_its_checklist_says_th
     stage.write_targets(diameter(E_D={"axis": "X"}), [target.name], tmp_path)
     told = (tmp_path / target.name / stage.CHECKLIST).read_text()
     assert "+10 um stands for +5 um along X, so X is told to go 5 um less" in told
+
+
+def test_the_recording_may_say_it_and_the_export_wins():
+    columns = {
+        "T": Column(role="temperature", unit="degC"),
+        "d": Column(role="error", component="E_D", unit="um", acts_on=ActsOn(axis="X")),
+    }
+    manifest = Manifest(recording=1, tables=("a.csv",), columns=columns)
+    recording = Recording(manifest, pd.DataFrame({"T": [20.0], "d": [0.0]}))
+    assert _acts_on({}, recording, ["E_D"]) == {"E_D": ("X", 0.5)}
+    assert _acts_on({"E_D": ActsOn(axis="U", factor=-0.5)}, recording, ["E_D"]) == {"E_D": ("U", -0.5)}
+    assert _acts_on({}, recording, ["EXX"]) == {}
+    with pytest.raises(ValueError, match="acts_on is said of a column of role error"):
+        Column(role="temperature", unit="degC", acts_on=ActsOn(axis="X"))
 
 
 def test_what_is_stated_of_nothing_or_by_nothing_is_refused():
