@@ -2,6 +2,7 @@
 
 Everything here is causal and cheap: a controller evaluates the same tree once per cycle. `domain/operations.py`
 states the operations, their parameters and what they do; here stands what each of them acts on.
+It stands in `domain/`, not with what evaluates it in `drivers/`, because error models and their schema hold drivers.
 """
 
 from __future__ import annotations
