@@ -60,6 +60,7 @@ def held_out(case: Case) -> HeldOut:
             search.threshold_more,
             search.rows,
         )
+        part.weighed = search.weighed
         if any(found.hypothesis.mask for found in case.explanation.accepted):
             chosen = part.tune(case.chosen())  # where a partial effect acts cannot be found without its runs
         else:

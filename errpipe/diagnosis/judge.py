@@ -25,6 +25,7 @@ Progress = Callable[[float, str], None]
 
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
 DEPENDENT = 1.8  # rows per independent row of what is left, from which rows count for less
+PROVED = 0.7  # mean square on held-out rows, over that without, from which wide gains are believed whatever they cost
 WIDE_PRICE = 10.0  # log Bayes factor it takes to believe so
 
 
@@ -218,11 +219,20 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
         search, explanation = settled(library, made.data, nuisance, search.prior, noise, worth)
     wide = Active(nuisance.index, nuisance.sd * np.where([n.startswith("datum") for n in made.names], 1.0, WIDE))
-    other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth)
+    other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth, weighed=False)
     chosen = [chosen_of(e) for e in (explanation, wide_gains)]
-    if search.rows and other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE:
-        return other, wide_gains, wide
+    if search.rows:
+        narrow, proved = (_held_out(made, *way) for way in ((search, chosen[0]), (other, chosen[1])))
+        likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE
+        if proved < PROVED * narrow or (likelier and proved < narrow):
+            return other, wide_gains, wide
     return search, explanation, nuisance
+
+
+def _held_out(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> float:
+    """Mean square of each fold, predicted by a fit without it."""
+    judged = made.judged()
+    return judged.mean_square(made.data, search.active(chosen), search.noise, judged.columns([i for i, _ in chosen]))
 
 
 SESSION_DATUM_PRICE = 10.0  # log Bayes factor from which it is believed

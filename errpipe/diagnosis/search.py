@@ -63,6 +63,7 @@ class Search:
     ):
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
         self.most = MOST
+        self.weighed = True  # do priors know what rows are worth? Not those of gains that held-out rows have proved
         self.rows = rows  # how many rows' worth of evidence the rows hold, where they are not independent
         self.threshold, self.threshold_more = threshold, threshold_more
 
@@ -172,7 +173,7 @@ class Search:
     @property
     def noise(self) -> float:
         """Noise rms beside which priors stand: larger where rows are worth less than their number."""
-        return self.sigma * float(np.sqrt(self.data.n / self.rows)) if self.rows else self.sigma
+        return self.sigma * float(np.sqrt(self.data.n / self.rows)) if self.rows and self.weighed else self.sigma
 
     def scene(self, chosen: list[tuple[int, float]]) -> Scene:
         """The response with these hypotheses in place."""
@@ -241,12 +242,14 @@ class Search:
         return found
 
 
-def settled(library, data, nuisance, prior, noise_estimate, rows=None, most=MOST) -> tuple[Search, Explanation]:
+def settled(
+    library, data, nuisance, prior, noise_estimate, rows=None, most=MOST, weighed=True
+) -> tuple[Search, Explanation]:
     """Search until the noise level agrees with what the explanation leaves."""
     sigma = noise_estimate
     for _ in range(4):
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
-        search.most = most
+        search.most, search.weighed = most, weighed
         explanation = search.explain()
         left = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
         if abs(left / sigma - 1) < 0.03:
