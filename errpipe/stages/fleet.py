@@ -218,6 +218,6 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]
         raise UsageError(f"--scheduler {address}: no Dask scheduler answers ({err})") from None
     with client:
         futures = {client.submit(run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks}
-        for future in finished(futures):
+        for future in finished(list(futures), loop=client.loop):
             task = futures[future]
             yield future.result() if future.status == "finished" else _lost(task, ATTEMPTS)
