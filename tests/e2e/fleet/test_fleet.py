@@ -74,7 +74,7 @@ def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path
     def kill_one() -> None:
         for _ in range(600):
             time.sleep(0.05)
-            if list((tmp_path / "b/machines").glob("*/.errpipe/work/*")):
+            if list((tmp_path / "b/machines").glob("*/.errpipe/*/*")):
                 os.kill(_children()[0], signal.SIGKILL)
                 killed.set()
                 return
