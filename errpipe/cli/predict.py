@@ -13,12 +13,20 @@ def command(
     source: Path = typer.Argument(..., metavar="MODEL_OR_TABLE", help="An error model or a table (.json, .ect)."),
     recording: Path = typer.Argument(..., metavar="RECORDING", help="Folder with a recording manifest."),
     out: Path = typer.Option(..., "--out", metavar="FILE.csv", help="One row per recording row, in order."),
+    readings: Path | None = typer.Option(
+        None,
+        "--readings",
+        metavar="FILE",
+        help="Deviations read now and then (.csv, .parquet): they correct later rows.",
+    ),
     json: bool = Json,
 ) -> None:
     """Predict every response of a recording, as a controller would.
 
     Row k uses rows up to k of its own run only. Columns: run, time, and per response NAME
     NAME_predicted, NAME_lower, NAME_upper (90 %), NAME_outside (1 outside the validity box).
+    With --readings, a file of columns time (s, the recording's clock), one per response (its unit)
+    and, where runs overlap in time, run: a row is corrected by the last reading of its run before it.
 
     \b
     Example:
@@ -26,4 +34,4 @@ def command(
     """
     from errpipe.cli.output import print_answer, stage_module
 
-    print_answer("predict", stage_module("predict").predict(source, recording, out), as_json=json)
+    print_answer("predict", stage_module("predict").predict(source, recording, out, readings), as_json=json)

@@ -39,6 +39,23 @@ class FittedTerm(Frozen):
         return {p.name: p.value for p in self.parameters}
 
 
+class DatumReadings(Frozen):
+    """How readings of the deviation now and then correct a component: by an input `datum_<component>` of the table.
+
+    The input holds the last reading minus what the model predicted when it was taken.
+    """
+
+    share: float = Field(
+        ge=0, le=1, description="Share of that difference that is applied.", json_schema_extra={"unit": "1"}
+    )
+    hold_s: float = Field(gt=0, description="An older reading counts as none.", json_schema_extra={"unit": "s"})
+    bound: float = Field(
+        gt=0,
+        description="A reading further from the prediction is not believed.",
+        json_schema_extra={"unit": "of the deviation"},
+    )
+
+
 class ComponentModel(Frozen):
     """The model of one response: deviation = gain times the sum of its terms."""
 
@@ -97,6 +114,12 @@ class ComponentModel(Frozen):
     limit: float | None = Field(
         None, description="No prediction beyond this magnitude.", json_schema_extra={"unit": "of the deviation"}
     )
+    readings: DatumReadings | None = Field(None, description="How readings correct it; none: they do not.")
+
+    @property
+    def datum_input(self) -> str:
+        """Name of the table's input for readings."""
+        return f"datum_{self.component}"
 
 
 class Validity(Frozen):

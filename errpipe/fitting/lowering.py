@@ -20,7 +20,8 @@ def lower(model: ErrorModel) -> dict[str, list[Lowered]]:
     """Component -> pairs whose sum is the component's deviation, in its unit; nuisance is not among them.
 
     Profiles over the same axis with the same driver are added up (all static ones become one curve), pairs without a
-    profile become one affine driver. With datum `run_start` the pairs give the deviation before it is zeroed.
+    profile become one affine driver. With datum `run_start` the pairs give the deviation before it is zeroed. Readings
+    of the deviation come as an input of their own.
     """
     return {c.component: merge(_pairs(c)) for c in model.components}
 
@@ -43,7 +44,10 @@ def _lowered(fitted) -> tuple[Lowered, ...]:
 
 
 def _pairs(component: ComponentModel) -> list[Lowered]:
-    return [_scaled(pair, component.gain) for fitted in component.terms for pair in _lowered(fitted)]
+    pairs = [_scaled(pair, component.gain) for fitted in component.terms for pair in _lowered(fitted)]
+    if component.readings is None or not pairs:
+        return pairs
+    return [*pairs, _scaled(Lowered(d.Input(name=component.datum_input)), component.readings.share)]
 
 
 def merge(pairs: Sequence[Lowered]) -> list[Lowered]:

@@ -1,8 +1,9 @@
-"""Figures of held-out rows: a warm-up against time with its prediction, a plane before and after."""
+"""Figures of held-out rows: a warm-up against time with its prediction, a plane before and after, what readings buy."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -80,3 +81,25 @@ def plane(
             axes.grid(visible=False)
         canvas.colorbar(drawn, ax=list(np.atleast_1d(found)), label=unit, shrink=0.7)
         return svg.to_svg(canvas, f"{', '.join(panels)} over {' and '.join(axes_named)}")
+
+
+def by_readings(levels: Sequence[Mapping[str, Any]], component: str, unit: str) -> str:
+    """What is left of each left-out group against readings per shift, with the model and with readings alone; SVG text.
+
+    levels: `readings.levels` of a component of `validation.json`; at most `PANELS` groups, the worst first.
+    """
+    groups = sorted(levels[0]["groups"], key=lambda g: -g["rms"])[:PANELS]
+    places = np.arange(len(levels))
+    with svg.figure(7.2, 3.0, columns=len(groups)) as (canvas, found):
+        cells = np.atleast_1d(found)
+        for axes, group in zip(cells, groups, strict=True):
+            own = [next(g for g in level["groups"] if g["label"] == group["label"]) for level in levels]
+            axes.plot(places, [g["rms_readings_alone"] for g in own], "s--", color=svg.BEFORE, label="readings alone")
+            axes.plot(places, [g["rms"] for g in own], "o-", color=svg.AFTER, label="model and readings")
+            axes.set_title(f"left out: {group['label']}", loc="left", fontsize=9)
+            axes.set(xticks=places, xticklabels=[str(level["per_shift"]) for level in levels])
+            axes.set_xlabel("readings per shift")
+            axes.set_ylim(bottom=0)
+        cells[0].set_ylabel(f"{component}, rms in {unit}")
+        cells[0].legend(fontsize=8)
+        return svg.to_svg(canvas, f"{component} against readings per shift, held out")

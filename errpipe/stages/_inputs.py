@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from errpipe.domain import driver as d
-from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.table import AXIS, NAME, Kind, TableInput, text_problem
 from errpipe.errors import GateError
 from errpipe.guard.description import GuardedSensor, SensorGuard
@@ -46,8 +46,25 @@ def table_inputs(
     for name in healthy:
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
     found = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
+    found += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     found = [_no_faster(channel, (rates or {}).get(channel.name)) for channel in found]
     return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in found]
+
+
+def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:
+    """The channel of the last reading minus the prediction of its time: 0 where there is none, it is old or wild."""
+    if problem := text_problem(name, 31, NAME):
+        raise GateError(f"export: the input of readings {name!r} does not fit a table: {problem}")
+    return TableInput(
+        name=name,
+        kind="other",
+        unit=unit,
+        low=-readings.bound,
+        high=readings.bound,
+        stale_after_s=readings.hold_s,
+        default=0.0,
+        optional=True,
+    )
 
 
 def _fitting_names(columns: dict[str, dict]) -> None:
@@ -133,7 +150,8 @@ def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
 
 def unknown_inputs(names: set[str], model: ErrorModel) -> None:
     """Raises GateError naming an input that no controller can feed (such as the time of a recording)."""
-    for name in sorted(names):
+    readings = {c.datum_input for c in model.components if c.readings is not None}
+    for name in sorted(names - readings):
         role = model.columns.get(name, {}).get("role")
         if role not in CHANNELS:
             raise GateError(f"a driver reads {name!r} (role {role}), which a controller cannot be given")

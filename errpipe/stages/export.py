@@ -39,6 +39,11 @@ class Export(CompileOptions, SignOptions, Stage):
     ungated: bool = Field(
         False, description="Export although nothing was judged, or what was judged is not better than nothing."
     )
+    readings_per_shift: Literal[1, 2, 4, 8, 16] | None = Field(
+        None,
+        description="The table takes readings of the deviation, so many in eight hours, by an input "
+        "`datum_<component>`: the last reading minus what the table without it predicted then. None: no such input.",
+    )
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
         "error_model": Need("error_model"),
@@ -76,12 +81,20 @@ class Export(CompileOptions, SignOptions, Stage):
 
 def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
     """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated."""
+    from dataclasses import replace
+
+    from errpipe.fitting.recalibration import with_readings
     from errpipe.validation.gate import Passed, pass_gate
 
+    validations = _artefacts.validations_of(model, context.every("validation").values())
     if options.ungated:
         title = _artefacts.ungated_title(model.title)
-        return Passed(model.model_copy(update={"title": title}), (), ())
-    return pass_gate(model, _artefacts.validations_of(model, context.every("validation").values()))
+        passed = Passed(model.model_copy(update={"title": title}), (), ())
+    else:
+        passed = pass_gate(model, validations)
+    if options.readings_per_shift is None:
+        return passed
+    return replace(passed, model=with_readings(passed.model, validations, options.readings_per_shift))
 
 
 def _guard(context: Context, recording: Recording) -> SensorGuard:

@@ -10,14 +10,22 @@ from errpipe.stages import _artefacts
 
 if TYPE_CHECKING:
     import numpy as np
+    import pandas as pd
 
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
+    from errpipe.validation.predict import Predictor
+
+BESIDE = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
 
 
-def predict(source: Path, recording: Path, out: Path) -> dict[str, Any]:
-    """Write one row per recording row: run, time, and NAME_predicted, _lower, _upper, _outside per response."""
+def predict(source: Path, recording: Path, out: Path, readings: Path | None = None) -> dict[str, Any]:
+    """Write one row per recording row: run, time, and NAME_predicted, _lower, _upper, _outside per response.
+
+    readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
+    it. Raises DataError where it cannot be used.
+    """
     from errpipe import jsonfile
     from errpipe.domain.error_model import ErrorModel
     from errpipe.validation import predict as rows
@@ -26,10 +34,53 @@ def predict(source: Path, recording: Path, out: Path) -> dict[str, Any]:
     read = _artefacts.recording_in(Path(recording))
     source_of = _of_model(found) if isinstance(found, ErrorModel) else _of_table(found, Path(source))
     frame = rows.predict(source_of, read)
+    said: dict[str, Any] = {}
+    if readings is not None:
+        frame, said = _with_readings(found, source_of, read, frame, Path(readings))
     jsonfile.write_text(Path(out), frame.to_csv(index=False, lineterminator="\n"))
-    told = {"written": str(out), "rows": len(frame), "columns": list(frame.columns)}
+    told = {"written": str(out), "rows": len(frame), "columns": list(frame.columns)} | said
     without = [c for c in source_of.components if c not in source_of.half_width90]
     return told | ({"intervals": _why_empty(found, without)} if without else {})
+
+
+def _with_readings(
+    found: ErrorModel | CompensationTable, source: Predictor, recording: Recording, frame: pd.DataFrame, path: Path
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The prediction corrected by readings, and in words what of them was used.
+
+    A table that takes readings is given them as its input; to another one the whole difference is added.
+    """
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.errors import DataError
+    from errpipe.stages import _readings
+    from errpipe.validation import predict as rows
+
+    table = _compiled(found) if isinstance(found, ErrorModel) else found
+    channels = {i.name: i for i in table.inputs} if table is not None else {}
+    read = _readings.read(path, recording, source.components)
+    inputs, added, said = {}, {}, {}
+    for component in (c for c in source.components if c in read.columns):
+        name = recording.name("error", component=component) or component
+        channel = channels.get(f"datum_{component}")
+        hold, bound = (channel.stale_after_s or np.inf, channel.high) if channel else (np.inf, np.inf)
+        predicted = frame[f"{name}_predicted"].to_numpy()
+        difference, used, wild = _readings.differences(recording, read, component, predicted, hold, bound)
+        if not used:
+            away = f"; {wild} lie further than {bound:.3g} from the prediction" if wild else ""
+            raise DataError(f"{path}: no reading of {component} is believed and within a run of the recording{away}")
+        said[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else BESIDE}
+        if channel is not None:
+            inputs[channel.name] = difference
+        else:
+            added[name] = np.nan_to_num(difference)
+    if inputs:
+        frame = rows.predict(source, recording.with_columns(inputs, {}))
+    for name, difference in added.items():
+        for ending in ("predicted", "lower", "upper"):
+            frame[f"{name}_{ending}"] += difference
+    return frame, {"readings": said}
 
 
 def _why_empty(found: ErrorModel | CompensationTable, without: list[str]) -> str:
@@ -50,23 +101,27 @@ def _of_model(model: ErrorModel):
     """
     from functools import cache
 
-    from errpipe.errors import GateError
     from errpipe.fitting.components import evaluate
-    from errpipe.stages._compile import CompileOptions, compile_model
     from errpipe.validation.predict import of_evaluator
 
-    @cache
-    def table() -> CompensationTable | None:
-        try:
-            return compile_model(model, CompileOptions())
-        except GateError:
-            return None
+    table = cache(lambda: _compiled(model))
 
     def values(recording: Recording) -> Mapping[str, np.ndarray]:
         compiled = table()
         return evaluate(model, recording) if compiled is None else table_values(compiled, model, recording)
 
     return of_evaluator(values, model)
+
+
+def _compiled(model: ErrorModel) -> CompensationTable | None:
+    """The table of a model; None where a controller can be given none."""
+    from errpipe.errors import GateError
+    from errpipe.stages._compile import CompileOptions, compile_model
+
+    try:
+        return compile_model(model, CompileOptions())
+    except GateError:
+        return None
 
 
 def _of_table(table: CompensationTable, path: Path):

@@ -62,7 +62,10 @@ class Report(Stage):
             responses=responses,
             refusal=self.refusal,
             consequences=[says for document in exported.values() for says in document.get("consequences", ())],
-            extra_figures=_iso230_chart(recording, validation, context.needed("validation") / HELD_OUT),
+            extra_figures=[
+                *_iso230_chart(recording, validation, context.needed("validation") / HELD_OUT),
+                *_readings(validation),
+            ],
             validity=_validity(model),
             exported=_exported(exported),
             iso230=_iso230(validation),
@@ -124,6 +127,28 @@ def _iso230_chart(recording: Any, validation: Mapping[str, Any], rows: Path) -> 
     return [("ISO 230-2 chart", chart(figures, after), caption)]
 
 
+def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """What readings of the deviation now and then buy, on groups left out."""
+    from errpipe.reporting.run_figures import by_readings
+
+    out = []
+    for c in validation["components"]:
+        if len(c.get("readings", {}).get("levels", ())) < 2:
+            continue
+        levels, hours = c["readings"]["levels"], c["readings"]["shift_h"]
+        rms = ", ".join(f"{level['per_shift']}: {level['rms']:.3g}" for level in levels)
+        caption = (
+            f"Rows of the recording play the readings, with their noise; a shift is {hours:g} h. The share "
+            "of a reading that is applied comes from the other groups. "
+            f"All groups, readings per shift: rms in {c['unit']}: {rms}. "
+            "An export takes readings with readings_per_shift; errpipe predict takes them from a file (--readings)."
+        )
+        out.append(
+            (f"{c['component']}: readings now and then", by_readings(levels, c["component"], c["unit"]), caption)
+        )
+    return out
+
+
 def _removed(folder: Path) -> list[dict[str, Any]]:
     from errpipe import jsonfile
 
@@ -137,6 +162,7 @@ def _removed(folder: Path) -> list[dict[str, Any]]:
 def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: Path) -> list[Any]:
     import pandas as pd
 
+    from errpipe.fitting.recalibration import is_thermal
     from errpipe.reporting.run_report import Response
 
     held_out = pd.read_parquet(rows)
@@ -160,21 +186,12 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
                 table=[_group(g) for g in figures["groups"]],
                 scheme=validation["scheme"],
                 notes=_notes(component, figures),
-                time=recording.time()[index] if _is_thermal(recording) else None,
+                time=recording.time()[index] if is_thermal(recording) else None,
                 band=figures.get("half_width90"),
                 plane=_plane(recording, component.component, index),
             )
         )
     return out
-
-
-def _is_thermal(recording: Any) -> bool:
-    """Whether a recording is a run over time: temperatures and a clock, and no list of targets."""
-    import numpy as np
-
-    places = recording.names("position") + recording.names("command")
-    moving = [n for n in places if np.nanmax(recording.array(n)) > np.nanmin(recording.array(n))]
-    return bool(recording.names("time") and recording.names("temperature") and not moving)
 
 
 def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:

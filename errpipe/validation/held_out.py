@@ -15,7 +15,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout
+from errpipe.fitting import holdout, recalibration
 from errpipe.fitting.judging import HeldOut, half_width90, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
@@ -97,7 +97,7 @@ def component_figures(recording: Recording, component: str, folds: Sequence[Held
     best = _least_that_ties(gains)
     chance = significance.p_value(recording, folds, best) if best > 0.0 else 1.0
     chosen = best if chance <= significance.LEVEL else 0.0
-    return {
+    figures = {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
         "rows": int(rows.size),
@@ -118,6 +118,15 @@ def component_figures(recording: Recording, component: str, folds: Sequence[Held
         "verdict": "do nothing" if chosen == 0.0 else ("model" if chosen == 1.0 else "partial gain"),
         "groups": [_group(f, k, folds) for k, f in enumerate(folds)],
     }
+    if chosen > 0.0 and len(folds) > 1 and recalibration.is_thermal(recording):
+        figures["readings"] = recalibration.by_readings(
+            recording,
+            [f.rows for f in folds],
+            [f.label for f in folds],
+            [f.before for f in folds],
+            [_at_gain(f, chosen) for f in folds],
+        )
+    return figures
 
 
 def _group(fold: HeldOut, number: int, folds: Sequence[HeldOut]) -> dict[str, Any]:

@@ -17,9 +17,9 @@ import numpy as np
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, recalibration, thermal_arithmetic, thermal_causes, thermal_season
+from errpipe.fitting import holdout, recalibration, thermal_arithmetic, thermal_season
 from errpipe.formats import manifest_folder
-from errpipe.reporting import svg
+from errpipe.reporting import run_figures, svg
 from errpipe.validation import champion, learning_curve, seasons
 
 SEASON = "leave-one-group-out:season"
@@ -122,31 +122,17 @@ def champions(recording: Recording, component: str) -> tuple[Any, str]:
     return told, bars(groups, series, "rms in um", "Champion and challengers on seasons left out")
 
 
-def left_out_values(recording: Recording, component: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Deviation, prediction by a model that never saw the row's season, and the season, per row."""
-    y = thermal_arithmetic.since_start_of(recording, component)
-    value, label = np.zeros(y.size), np.full(y.size, "", dtype=object)
-    for fold in holdout.groups(recording, SEASON):
-        value[fold.test] = thermal_season.fit(recording, component, rows=fold.train).values(recording)[fold.test]
-        label[fold.test] = fold.label
-    return y, value, label
-
-
 def readings(recording: Recording, component: str) -> tuple[Any, str]:
-    """Residual against the number of probe readings a run, the season left out whole."""
-    y, value, label = left_out_values(recording, component)
-    found = thermal_causes.sensors(recording)
-    how = recalibration.Recalibration(recalibration.RecalibrationOptions(), thermal_causes.running(recording, found))
-    told = recalibration.residual_by_readings(recording, value, y, how, groups=label)
-    for entry in told:
-        print(entry)
-    series = {}
-    for group in dict.fromkeys(label):
-        mine = [e for e in told if e["group"] == group]
-        number = [e["readings_per_run"] for e in mine]
-        series[f"{group}, model and readings"] = (number, [e["rms"] for e in mine])
-        series[f"{group}, readings alone"] = (number, [e["rms_readings_alone"] for e in mine])
-    return told, lines(series, "readings per run", "rms in um", "Residual against probe readings")
+    """Residual against the number of probe readings in eight hours, the season left out whole."""
+    y, folds = thermal_arithmetic.since_start_of(recording, component), holdout.groups(recording, SEASON)
+    left = [y - thermal_season.fit(recording, component, rows=f.train).values(recording) for f in folds]
+    rows = [np.flatnonzero(f.test & np.isfinite(y)) for f in folds]
+    told = recalibration.by_readings(
+        recording, rows, [f.label for f in folds], [y[r] for r in rows], [v[r] for v, r in zip(left, rows, strict=True)]
+    )
+    for level in told["levels"]:
+        print(level)
+    return told, run_figures.by_readings(told["levels"], component, "um")
 
 
 def hours(recording: Recording, component: str) -> tuple[Any, str]:

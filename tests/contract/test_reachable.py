@@ -25,7 +25,6 @@ KNOWN = {
     "from_terms": "a simulated axis from a list of terms, for tests",
     "thermal_and_geometric": "splits component names, for own scripts",
     "customary": "the usual plan that examples/next-duty-cycle compares with",
-    "residual_by_readings": "recalibration by a few readings: examples/seasons only, no command yet",
     "linearity": "examples/placement",
     "extrapolation": "examples/placement",
 }
