@@ -7,7 +7,7 @@ the door that read it has converted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -251,6 +251,18 @@ class Manifest(Frozen):
         return found if found is not None and found.role == "axis" else None
 
 
+@dataclass
+class Past:
+    """What the rows before a batch leave behind. run, time: of the last one; states, later: driver -> its state at the
+    end of the rows before and of this batch.
+    """
+
+    run: str = ""
+    time: float = float("nan")
+    states: dict[Any, tuple[float, ...]] = field(default_factory=dict)
+    later: dict[Any, tuple[float, ...]] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class Recording:
     """A manifest and its rows in canonical units.
@@ -260,11 +272,13 @@ class Recording:
     between: what drives a slow effect from one row to the next. `held`: the row's value, as a control that reads it at
     a fixed rate has it. `inferred`: temperatures and pressures run straight to the next row, and in the pauses of a
     series of parts the rest (spindle, coolant) is at 0.
+    past: for a batch of a longer recording, what the rows before it leave behind.
     """
 
     manifest: Manifest
     frame: pd.DataFrame
     between: Literal["held", "inferred"] = "held"
+    past: Past | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -326,4 +340,4 @@ class Recording:
     def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:
         """The recording with further columns (arrays) of the given kinds."""
         manifest = self.manifest.model_copy(update={"columns": {**self.manifest.columns, **kinds}})
-        return Recording(manifest, self.frame.assign(**columns), self.between)
+        return Recording(manifest, self.frame.assign(**columns), self.between, self.past)

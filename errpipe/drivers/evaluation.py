@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain.recording import Recording
+from errpipe.domain.recording import Past, Recording
 from errpipe.drivers.motion import direction, position
-from errpipe.drivers.sessions import sessions
+from errpipe.drivers.sessions import LONGEST_PAUSE, sessions
 from errpipe.kernels import responses
+
+Respond = Callable[[np.ndarray, np.ndarray, np.ndarray, bool], np.ndarray]
 
 
 def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
@@ -27,7 +31,9 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
                 total = total + weight * drive(of, recording)
             return total
         case d.First():
-            return responses.first_value(sessions(recording), drive(driver.of, recording))
+            return _state(
+                driver, drive(driver.of, recording), recording, lambda s, t, u, start: responses.first_value(s, u)
+            )
         case d.Lag():
             source = drive(driver.of, recording)
             return _late(driver, source, recording)
@@ -39,7 +45,9 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
         case d.Clip():
             return np.clip(drive(driver.of, recording), driver.low, driver.high)
         case d.Switch():
-            return responses.switch(sessions(recording), drive(driver.of, recording), driver.on, driver.off)
+            on, off = driver.on, driver.off
+            source = drive(driver.of, recording)
+            return _state(driver, source, recording, lambda s, t, u, start: responses.switch(s, u, on, off))
         case d.Direction():
             return direction(recording, driver.axis, driver.threshold, driver.start)
         case d.Approach():
@@ -63,7 +71,58 @@ def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray
     if recording.between == "inferred" and recording.name("cut_length") is not None and len(recording) > 1:
         usual = float(np.median(np.diff(t)))
         return responses.lag_paused(session, t, source, *taus, at_input, PAUSE * usual, usual)
-    return responses.lag(session, t, source, *taus, at_input)
+    return _state(driver, source, recording, lambda s, t, u, start: responses.lag(s, t, u, *taus, at_input or start))
+
+
+def carried(driver: d.Driver, recording: Recording) -> bool:
+    """Whether a driver's states are carried over from one batch of rows to the next."""
+    if isinstance(driver, d.Direction):
+        return recording.name("direction", axis=driver.axis) is not None
+    of = getattr(driver, "of", ())
+    return not isinstance(driver, d.Approach) and all(
+        carried(o, recording) for o in (of if isinstance(of, tuple) else (of,))
+    )
+
+
+def _state(
+    driver: d.First | d.Lag | d.Switch, source: np.ndarray, recording: Recording, respond: Respond
+) -> np.ndarray:
+    """A response with a state, shape (rows,), which in a batch goes on from where the batch before left it.
+
+    Rows before the batch that bring the response to its state, at the time of the last one, stand for all of them.
+    respond: (session, time, source, whether it starts at its input) -> response.
+    """
+    session, t, past = sessions(recording), recording.time(), recording.past
+    if past is None or not len(recording):
+        return respond(session, t, source, False)
+    before = past.states.get(driver, ()) if _goes_on(recording, past) else ()
+    first = int(np.searchsorted(session, session[0], side="right")) if before else 0
+    head = respond(
+        np.zeros(len(before) + first, dtype=np.int64),
+        np.r_[np.full(len(before), past.time), t[:first]],
+        np.r_[before, source[:first]],
+        True,
+    )[len(before) :]
+    out = np.r_[head, respond(session[first:], t[first:], source[first:], False)]
+    seen = source[session == session[-1]]
+    if first == len(recording):
+        seen = np.r_[before, seen]
+    past.later[driver] = _rows_before(driver, float(out[-1]), seen[np.isfinite(seen)])
+    return out
+
+
+def _goes_on(recording: Recording, past: Past) -> bool:
+    same_run = recording.run_labels()[recording.run_codes()[0]] == past.run
+    return same_run or (recording.name("time") is not None and 0.0 <= recording.time()[0] - past.time <= LONGEST_PAUSE)
+
+
+def _rows_before(driver: d.First | d.Lag | d.Switch, last: float, seen: np.ndarray) -> tuple[float, ...]:
+    """Inputs that bring a fresh response to its value `last`; () where it has not begun."""
+    if isinstance(driver, d.Switch):
+        return (driver.on if last > 0.5 else driver.off,)
+    if not seen.size:
+        return ()
+    return (last,) if isinstance(driver, d.First) else (last, float(seen[-1]))
 
 
 def runs_on(driver: d.Driver, recording: Recording) -> bool:

@@ -44,6 +44,7 @@ class _Values(dict[str, np.ndarray]):
     """Columns by name, beside the runs and times of a recording: as much of one as `drive` looks at."""
 
     between = "held"
+    past = None
 
     def __init__(self, recording: Recording):
         super().__init__()

@@ -74,7 +74,7 @@ def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorMode
     models: list[ComponentModel] = []
     for group in groups_of(spec):
         models += _fit_group(recording, spec, group, mask)
-    return _whole(recording, spec, mask, models)
+    return whole_model(recording, spec, mask, models)
 
 
 def solved_plainly(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
@@ -85,7 +85,7 @@ def solved_plainly(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> E
         for b, component in enumerate(problem.components):
             own = [s for s in problem.slots if s.block == b and not s.nuisance]
             models.append(ComponentModel(component=component, terms=tuple(_values(s, found) for s in own)))
-    return _whole(recording, spec, mask, models)
+    return whole_model(recording, spec, mask, models)
 
 
 def _values(slot: Slot, found: Estimate) -> FittedTerm:
@@ -148,12 +148,13 @@ def _fit_group(recording, spec, group, mask) -> list[ComponentModel]:
     models, start = [], 0
     for b, component in enumerate(problem.components):
         rows = slice(start, start + problem.rows[b].size)
-        models.append(_component(problem, found, b, component, before[rows], found.residual[rows]))
+        models.append(component_model(problem, found, b, component, before[rows], found.residual[rows]))
         start = rows.stop
     return models
 
 
-def _component(problem: Problem, found: Estimate, block: int, component: str, before, after) -> ComponentModel:
+def component_model(problem: Problem, found: Estimate, block: int, component: str, before, after) -> ComponentModel:
+    """A block of a solved problem as a component of an error model; before, after: on the block's rows, (n,)."""
     unit = problem.recording.manifest.columns[response_name(problem.recording, component)].unit or "um"
     own = [s for s in problem.slots if s.block in (block, -1)]
     terms = tuple(fitted_term(s, found, problem.width, unit) for s in own if not s.nuisance)
@@ -246,7 +247,8 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def _whole(recording: Recording, spec: ModelSpec, mask, models: Sequence[ComponentModel]) -> ErrorModel:
+def whole_model(recording: Recording, spec: ModelSpec, mask, models: Sequence[ComponentModel]) -> ErrorModel:
+    """Components as an error model, with the validity box of the rows of a mask."""
     used: list[str] = []
     for model in models:
         for fitted in model.terms:

@@ -141,6 +141,14 @@ def assemble(
     """
     mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
     seen = recording if mask.all() else recording.take(mask)
+    slots, width, unknowns = slots_of(seen, blocks, nuisance)
+    return _stack(recording, tuple(c for c, _ in blocks), mask, slots, width, unknowns)
+
+
+def slots_of(
+    seen: Recording, blocks: Sequence[tuple[str, Sequence[Term]]], nuisance: Sequence[Term] = ()
+) -> tuple[tuple[Slot, ...], int, tuple[Parameter, ...]]:
+    """(slots, number of linear columns, non-linear parameters) of the terms, settled on the rows of `seen`."""
     slots: list[Slot] = []
     unknowns: list[Parameter] = []
     width = 0
@@ -153,7 +161,7 @@ def assemble(
         unknowns += term.free()
         slots.append(Slot(term, block, slice(width, width + len(free)), is_nuisance, free, slice(begin, len(unknowns))))
         width += len(free)
-    return _stack(recording, tuple(c for c, _ in blocks), mask, tuple(slots), width, tuple(unknowns))
+    return tuple(slots), width, tuple(unknowns)
 
 
 def _stack(recording, components, mask, slots, width, unknowns) -> Problem:
@@ -172,7 +180,7 @@ def _stack(recording, components, mask, slots, width, unknowns) -> Problem:
         if chosen.size == 0:
             raise DataError(f"fit: no row has both {component} and everything its terms need")
         kept.append(chosen)
-        response.append(y[chosen] - _fixed_part(recording, b, slots)[chosen])
+        response.append(y[chosen] - fixed_part(recording, b, slots)[chosen])
         sequence.append(run[chosen] + b * (int(run.max()) + 1))
     return Problem(
         recording,
@@ -192,7 +200,7 @@ def _middle(parameter: Parameter) -> float:
     return float(np.sqrt(low * high)) if low > 0 else 0.5 * (low + high)
 
 
-def _fixed_part(recording: Recording, block: int, slots: Sequence[Slot]) -> np.ndarray:
+def fixed_part(recording: Recording, block: int, slots: Sequence[Slot]) -> np.ndarray:
     """What terms with fixed linear parameters add by themselves, shape (rows,)."""
     total = np.zeros(len(recording))
     for slot in slots:

@@ -158,7 +158,12 @@ def between_runs(sequence: np.ndarray, jacobian: np.ndarray, scores: np.ndarray)
 
 def rows_effective(sequence: np.ndarray, noise: Noise) -> float:
     """How many independent rows weigh as much as these, for a mean: n over the sum of the autocorrelation."""
-    lengths = np.unique(sequence, return_counts=True)[1].astype(float)
+    return effective_rows(np.unique(sequence, return_counts=True)[1], noise)
+
+
+def effective_rows(rows_of_runs: np.ndarray, noise: Noise) -> float:
+    """`rows_effective` from the number of rows of each run, (runs,)."""
+    lengths = rows_of_runs.astype(float)
     if noise.rho <= 0.0 or noise.share <= 0.0:
         return float(lengths.sum())
     r = noise.rho

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -19,10 +19,11 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from errpipe import jsonfile, yamlfile
 from errpipe.domain import units
-from errpipe.domain.recording import Manifest, Recording
+from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import DataError
 from errpipe.formats import _derived, _tables
@@ -112,6 +113,52 @@ def iter_chunks(path: Path, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
     if count:
         frame = pd.DataFrame({n: _join([p[n] for p in held], role) for n, role in kinds.items()}, copy=False)
         yield Recording(settled, frame)
+
+
+def rows_written(folder: Path) -> int:
+    """Rows of a folder that `write` or `to_parquet` made; 0 for any other folder."""
+    path = Path(folder) / TABLE
+    if not path.is_file() or load_manifest(folder).tables != (TABLE,):
+        return 0
+    return int(pq.read_metadata(path).num_rows)
+
+
+def iter_batches(folder: Path, names: Sequence[str] | None = None, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
+    """Columns of a folder that `write` or `to_parquet` made, `rows` at a time; all columns without names.
+
+    Each batch says what the rows before it leave behind, so that states go on. Raises DataError for a damaged file.
+    """
+    manifest = canonical(load_manifest(folder))
+    kept = [n for n, c in manifest.columns.items() if c.role != "ignore" and (names is None or n in names)]
+    labels = [n for n in kept if manifest.columns[n].role in LABELS]
+    timed = any(manifest.columns[n].role == "time" for n in kept)
+    past = Past()
+    try:
+        table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels)
+        for part in table.iter_batches(batch_size=rows, columns=kept):
+            columns = {n: part[n].to_pandas() if n in labels else part[n].to_numpy(zero_copy_only=False) for n in kept}
+            batch = Recording(manifest, pd.DataFrame(columns, copy=False), past=past)
+            yield batch
+            last = batch.run_labels()[batch.run_codes()[-1]]
+            time = float(batch.time()[-1]) if timed else -1.0  # without a time, rows are counted from 0 in every batch
+            past = Past(last, time, past.later)
+    except (pa.ArrowException, OSError):
+        raise DataError(f"{Path(folder) / TABLE}: not a Parquet file, or a damaged one") from None
+
+
+def extremes(folder: Path) -> Recording:
+    """Two rows: the smallest and the largest value of every column of such a folder, from the file's statistics."""
+    manifest = canonical(load_manifest(folder))
+    facts = pq.read_metadata(Path(folder) / TABLE)
+    ends: dict[str, list[Any]] = {}
+    for group in range(facts.num_row_groups):
+        for index in range(facts.num_columns):
+            column = facts.row_group(group).column(index)
+            if column.statistics is not None and column.statistics.has_min_max:
+                known = ends.setdefault(column.path_in_schema, [column.statistics.min, column.statistics.max])
+                known[:] = min(known[0], column.statistics.min), max(known[1], column.statistics.max)
+    kept = [n for n, c in manifest.columns.items() if c.role != "ignore"]
+    return Recording(manifest, pd.DataFrame({n: ends.get(n, [np.nan, np.nan]) for n in kept}))
 
 
 def canonical(manifest: Manifest) -> Manifest:

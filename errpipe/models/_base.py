@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
+    from errpipe.fitting import history
+    from errpipe.fitting.batches import Source
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
     from errpipe.fitting.thermal_competition import Entrant
@@ -38,6 +40,18 @@ class Table(NamedTuple):
     columns: list[str]
     rows: list[list[Any]]
     caption: str
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Folds of a recording read batch by batch. scheme: short form of the hold-out; by component: folds; rows of the
+    sample with the row of the recording each is, (rows,); largest deviation before and after of each fold, (folds, 2).
+    """
+
+    scheme: str
+    folds: Mapping[str, list[history.Fold]]
+    sample: Mapping[str, tuple[Recording, np.ndarray]]
+    worst: Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -96,6 +110,18 @@ class Family(Frozen, ABC):
     @abstractmethod
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; component -> what was left."""
+
+    def in_batches(self, source: Source) -> bool:
+        """Whether a recording is too long to be fitted whole. Raises DataError where it is and cannot be otherwise."""
+        return False
+
+    def fit_batches(self, source: Source) -> Fitted:
+        """`fit` of a recording that is read batch by batch."""
+        raise TypeError(f"{self.family_name()} is not fitted in batches")
+
+    def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
+        """Every fold of a recording that is read batch by batch; without a scheme, the family's own."""
+        raise TypeError(f"{self.family_name()} is not judged in batches")
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Family:

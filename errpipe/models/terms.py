@@ -7,13 +7,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.fitting.spec import ModelSpec
-from errpipe.models._base import Family, Fitted, Progress, fit_summary, silent
+from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, silent
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
+    from errpipe.fitting.batches import Source
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
+
+ROWS_IN_MEMORY = 1_000_000  # with ten columns and ten parameters least squares takes 0.6 GB
 
 
 class Terms(ModelSpec, Family):
@@ -22,6 +26,14 @@ class Terms(ModelSpec, Family):
     family: Literal["terms"] = Field("terms", description="Model family.")
     less_simulated: bool = Field(
         False, description="Fit what a simulation leaves out: recorded less simulated values are the deviation."
+    )
+    rows_in_memory: int | None = Field(
+        None,
+        ge=1000,
+        description="A longer recording is fitted and judged batch by batch, and what cannot be (other methods than "
+        "linear, free non-linear parameters, nuisance, smooth curves) is refused by name. Default: 1,000,000, and what "
+        "cannot be fitted in batches is fitted whole.",
+        json_schema_extra={"unit": "1"},
     )
     takes_terms: ClassVar[bool] = True
 
@@ -59,14 +71,49 @@ class Terms(ModelSpec, Family):
 
         return judging.judge(self._response(recording), self, fold)
 
+    def in_batches(self, source: Source) -> bool:
+        """Longer than `rows_in_memory`. Raises DataError where that was asked for and something cannot be done so."""
+        from errpipe.fitting import history
+
+        if source.rows <= (self.rows_in_memory or ROWS_IN_MEMORY):
+            return False
+        hindrances = history.hindrances(self, source.ends)
+        if hindrances and self.rows_in_memory is not None:
+            raise DataError(
+                f"fit: {source.rows} rows are more than rows_in_memory ({self.rows_in_memory}), and in batches there is"
+                f" no {', no '.join(hindrances)}. Leave it out, or raise rows_in_memory."
+            )
+        return not hindrances
+
+    def fit_batches(self, source: Source) -> Fitted:
+        """`fit` of a recording that is read batch by batch. Raises DataError, NotIdentifiable."""
+        from errpipe.fitting import history
+
+        fitted = history.fitted(source, self, self._response)
+        return Fitted(fitted, summary=fit_summary(fitted))
+
+    def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
+        """Every fold of a recording that is read batch by batch."""
+        from errpipe.fitting import batches, history, holdout
+
+        layout = batches.survey(source, self, scheme)
+        found = batches.gather(source, self, layout, self._response)
+        folds = history.all_left_out(found, source.manifest)
+        worst = history.worst(source, found, folds, self._response)
+        names = [h.component for h in found]
+        return Judged(
+            holdout.name(layout.scheme),
+            dict(zip(names, folds, strict=True)),
+            {h.component: (h.sample(source.manifest), h.rows_of_recording()) for h in found},
+            dict(zip(names, worst, strict=True)),
+        )
+
     def _response(self, recording: Recording) -> Recording:
         return mismatch(recording, self) if self.less_simulated else recording
 
 
 def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
     """The recording with recorded less simulated as its responses. Raises DataError where a twin is missing."""
-    from errpipe.errors import DataError
-
     left = {}
     for component in (c.component for c in spec.components):
         error, twin = (recording.name(role, component=component) for role in ("error", "simulated"))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
+    from errpipe.fitting.batches import Source
     from errpipe.models import Family
     from errpipe.pipeline.stage import Context
 
@@ -34,6 +35,19 @@ def recording_in(folder: Path) -> Recording:
     from errpipe.formats import manifest_folder
 
     return manifest_folder.read(folder)
+
+
+def source_in(folder: Path) -> Source | None:
+    """The recording a stage left in a folder, to be read batch by batch; None where a person put it there."""
+    from functools import partial
+
+    from errpipe.fitting.batches import Source
+    from errpipe.formats import manifest_folder
+
+    rows = manifest_folder.rows_written(folder)
+    if not rows:
+        return None
+    return Source(rows, manifest_folder.extremes(folder), partial(manifest_folder.iter_batches, folder))
 
 
 def recordings_in(context: Context) -> dict[str, Recording]:

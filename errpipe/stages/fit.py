@@ -28,10 +28,14 @@ class FitStage(Stage):
         return (_artefacts.MODEL, _artefacts.PROCEDURE, *self.of.documents)
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        recording = _artefacts.recording_in(context.needed("recording"))
+        folder, family = context.needed("recording"), self.family_options()
+        source = _artefacts.source_in(folder)
         context.progress(0.1, "fitting")
-        family = self.family_options()
-        fitted = family.fit(recording, context.progress)
+        if source is not None and family.in_batches(source):
+            recording, fitted = source.ends, family.fit_batches(source)
+        else:
+            recording = _artefacts.recording_in(folder)
+            fitted = family.fit(recording, context.progress)
         _artefacts.write_model(context, recording, fitted.model, family)
         for name, document in fitted.documents.items():
             context.write_json(name, document)

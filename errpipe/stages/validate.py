@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.fitting.holdout import HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
@@ -52,8 +53,16 @@ class Validate(Stage):
     def _of_model(self, context: Context, folder: Path) -> dict[str, Any]:
         from errpipe.validation import held_out
 
-        recording = _artefacts.recording_in(context.needed("recording"))
+        at = context.needed("recording")
         family, model = _artefacts.family_in(folder), _artefacts.read_model(folder / _artefacts.MODEL)
+        source = _artefacts.source_in(at)
+        if source is not None and family.in_batches(source):
+            if self.iso230_2:
+                raise DataError("validate: the figures of ISO 230-2 need the whole recording (raise rows_in_memory)")
+            document, rows = held_out.judged_in_batches(source, family, self.holdout)
+            _write_rows(context.folder / HELD_OUT, rows)
+            return document | {"model": _artefacts.fingerprint_of(model)}
+        recording = _artefacts.recording_in(at)
         document, rows = held_out.judged(recording, family, self.holdout, progress=context.progress)
         if self.iso230_2:
             from errpipe.validation import iso230_2

@@ -91,6 +91,7 @@ class Term(Frozen, ABC):
     one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
+    rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
     friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
 
     @abstractmethod
@@ -126,6 +127,14 @@ class Term(Frozen, ABC):
     def settled(self, recording: Recording) -> Term:
         """The term with what it reads off the rows once (span, runs) written down; a fit calls it first."""
         return self
+
+    def cuttable(self, recording: Recording) -> bool:
+        """Whether a recording may be cut into batches between any two rows.
+
+        The basis of the batches is then that of the whole, given the states that `drive` carries over
+        (`Recording.past`), and `settled` needs no more than the smallest and largest value of each column.
+        """
+        return self.rowwise
 
     def penalty(self) -> np.ndarray | None:
         """Square matrix over the linear parameters whose quadratic form is held small, or None."""

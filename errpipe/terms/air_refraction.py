@@ -35,6 +35,7 @@ class AirRefraction(Term):
     pressure: str | None = Field(None, description="Column of the air's pressure.")
     reports_as = "air_refraction"
     family = "measurement"
+    rowwise = True
     compensable = False
     artefact = "it is the air in the beam of the measuring laser, not the machine: correct the reading"
     simulated_log_odds = -12.0

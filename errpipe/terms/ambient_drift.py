@@ -32,6 +32,7 @@ class AmbientDrift(Term):
     reference: Reference = REFERENCE
     reports_as = "ambient_drift"
     family = "thermal"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("gain", "um/K", (1.0, 6.0), (-100.0, 100.0), "shift per kelvin of the room"),)

@@ -39,6 +39,7 @@ class AngularAbbe(Term):
     order: int = Field(3, description="Highest degree of the angle over the axis.")
     reports_as = "angular_abbe"
     family = "geometric"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(

@@ -46,6 +46,9 @@ class Backlash(Term):
             if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
                 yield cls(axis=axis, radial=is_radial(component))
 
+    def cuttable(self, recording: Recording) -> bool:
+        return recording.name("direction", axis=self.axis) is not None
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (-0.5 * direction(recording, self.axis) * share(recording, self.axis, self.radial))[:, None]
 

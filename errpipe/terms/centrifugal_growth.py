@@ -31,6 +31,7 @@ class CentrifugalGrowth(Term):
     full_speed: float = Field(description="Speed at which the parameter is stated.", json_schema_extra={"unit": "rpm"})
     reports_as = "centrifugal_growth"
     family = "spindle"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("shift", "um", (1.0, 20.0), (-200.0, 200.0), "shift at full speed"),)

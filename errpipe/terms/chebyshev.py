@@ -29,6 +29,7 @@ class Chebyshev(Term):
     """
 
     term: Literal["chebyshev"] = "chebyshev"
+    rowwise = True
     axis: Axis
     degree: int = Field(4, ge=1, le=40, description="Highest degree.")
     lowest: int = Field(1, ge=0, description="1 leaves out the level, 2 the straight line too.")

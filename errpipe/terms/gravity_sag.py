@@ -35,6 +35,7 @@ class GravitySag(Term):
     sign: Literal[-1, 1] = Field(1, description="+1 where the overhang grows with the column, -1 where it shrinks.")
     reports_as = "gravity_sag"
     family = "load"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)

@@ -31,6 +31,7 @@ class Harmonics(Term):
     """
 
     term: Literal["harmonics"] = "harmonics"
+    rowwise = True
     axis: Axis
     period: float | None = Field(
         None, gt=0, description="Repeat length; searched for where not given.", json_schema_extra={"unit": "mm"}

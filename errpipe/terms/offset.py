@@ -25,6 +25,7 @@ class Offset(Term):
     """
 
     term: Literal["offset"] = "offset"
+    rowwise = True
     is_level = True
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -39,6 +39,7 @@ class PitchCyclic(Term):
     radial: Radial = False
     reports_as = "pitch_cyclic"
     family = "geometric"
+    rowwise = True
     on_both_axes = False
 
     def linear(self) -> tuple[Parameter, ...]:

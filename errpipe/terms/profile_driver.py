@@ -10,7 +10,7 @@ from pydantic import Discriminator, Field, Tag
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Frozen, Recording
-from errpipe.drivers.evaluation import drive
+from errpipe.drivers.evaluation import carried, drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms import _profiles as shapes
@@ -130,6 +130,9 @@ class ProfileDriver(Term):
                 driver=(Factor(input="T_nut", reference="first", lag=True),),
             )
         )
+
+    def cuttable(self, recording: Recording) -> bool:
+        return carried(self._driver([1.0] * len(self._lagged())), recording)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         size = drive(self._driver(nonlinear), recording)[:, None]

@@ -33,6 +33,7 @@ class ScaleError(Term):
     radial: Radial = False
     reports_as = "scale_error"
     family = "geometric"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("slope", "um/m", (5.0, 50.0), (-1000.0, 1000.0), "share by which the axis travels too far"),)

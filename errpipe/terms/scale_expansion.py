@@ -35,6 +35,7 @@ class ScaleExpansion(Term):
     radial: Radial = False
     reports_as = "scale_expansion"
     family = "thermal"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("coefficient", "um/m/K", (5.0, 20.0), (-100.0, 100.0), "growth per metre and kelvin"),)

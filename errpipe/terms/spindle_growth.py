@@ -35,6 +35,7 @@ class SpindleGrowth(Term):
     full_speed: float = Field(description="Speed at which the parameter is stated.", json_schema_extra={"unit": "rpm"})
     reports_as = "spindle_growth"
     family = "thermal"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("growth", "um", (5.0, 60.0), (-500.0, 500.0), "growth at full speed, warmed through"),)

@@ -31,6 +31,7 @@ class Squareness(Term):
     radial: Radial = False
     reports_as = "squareness"
     family = "geometric"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("angle", "urad", (5.0, 60.0), (-2000.0, 2000.0), "departure from a right angle"),)

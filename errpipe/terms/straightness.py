@@ -44,6 +44,7 @@ class Straightness(Term):
     across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
     reports_as = "straightness"
     family = "geometric"
+    rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(

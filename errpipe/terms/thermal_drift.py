@@ -31,6 +31,7 @@ class ThermalDrift(Term):
     reference: Reference = REFERENCE
     reports_as = "thermal_drift"
     family = "thermal"
+    rowwise = True
     one_sensor = True
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -34,6 +34,7 @@ class ThermalInteraction(Term):
     reference: Reference = REFERENCE
     reports_as = "thermal_interaction"
     family = "thermal"
+    rowwise = True
     simulated_log_odds = -15.0
 
     def linear(self) -> tuple[Parameter, ...]:

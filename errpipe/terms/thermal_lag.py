@@ -37,6 +37,7 @@ class ThermalLag(Term):
     along: str | None = Field(None, description="Axis along which the lagged temperature stretches; none: it shifts.")
     reports_as = "thermal_lag"
     family = "thermal"
+    rowwise = True
     simulated_log_odds = -4.0
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -16,6 +16,8 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, recalibration
+from errpipe.fitting.batches import Source
+from errpipe.fitting.history import Fold
 from errpipe.fitting.judging import HeldOut, half_width90, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
@@ -73,6 +75,48 @@ def judged(
     return document, found
 
 
+def judged_in_batches(
+    source: Source, family: Family, scheme: holdout.HoldOut | None = None
+) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
+    """`judged` of a recording that is read batch by batch.
+
+    rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor and the test over runs are
+    those of a sample of stretches of every run, which the second part of the answer holds.
+    """
+    done = family.judge_batches(source, scheme)
+    components, rows = [], {}
+    for name, folds in done.folds.items():
+        sample, places = done.sample[name]
+        count = sum(f.rows for f in folds)
+        gains = {f"{g:g}": float(np.sqrt(sum(f.left(g)[0] for f in folds) / count)) for g in GAINS}
+        figures = component_figures(sample, name, [f.held_out for f in folds], gains)
+        groups = [g | _of_all_rows(f, w) for g, f, w in zip(figures["groups"], folds, done.worst[name], strict=True)]
+        figures |= {
+            "rows": count,
+            "worst_group_rms_after": max(g["rms_after"] for g in groups),
+            "bias": float(np.sqrt(np.mean([g["bias_after"] ** 2 for g in groups]))),
+            "scatter": float(np.sqrt(np.mean([g["scatter_after"] ** 2 for g in groups]))),
+            "groups": groups,
+        }
+        components.append(figures)
+        rows[name] = [replace(f.held_out, rows=places[f.held_out.rows]) for f in folds]
+    document = {"validation": VERSION, "scheme": done.scheme, "method": family.method_name, "components": components}
+    return document, rows
+
+
+def _of_all_rows(fold: Fold, worst: np.ndarray) -> dict[str, Any]:
+    (before, _), (after, mean) = fold.left(0.0), fold.left(1.0)
+    return {
+        "rows": fold.rows,
+        "rms_before": float(np.sqrt(before / fold.rows)),
+        "rms_after": float(np.sqrt(after / fold.rows)),
+        "worst_before": float(worst[0]),
+        "worst_after": float(worst[1]),
+        "bias_after": mean,
+        "scatter_after": float(np.sqrt(max(after / fold.rows - mean**2, 0.0))),
+    }
+
+
 def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
     """The coverage of the model's own intervals, instead of one width taken from the other groups."""
     known = {row["left_out"]: row["coverage"] for row in table["groups"]}
@@ -84,13 +128,15 @@ def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
             component["coverage90"] = float(np.mean(covered))
 
 
-def component_figures(recording: Recording, component: str, folds: Sequence[HeldOut]) -> dict[str, Any]:
-    """Figures of one component over its held-out groups."""
+def component_figures(
+    recording: Recording, component: str, folds: Sequence[HeldOut], gains: dict[str, float] | None = None
+) -> dict[str, Any]:
+    """Figures of one component over its held-out groups. gains: rms by gain where it is known from further rows."""
     if not folds:
         raise DataError(f"validate: no held-out rows of {component}")
     name = recording.name("error", component=component)
     half = half_width90(folds)
-    gains = {f"{g:g}": _pooled(folds, g) for g in GAINS}
+    gains = gains or {f"{g:g}": _pooled(folds, g) for g in GAINS}
     rows = np.concatenate([f.rows for f in folds])
     after = np.concatenate([f.after for f in folds])
     floor = noise_floor(recording, rows[np.argsort(rows)], after[np.argsort(rows)])

@@ -1,0 +1,202 @@
+"""A recording fitted batch by batch: the same as in memory, whatever the batches; refusals by name."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.errors import DataError
+from errpipe.fitting.batches import Source, few_rows, triangle
+from errpipe.formats import manifest_folder
+from errpipe.models.terms import Terms
+from errpipe.terms import TERMS, example_of
+from errpipe.validation import held_out
+
+COLUMNS = {
+    "run": Column(role="run"),
+    "day": Column(role="group", of="day"),
+    "t": Column(role="time", unit="s"),
+    "x": Column(role="position", unit="mm", axis="X"),
+    "side": Column(role="direction", axis="X"),
+    "T_nut": Column(role="temperature", unit="degC", location="nut of X"),
+    "T_bed": Column(role="temperature", unit="degC", location="bed"),
+    "n": Column(role="spindle_speed", unit="rpm"),
+    "EXX": Column(role="error", unit="um", component="EXX"),
+    "E_Z": Column(role="error", unit="um", component="E_Z"),
+}
+MODEL = {
+    "components": [
+        {
+            "component": "EXX",
+            "terms": [
+                {"term": "offset"},
+                {"term": "scale_expansion", "axis": "X", "sensor": "T_nut"},
+                {"term": "chebyshev", "axis": "X", "degree": 3, "span": (0.0, 500.0)},
+                {"term": "backlash", "axis": "X"},
+                {"term": "thermal_lag", "sensor": "T_bed", "reference": None, "fixed": {"tau": 4000.0}},
+            ],
+        },
+        {
+            "component": "E_Z",
+            "terms": [
+                {"term": "offset"},
+                {
+                    "term": "spindle_growth",
+                    "column": "n",
+                    "full_speed": 10000.0,
+                    "fixed": {"tau": 1800.0, "exponent": 1.2},
+                },
+            ],
+        },
+    ]
+}
+
+
+def log(rows: int = 9000, runs: int = 7, seed: int = 5) -> Recording:
+    """Days of one machine as a log: runs that follow each other in one session, then one after a night's pause."""
+    rng = np.random.default_rng(seed)
+    run = np.sort(rng.integers(0, runs, rows))
+    t = np.arange(rows) * 20.0 + np.where(run >= runs - 2, 40000.0, 0.0)
+    x = 250.0 + 250.0 * np.sin(t / 300.0)
+    nut = 22.0 + 4.0 * np.sin(t / 9000.0) + 0.02 * rng.normal(size=rows)
+    bed = 21.0 + 2.0 * np.sin(t / 15000.0 + 1.0)
+    speed = 6000.0 * (np.sin(t / 5000.0) > 0.2)
+    noise = np.zeros(rows)
+    for i in range(1, rows):
+        noise[i] = 0.9 * noise[i - 1] + 0.3 * rng.normal()
+    exx = 3.0 + 0.011 * x * (nut - 20.0) + 2.0 * (bed - 21.0) - 1.5 * np.sign(np.cos(t / 300.0)) + noise
+    frame = pd.DataFrame(
+        {
+            "run": np.char.add("r", run.astype(str)),
+            "day": np.char.add("d", (run // 2).astype(str)),
+            "t": t,
+            "x": x,
+            "side": np.where(np.cos(t / 300.0) >= 0, 1.0, -1.0),
+            "T_nut": nut,
+            "T_bed": bed,
+            "n": speed,
+            "EXX": np.where(rng.random(rows) < 0.02, np.nan, exx),
+            "E_Z": 1.0 + 0.0004 * speed + rng.normal(size=rows),
+        }
+    )
+    frame.loc[rng.random(rows) < 0.01, "T_nut"] = np.nan
+    axis = Constant(role="axis", kind="linear", unit="mm", travel=(0.0, 500.0))
+    return Recording(Manifest(recording=1, tables=("log.csv",), columns=COLUMNS, constants={"X": axis}), frame)
+
+
+def on_disk(recording: Recording, folder, rows: int) -> Source:
+    manifest_folder.write(recording, folder)
+    batches = partial(manifest_folder.iter_batches, folder, rows=rows)
+    return Source(len(recording), manifest_folder.extremes(folder), batches)
+
+
+def same(one, other, path="", rtol=1e-9) -> None:
+    """Equal plain values, numbers within a relative difference."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), path
+        for key in one:
+            same(one[key], other[key], f"{path}.{key}", rtol)
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), path
+        for k, pair in enumerate(zip(one, other, strict=True)):
+            same(*pair, f"{path}[{k}]", rtol)
+    elif isinstance(one, float) and isinstance(other, float):
+        assert one == pytest.approx(other, rel=rtol, abs=1e-12), path
+    else:
+        assert one == other, path
+
+
+@pytest.mark.parametrize("scheme", [None, "blocks:4", "leave-one-group-out:day", "forward:3", "batches:3"])
+def test_batches_and_memory_give_the_same_model_and_the_same_held_out_figures(tmp_path, scheme):
+    recording, family = log(), Terms(**MODEL)
+    source = on_disk(recording, tmp_path, 50_000)
+    if scheme is None:
+        same(family.fit_batches(source).model.model_dump(), family.fit(recording).model.model_dump())
+    chosen = None if scheme is None else held_out.holdout.parse(scheme)
+    found, rows = held_out.judged_in_batches(source, family, chosen)
+    known, expected = held_out.judged(recording, family, chosen)
+    same(found, known)
+    for name, folds in rows.items():
+        for one, other in zip(folds, expected[name], strict=True):
+            np.testing.assert_array_equal(one.rows, other.rows)
+            np.testing.assert_allclose(one.after, other.after, rtol=1e-9, atol=1e-9)
+
+
+def test_states_go_on_over_the_borders_of_batches(tmp_path):
+    """Batches of 701 rows cut every run and the session: lags, first values and speeds start from where they were."""
+    recording, family = log(), Terms(**MODEL)
+    model = family.fit_batches(on_disk(recording, tmp_path, 701)).model
+    for one, other in zip(model.components, family.fit(recording).model.components, strict=True):
+        same([t.values() for t in one.terms], [t.values() for t in other.terms])
+        same([one.rms_after, one.rms_before, one.rows], [other.rms_after, other.rms_before, other.rows])
+        spread = np.sqrt(np.diag(one.covariance)) / np.sqrt(np.diag(other.covariance))
+        assert np.all(np.abs(spread - 1.0) < 0.05)  # the noise's memory ends with each batch
+
+
+def cut(recording: Recording, rows: int) -> list[Recording]:
+    from errpipe.domain.recording import Past
+
+    parts, past = [], Past()
+    for first in range(0, len(recording), rows):
+        frame = recording.frame.iloc[first : first + rows].reset_index(drop=True)
+        parts.append(Recording(recording.manifest, frame, recording.between, past))
+        timed = recording.name("time") is not None
+        past = Past(parts[-1].run_labels()[-1], float(parts[-1].time()[-1]) if timed else -1.0, {})
+        yield parts[-1]
+        past.states.update(parts[-1].past.later)
+
+
+@pytest.mark.parametrize("name", TERMS.tags)
+def test_every_term_that_may_be_cut_has_the_same_basis_in_batches(name):
+    case = example_of(TERMS[name])
+    recording = case.recording
+    if not case.term.cuttable(recording):
+        pytest.skip("it needs the whole recording, and says so")
+    values = case.term.nonlinear_values(case.parameters)
+    numbers = recording.frame.select_dtypes("number")
+    ends = pd.DataFrame(
+        {n: [numbers[n].min(), numbers[n].max()] if n in numbers else ["1", "1"] for n in recording.frame}
+    )
+    term = case.term.settled(Recording(recording.manifest, ends))
+    whole = case.term.settled(recording).basis(recording, *values)
+    parts = np.vstack([term.basis(part, *values) for part in cut(recording, max(2, len(recording) // 7))])
+    np.testing.assert_allclose(parts, whole, rtol=1e-9, atol=1e-12)
+
+
+def test_few_rows_answer_for_all():
+    rng = np.random.default_rng(3)
+    rows = np.column_stack([np.ones(5000), rng.normal(size=(5000, 4)) * [1.0, 1e3, 1e-3, 5.0] + 7.0])
+    few = few_rows(triangle(rows))
+    np.testing.assert_allclose(few.T @ few, rows.T @ rows, rtol=1e-12)
+    np.testing.assert_allclose(few.sum(0) ** 2 / few.shape[0], rows.sum(0) ** 2 / 5000, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"method": "robust"}, "method: robust"),
+        ({"datum": "run_start"}, "datum: run_start"),
+        ({"term": {"term": "thermal_lag", "sensor": "T_bed"}}, r"thermal_lag of EXX \(non-linear: fix tau\)"),
+        ({"term": {"term": "smooth_curve", "axis": "X"}}, "smooth_curve of EXX"),
+        ({"term": {"term": "measured_points", "axis": "X"}}, "measured_points of EXX"),
+    ],
+)
+def test_what_cannot_be_done_in_batches_is_refused_by_name_where_batches_are_asked_for(tmp_path, change, says):
+    source = on_disk(log(2000), tmp_path, 1000)
+    term = change.pop("term", {"term": "offset"})
+    model = {"components": [{"component": "EXX", "terms": [term]}], **change}
+    with pytest.raises(DataError, match=says):
+        Terms(**model, rows_in_memory=1000).in_batches(source)
+    assert not Terms(**model).in_batches(Source(5_000_000, source.ends, source.batches))
+    assert Terms(**MODEL).in_batches(Source(5_000_000, source.ends, source.batches))
+
+
+def test_a_run_that_comes_back_is_refused(tmp_path):
+    recording = log(3000)
+    recording.frame.loc[2900:, "run"] = "r0"
+    with pytest.raises(DataError, match="run r0 comes back after run r6"):
+        Terms(**MODEL).fit_batches(on_disk(recording, tmp_path, 1000))
