@@ -88,7 +88,9 @@ class History:
         )
         out = np.empty((len(batch), self.width + 3))
         out[:, 0] = 1.0
-        out[:, 1:-2] = problem.design(np.empty(0))
+        inside, none = out[:, 1:-2], np.empty(0)
+        for slot in self.slots:
+            inside[:, slot.columns] = problem.basis_of(slot, 0, none)
         out[:, -2] = fixed_part(batch, 0, self.slots)
         out[:, -1] = batch.array(response_name(batch, self.component))
         return out

@@ -57,13 +57,14 @@ class Problem:
         start = 0
         for b, chosen in enumerate(self.rows):
             if slot.block in (b, -1):
-                out[start : start + chosen.size] = self._basis(slot, b, nonlinear)[chosen]
+                out[start : start + chosen.size] = self.basis_of(slot, b, nonlinear)[chosen]
             start += chosen.size
         if slot.searched.start == slot.searched.stop:
             self._still[key] = out
         return out
 
-    def _basis(self, slot: Slot, block: int, nonlinear: np.ndarray) -> np.ndarray:
+    def basis_of(self, slot: Slot, block: int, nonlinear: np.ndarray) -> np.ndarray:
+        """Design columns of one slot over all rows of the recording, shape (rows, free linear parameters)."""
         term = slot.term
         values = inner_values(term, nonlinear[slot.searched])
         shared = getattr(term, "shared", None)
@@ -174,7 +175,7 @@ def _stack(recording, components, mask, slots, width, unknowns) -> Problem:
         complete = usable.copy()
         for slot in slots:
             if slot.block in (b, -1):
-                complete &= np.isfinite(probe._basis(slot, b, middle)).all(axis=1)
+                complete &= np.isfinite(probe.basis_of(slot, b, middle)).all(axis=1)
         dropped += int(np.count_nonzero(usable & ~complete))
         chosen = np.flatnonzero(complete)
         if chosen.size == 0:

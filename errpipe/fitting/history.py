@@ -192,7 +192,7 @@ def _left_out(history: History, sample: Recording, drivers: list[str]) -> list[F
             raise DataError(f"hold-out {label}: no row of the sample is of this group")
         part = rows[judged]
         held = HeldOut(label, judged, part[:, -1], part @ weights, distance(validity, sample.take(judged)), 0.0)
-        folds.append(Fold(held, sum(np.array(history.counts)[test]), history.factor(test), weights, test))
+        folds.append(Fold(held, int(np.array(history.counts)[test].sum()), history.factor(test), weights, test))
     return folds
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe import jsonfile
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting.batches import Source, few_rows, triangle
@@ -200,3 +205,66 @@ def test_a_run_that_comes_back_is_refused(tmp_path):
     recording.frame.loc[2900:, "run"] = "r0"
     with pytest.raises(DataError, match="run r0 comes back after run r6"):
         Terms(**MODEL).fit_batches(on_disk(recording, tmp_path, 1000))
+
+
+PIPELINE = """\
+pipeline: 1
+stages:
+  - {kind: ingest, recording: raw}
+  - kind: fit
+    rows_in_memory: 100000
+    components:
+      - component: EXX
+        terms:
+          - {term: offset}
+          - {term: scale_expansion, axis: X, sensor: T_nut}
+          - {term: backlash, axis: X}
+          - {term: thermal_lag, sensor: T_bed, reference: null, fixed: {tau: 4000.0}}
+  - {kind: validate}
+"""
+
+
+def two_years(folder, rows: int) -> None:
+    """A recording folder of two Parquet tables, one a year, of `rows` rows in all."""
+    recording = log(rows, runs=40, seed=9)
+    (folder / "raw").mkdir()
+    for name, part in (("a", recording.frame.iloc[: rows // 2]), ("b", recording.frame.iloc[rows // 2 :])):
+        part.to_parquet(folder / "raw" / f"{name}.parquet", index=False)
+    told = manifest_folder.manifest_text(recording.manifest.model_copy(update={"tables": ("a.parquet", "b.parquet")}))
+    (folder / "raw/recording.yaml").write_text(told, "utf-8")
+    (folder / "pipeline.yaml").write_text(PIPELINE, "utf-8")
+
+
+def peak_mb(folder) -> float:
+    """Peak memory of `errpipe run` in a process of its own, MB; it must end well."""
+    command = [sys.executable, "-m", "errpipe", "run", "pipeline.yaml", "--out", "out"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    child = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    assert child.returncode == 0
+    return used.ru_maxrss / 1024
+
+
+def known(folder) -> None:
+    """The fitted model and its validation say what the log was made of."""
+    (component,) = jsonfile.read(folder / "out/fit/error_model.json")["components"]
+    values = {p["name"]: p["value"] for t in component["terms"] for p in t["parameters"] if p["name"] != "tau"}
+    assert values["coefficient"] == pytest.approx(11.0, abs=0.1)
+    assert values["lost_motion"] == pytest.approx(3.0, abs=0.05)
+    (judged,) = jsonfile.read(folder / "out/validate/validation.json")["components"]
+    assert judged["verdict"] == "model"
+    assert judged["rows"] == component["rows"]
+
+
+def test_a_pipeline_of_partitioned_parquet_is_fitted_in_batches(tmp_path):
+    two_years(tmp_path, 150_000)
+    peak_mb(tmp_path)
+    known(tmp_path)
+
+
+@pytest.mark.slow
+def test_two_million_rows_stay_below_1_gb(tmp_path):
+    two_years(tmp_path, 2_000_000)
+    assert peak_mb(tmp_path) < 1000.0
+    known(tmp_path)

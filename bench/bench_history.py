@@ -1,0 +1,124 @@
+"""A fit batch by batch from disk, beside numpy's least squares in memory and bare reading of the same columns.
+
+Times are processor time, over all threads.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from bench.figure import Figure, main, seconds, spread
+
+ROWS, ROUNDS = 2_000_000, 5
+AIM, MEMORY_AIM = 1.5, 1000.0  # of the time of bare reading; MB
+COLUMNS = ("x", "T_nut", "T_bed", "EXX")
+MANIFEST = """recording: 1
+tables: [recording.parquet]
+columns:
+  run: {role: run}
+  t: {role: time, unit: s}
+  x: {role: position, unit: mm, axis: X}
+  T_nut: {role: temperature, unit: degC, location: nut}
+  T_bed: {role: temperature, unit: degC, location: bed}
+  EXX: {role: error, unit: um, component: EXX}
+"""
+TERMS = (
+    {"term": "offset"},
+    {"term": "scale_error", "axis": "X"},
+    {"term": "scale_expansion", "axis": "X", "sensor": "T_nut"},
+    {"term": "thermal_drift", "sensor": "T_bed"},
+)
+
+
+def write(folder: Path) -> Path:
+    """A log of 40 runs, as `ingest` leaves it (seed 1)."""
+    import pandas as pd
+
+    from errpipe.domain.recording import Recording
+    from errpipe.formats import manifest_folder
+
+    rng, k = np.random.default_rng(1), np.arange(ROWS)
+    x, nut, bed = 250 + 250 * np.sin(k / 300), 22 + 4 * np.sin(k / 9e4), 21 + 2 * np.sin(k / 15e4)
+    exx = 3 + 0.01 * x + 0.011 * x * (nut - 20) + 2 * bed + rng.normal(size=ROWS)
+    frame = pd.DataFrame({"run": (k // (ROWS // 40)).astype(str), "t": k * 1.0, "x": x, "T_nut": nut, "T_bed": bed})
+    (folder / "recording.yaml").write_text(MANIFEST, "utf-8")
+    manifest = manifest_folder.canonical(manifest_folder.load_manifest(folder))
+    manifest_folder.write(Recording(manifest, frame.assign(EXX=exx)), folder)
+    return folder
+
+
+def read(folder: Path) -> dict[str, np.ndarray]:
+    """The columns of the fit, whole, by pyarrow alone."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(folder / "recording.parquet", columns=list(COLUMNS))
+    return {name: table[name].to_numpy() for name in COLUMNS}
+
+
+def in_memory(folder: Path) -> np.ndarray:
+    """The same parameters by numpy, everything in memory."""
+    c = read(folder)
+    design = np.column_stack([np.ones(ROWS), c["x"] / 1e3, c["x"] / 1e3 * (c["T_nut"] - 20), c["T_bed"] - 20])
+    return np.linalg.lstsq(design, c["EXX"], rcond=None)[0]
+
+
+def linear_part(folder: Path) -> np.ndarray:
+    """The pass that leaves the triangular factors, and the parameters from them."""
+    from errpipe.fitting import batches, solve
+    from errpipe.models.terms import Terms
+    from errpipe.stages._artefacts import source_in
+
+    source = source_in(folder)
+    family = Terms(components=[{"component": "EXX", "terms": TERMS}])
+    (history,) = batches.gather(source, family, batches.survey(source, family), lambda recording: recording)
+    rows = batches.few_rows(history.factor())
+    return solve.least_squares(rows[:, 1:-2], rows[:, -1]).coefficients
+
+
+def stage(folder: Path) -> tuple[float, float]:
+    """(s of processor time, peak MB) of the stages fit and validate by `errpipe run`, in a process of its own."""
+    terms = json.dumps(TERMS)
+    lines = "pipeline: 1\nstages:\n  - {kind: ingest, recording: .}\n  - kind: fit\n    rows_in_memory: 100000\n"
+    lines += f"    components: [{{component: EXX, terms: {terms}}}]\n  - {{kind: validate}}\n"
+    (folder / "pipeline.yaml").write_text(lines, "utf-8")
+    command = [sys.executable, "-m", "errpipe", "run", "pipeline.yaml", "--out", "../out"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    child = subprocess.Popen(command, cwd=folder, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise RuntimeError(f"errpipe run ended with {child.returncode}")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def figures() -> list[Figure]:
+    """The linear part over bare reading and beside numpy, and the whole command with its peak memory."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "raw"
+        folder.mkdir()
+        write(folder)
+        np.testing.assert_allclose(linear_part(folder), in_memory(folder), rtol=1e-8)
+        bare = seconds(lambda: read(folder), ROUNDS, process_time)
+        ours = seconds(lambda: linear_part(folder), ROUNDS, process_time)
+        numpy = seconds(lambda: in_memory(folder), ROUNDS, process_time)
+        whole, peak = stage(folder)
+    lacks = {"lacks": "runs that sit out, missing values, memory that does not grow"}
+    return [
+        Figure("linear fit from disk over bare reading of its columns", ours[0] / bare[0], "x", 0.0, AIM),
+        Figure(f"linear fit of {ROWS} rows from disk", ours[0], "s", spread(ours), None, False, "numpy, all in memory",
+               numpy[0] / ours[0], **lacks),
+        Figure("ingest, fit and validate by command", whole, "s"),
+        Figure("peak memory of that command", peak, "MB", 0.0, MEMORY_AIM),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main(figures))
