@@ -251,18 +251,20 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
 
 
 @bare_kernel
-def replay(program, state, columns, fresh, t, run, deviation, correction, status):
+def replay(program, state, columns, fresh, t, run, goes_on, before, deviation, correction, status):
     """Replay a recording: columns (rows, inputs), t in s, run: an integer per row; states start anew where it changes.
 
-    Fills deviation and correction (rows, outputs) and status (rows,). Time that stands still or runs back
-    within a run counts as no time.
+    goes_on: the first row goes on from the state, `before` being the time of the row before it; else it starts anew.
+    Fills deviation and correction (rows, outputs) and status (rows,). Time that stands still, runs back or is
+    missing within a run counts as no time.
     """
     for k in range(columns.shape[0]):
         dt = 0.0
-        if k == 0 or run[k] != run[k - 1]:
+        if not goes_on or (k > 0 and run[k] != run[k - 1]):
             reset(program, state)
-        elif t[k] > t[k - 1]:
-            dt = t[k] - t[k - 1]
+        elif t[k] > before:
+            dt = t[k] - before
+        goes_on, before = True, t[k]
         cycle(program, state, columns[k], fresh, dt, True, ON)
         for o in range(state.outputs.size):
             deviation[k, o] = state.outputs[o].deviation

@@ -1,13 +1,15 @@
-"""A table over whole recordings (causal replay) and over many points (no states), in Numba.
+"""A table over recordings (causal replay), whole or in parts, and over many points (no states).
 
-Both agree with the reference evaluator to the bit. `evaluate` gives what the reference gives row by row;
-`position` what it gives in the first cycle of a run at each point, with missing coordinates giving NaN.
+All agree with the reference evaluator to the bit. `evaluate` gives what the reference gives row by row: a short
+recording is given to it, a long one to its twin in Numba, which takes seconds to compile. `position` gives what the
+reference gives in the first cycle of a run at each point, with missing coordinates giving NaN.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +21,9 @@ from errpipe.tables import pack
 from errpipe.tables.reference import Evaluator
 
 _OUTSIDE = sum(1 << t.STATUS.index(bit) for bit in ("fading", "defaulted", "beyond_profile"))
+SHORT = (
+    4000  # rows that the reference evaluator replays in less time than Numba takes to load its twin (chosen on: demo)
+)
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,73 @@ class Replay:
         return (self.status & _OUTSIDE) != 0
 
 
+class Rows:
+    """A table over a recording that comes in parts: every call goes on where the one before it ended.
+
+    compiled: in Numba, else by the reference evaluator; the bits are the same.
+    """
+
+    def __init__(self, table: t.CompensationTable, compiled: bool = True):
+        self.table = table
+        self._before: tuple[int, float] | None = None  # run and time of the last row
+        self._walk = self._compiled() if compiled else self._plain()
+
+    def __call__(self, columns: Mapping[str, np.ndarray], time: np.ndarray, run: np.ndarray) -> Replay:
+        """What the table says about the next rows; arguments and refusals as of `evaluate`."""
+        table = self.table
+        lacking = [i.name for i in table.inputs if not i.optional and i.name not in columns]
+        if lacking:
+            raise DataError(f"the recording has no column for the table's input {', '.join(lacking)}")
+        rows = len(run)
+        readings = np.full((rows, len(table.inputs)), np.nan)
+        for n, i in enumerate(table.inputs):
+            if i.name in columns:
+                readings[:, n] = columns[i.name]
+        deviation = np.empty((rows, len(table.outputs)))
+        correction = np.empty_like(deviation)
+        status = np.empty(rows, dtype=np.int64)
+        time, run = np.asarray(time, dtype=float), np.asarray(run, dtype=np.int64)
+        if rows:
+            goes_on = self._before is not None and self._before[0] == run[0]
+            before = self._before[1] if self._before is not None else 0.0
+            self._walk(readings, time, run, goes_on, before, deviation, correction, status)
+            self._before = (int(run[-1]), float(time[-1]))
+        names = [o.name for o in table.outputs]
+        return Replay(
+            {name: deviation[:, n].copy() for n, name in enumerate(names)},
+            {name: correction[:, n].copy() for n, name in enumerate(names)},
+            status,
+        )
+
+    def _compiled(self) -> Callable[..., None]:
+        program = pack.program(self.table)
+        state, fresh = pack.state(program), np.ones(len(self.table.inputs), dtype=np.uint8)
+
+        def walk(readings: np.ndarray, *rest: Any) -> None:
+            table_cycle.replay(program, state, readings, fresh, *rest)
+
+        return walk
+
+    def _plain(self) -> Callable[..., None]:
+        evaluator, names = Evaluator(self.table), [i.name for i in self.table.inputs]
+
+        def walk(readings, time, run, goes_on, before, deviation, correction, status) -> None:
+            times, runs = time.tolist(), run.tolist()
+            for k, row in enumerate(readings.tolist()):
+                dt = 0.0
+                if not goes_on or (k > 0 and runs[k] != runs[k - 1]):
+                    evaluator.reset()
+                elif times[k] > before:
+                    dt = times[k] - before
+                goes_on, before = True, times[k]
+                cycle = evaluator.cycle(dict(zip(names, row, strict=True)), dt=dt)
+                deviation[k] = list(cycle.deviation.values())
+                correction[k] = list(cycle.correction.values())
+                status[k] = cycle.status
+
+        return walk
+
+
 def evaluate(
     table: t.CompensationTable, columns: Mapping[str, np.ndarray], time: np.ndarray, run: np.ndarray
 ) -> Replay:
@@ -42,28 +114,7 @@ def evaluate(
     columns: input name -> values, shape (rows,), NaN where missing; time in s; run: an integer per row, states
     start anew where it changes. Raises DataError where a required input has no column.
     """
-    lacking = [i.name for i in table.inputs if not i.optional and i.name not in columns]
-    if lacking:
-        raise DataError(f"the recording has no column for the table's input {', '.join(lacking)}")
-    rows = len(run)
-    readings = np.full((rows, len(table.inputs)), np.nan)
-    for n, i in enumerate(table.inputs):
-        if i.name in columns:
-            readings[:, n] = columns[i.name]
-    program = pack.program(table)
-    state = pack.state(program)
-    fresh = np.ones(len(table.inputs), dtype=np.uint8)
-    deviation = np.empty((rows, len(table.outputs)))
-    correction = np.empty_like(deviation)
-    status = np.empty(rows, dtype=np.int64)
-    time, run = np.asarray(time, dtype=float), np.asarray(run, dtype=np.int64)
-    table_cycle.replay(program, state, readings, fresh, time, run, deviation, correction, status)
-    names = [o.name for o in table.outputs]
-    return Replay(
-        {name: deviation[:, n].copy() for n, name in enumerate(names)},
-        {name: correction[:, n].copy() for n, name in enumerate(names)},
-        status,
-    )
+    return Rows(table, compiled=len(run) > SHORT)(columns, time, run)
 
 
 class Positions:

@@ -59,16 +59,20 @@ def test_numba_cycle_is_the_reference_over_many_cycles(seed):
         assert same(evaluator.cycle(given, **modes(enable[k])), *(r[k] for r in results)), k
 
 
+def rows_of(table, seed, rows=300):
+    """Columns, time (which stands still and runs back, too) and runs of a recording that drives a table hard."""
+    readings, _, _ = stimulus(table, rows, seed)
+    time = np.cumsum(np.random.default_rng(seed).choice([0.0, 0.01, 5.0, -1.0], rows))
+    return {i.name: readings[:, n] for n, i in enumerate(table.inputs)}, time, np.arange(rows) // 97
+
+
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("seed", range(25, 40))
-def test_replay_is_the_reference_to_the_bit(seed):
+def test_replay_is_the_reference_to_the_bit(seed, compiled):
     table = everything(seed)
     rows = 300
-    readings, _, _ = stimulus(table, rows, seed)
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.choice([0.0, 0.01, 5.0, -1.0], rows))
-    run = np.arange(rows) // 97
-    columns = {i.name: readings[:, n] for n, i in enumerate(table.inputs)}
-    replay = batch.evaluate(table, columns, time, run)
+    columns, time, run = rows_of(table, seed, rows)
+    replay = batch.Rows(table, compiled)(columns, time, run)
     evaluator = Evaluator(table)
     for k in range(rows):
         dt = 0.0
@@ -80,6 +84,22 @@ def test_replay_is_the_reference_to_the_bit(seed):
         assert list(cycle.deviation.values()) == [v[k] for v in replay.deviation.values()]
         assert list(cycle.correction.values()) == [v[k] for v in replay.correction.values()]
         assert cycle.status == replay.status[k]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("rows", [1, 7, 96])
+def test_a_replay_in_parts_is_the_replay_in_one(rows, compiled):
+    table = everything(26)
+    columns, time, run = rows_of(table, 26)
+    whole = batch.Rows(table, compiled)(columns, time, run)
+    step = batch.Rows(table, compiled)
+    cuts = [slice(k, k + rows) for k in range(0, len(run), rows)]
+    parts = [step({n: v[cut] for n, v in columns.items()}, time[cut], run[cut]) for cut in cuts]
+    assert np.array_equal(np.concatenate([p.status for p in parts]), whole.status)
+    for name in whole.deviation:
+        for said in ("deviation", "correction"):
+            joined = np.concatenate([getattr(p, said)[name] for p in parts])
+            assert joined.tobytes() == getattr(whole, said)[name].tobytes()
 
 
 @pytest.mark.parametrize("seed", range(40, 60))
@@ -171,7 +191,7 @@ def test_replay_at_the_controllers_rate_gives_the_controllers_bits():
     )
     rng = np.random.default_rng(5)
     x, temperature = rng.uniform(0, 900, 400), 20 + np.cumsum(rng.normal(0, 0.1, 400))
-    replay = batch.evaluate(table, {"x": x, "T": temperature}, 0.25 * np.arange(400), np.zeros(400))
+    replay = batch.Rows(table)({"x": x, "T": temperature}, 0.25 * np.arange(400), np.zeros(400))
     readings = np.column_stack([{"x": x, "T": temperature}[i.name] for i in table.inputs])
     ones = np.ones(readings.shape, dtype=np.uint8)
     deviation, _, _ = stream(table, readings, ones, np.ones(400, dtype=np.uint8))

@@ -51,7 +51,8 @@ def by_runtime(tmp_path) -> dict[str, float]:
     evaluator = reference.Evaluator(full)
     (output,) = full.outputs
     out = {"reference (Python)": 1e3 * evaluator.cycle(readings).correction[output.name]}
-    replay = batch.evaluate(full, {k: np.full(1, v) for k, v in readings.items()}, np.zeros(1), np.zeros(1, dtype=int))
+    columns = {k: np.full(1, v) for k, v in readings.items()}
+    replay = batch.Rows(full)(columns, np.zeros(1), np.zeros(1, dtype=int))
     out["Numba, recordings"] = -float(replay.deviation[output.name][0])
     out["Numba, points"] = -float(batch.position(full, np.array([list(readings.values())]), tuple(readings))[0, 0])
     setup = Setup({"G54": (0.0, 0.0, 0.0)}, {}, (0.0, 0.0, 0.0))
