@@ -105,6 +105,14 @@ def inputs(driver: Driver) -> tuple[str, ...]:
     """Names of the inputs a driver reads, in order of first use."""
     if isinstance(driver, Input):
         return (driver.name,)
+    return tuple(dict.fromkeys(name for child in _below(driver) for name in inputs(child)))
+
+
+def remembers(driver: Driver) -> bool:
+    """Whether a driver's value depends on rows before the row."""
+    return isinstance(driver, First | Lag | Switch | Direction | Approach) or any(map(remembers, _below(driver)))
+
+
+def _below(driver: Driver) -> tuple[Driver, ...]:
     of = getattr(driver, "of", ())
-    children = of if isinstance(of, tuple) else (of,)
-    return tuple(dict.fromkeys(name for child in children for name in inputs(child)))
+    return of if isinstance(of, tuple) else (of,)

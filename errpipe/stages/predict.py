@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
-    from errpipe.validation.predict import Predictor
+    from errpipe.validation.predict import Begin, Evaluate, Predictor
 
 BESIDE = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
 
@@ -23,22 +23,29 @@ BESIDE = "added to the prediction: the table has no input for readings (readings
 def predict(source: Path, recording: Path, out: Path, readings: Path | None = None) -> dict[str, Any]:
     """Write one row per recording row: run, time, and NAME_predicted, _lower, _upper, _outside per response.
 
+    `out` is Parquet where it ends in `.parquet`, else CSV. Rows are read, predicted and written in parts, so that
+    memory does not grow with them, wherever the prediction is a table's, its interval needs no earlier rows, and no
+    readings are given.
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
     it. Raises DataError where it cannot be used.
     """
-    from errpipe import jsonfile
     from errpipe.domain.error_model import ErrorModel
+    from errpipe.formats import manifest_folder
+    from errpipe.stages import _rows_out
     from errpipe.validation import predict as rows
 
     found = _artefacts.model_or_table(source)
-    read = _artefacts.recording_in(Path(recording))
     source_of = _of_model(found) if isinstance(found, ErrorModel) else _of_table(found, Path(source))
-    frame = rows.predict(source_of, read)
     said: dict[str, Any] = {}
     if readings is not None:
-        frame, said = _with_readings(found, source_of, read, frame, Path(readings))
-    jsonfile.write_text(Path(out), frame.to_csv(index=False, lineterminator="\n"))
-    told = {"written": str(out), "rows": len(frame), "columns": list(frame.columns)} | said
+        read = _artefacts.recording_in(Path(recording))
+        frame, said = _with_readings(found, source_of, read, rows.predict(source_of, read), Path(readings))
+        frames = iter([frame])
+    elif source_of.in_parts:
+        frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)))
+    else:
+        frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)))])
+    told = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
     without = [c for c in source_of.components if c not in source_of.half_width90]
     return told | ({"intervals": _why_empty(found, without)} if without else {})
 
@@ -110,7 +117,8 @@ def _of_model(model: ErrorModel):
         compiled = table()
         return evaluate(model, recording) if compiled is None else table_values(compiled, model, recording)
 
-    return of_evaluator(values, model)
+    compiled = table()
+    return of_evaluator(values, model, None if compiled is None else _begin(compiled, model))
 
 
 def _compiled(model: ErrorModel) -> CompensationTable | None:
@@ -128,17 +136,50 @@ def _of_table(table: CompensationTable, path: Path):
     """The predictor of a table, with the intervals of the model that stands beside it where it is the same one."""
     from errpipe import jsonfile
     from errpipe.domain.error_model import ErrorModel, Validity
+    from errpipe.tables import by_component
     from errpipe.validation.predict import Predictor, of_evaluator
 
     beside = path.parent / _artefacts.MODEL
     if beside.is_file():
         model = _artefacts.read_model(beside)
         if jsonfile.fingerprint(_artefacts.model_json(model)) == table.fingerprint:
-            return of_evaluator(lambda recording: table_values(table, model, recording), model)
+            return of_evaluator(lambda recording: table_values(table, model, recording), model, _begin(table, model))
     bare = ErrorModel(components=())
     seen = Validity(ranges={i.name: i.valid for i in table.inputs if i.valid is not None})
-    names = tuple(o.name for o in table.outputs)
-    return Predictor(lambda recording: table_values(table, bare, recording), names, seen)
+    names = tuple(o.name for o in by_component(table).outputs)
+    return Predictor(lambda recording: table_values(table, bare, recording), names, seen, begin=_begin(table, bare))
+
+
+def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
+    """Begins a run that comes in parts; its evaluator says of them what `table_values` says of the whole."""
+    from functools import cache
+
+    import numpy as np
+
+    from errpipe.tables import batch, by_component
+
+    packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))
+
+    def begin(rows: int) -> Evaluate:
+        replay, count, first = packed(batch.worth_compiling(rows)).anew(), 0, dict[str, float]()
+
+        def values(part: Recording) -> Mapping[str, np.ndarray]:
+            nonlocal count
+            rows, timed = len(part), part.name("time") is not None
+            columns = {i.name: part.array(i.name) for i in table.inputs if i.name in part.frame.columns}
+            found = replay(columns, part.time() if timed else part.time() + count, np.zeros(rows)).deviation
+            count += rows
+            if model.datum != "run_start":
+                return found
+            for name, deviation in found.items():
+                known = deviation[np.isfinite(deviation)]
+                if known.size:
+                    first.setdefault(name, known[0])
+            return {name: deviation - first.get(name, np.nan) for name, deviation in found.items()}
+
+        return values
+
+    return begin
 
 
 def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:

@@ -6,14 +6,14 @@ keeps its last value, as it does on a controller; before its first value nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
 
-from errpipe.domain.driver import Driver
+from errpipe.domain.driver import Driver, remembers
 from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
@@ -23,6 +23,7 @@ from errpipe.fitting.validity import distance
 
 _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
 Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]
+Begin = Callable[[int], Evaluate]
 INPUTS = (
     "position",
     "command",
@@ -49,7 +50,8 @@ class Predictor:
 
     evaluate: recording of one run -> component -> deviation, (rows,). half_width90: component -> half width of the
     90 % interval inside the box; widening90: added per range's width outside of it; growth90: its share more per unit
-    predicted; factor90: its multiple from the inputs.
+    predicted; factor90: its multiple from the inputs. begin: from the number of rows that are there, the evaluator of
+    a run that comes in parts, which takes them in order; None where only whole runs can be evaluated.
     """
 
     evaluate: Evaluate
@@ -59,6 +61,12 @@ class Predictor:
     widening90: Mapping[str, float] = field(default_factory=dict)
     growth90: Mapping[str, float] = field(default_factory=dict)
     factor90: Mapping[str, Driver] = field(default_factory=dict)
+    begin: Begin | None = None
+
+    @property
+    def in_parts(self) -> bool:
+        """Whether runs may come in parts."""
+        return self.begin is not None and not any(map(remembers, self.factor90.values()))
 
     def half_width(self, component: str, alone: Recording, value: np.ndarray, far: np.ndarray) -> np.ndarray:
         """Half width of the 90 % interval per row of one run; NaN where none is known."""
@@ -74,7 +82,7 @@ def of_model(model: ErrorModel) -> Predictor:
     return of_evaluator(lambda recording: evaluate(model, recording), model)
 
 
-def of_evaluator(evaluator: Evaluate, model: ErrorModel) -> Predictor:
+def of_evaluator(evaluator: Evaluate, model: ErrorModel, begin: Begin | None = None) -> Predictor:
     """Another evaluator (of the compiled table) with the intervals and the validity box of the model behind it."""
     return Predictor(
         evaluator,
@@ -84,6 +92,7 @@ def of_evaluator(evaluator: Evaluate, model: ErrorModel) -> Predictor:
         {c.component: c.widening90 for c in model.components},
         {c.component: c.growth90 for c in model.components},
         {c.component: _DRIVER.validate_python(c.factor90) for c in model.components if c.factor90 is not None},
+        begin,
     )
 
 
@@ -95,36 +104,80 @@ def predict(model: ErrorModel | Predictor, recording: Recording) -> pd.DataFrame
     where the recording lacks a column that the model reads.
     """
     source = of_model(model) if isinstance(model, ErrorModel) else model
-    _all_there(source, recording)
-    values = {c: np.zeros(len(recording)) for c in source.components}
-    half = {c: np.full(len(recording), np.nan) for c in source.components}
-    far = np.zeros(len(recording))
-    run = recording.run_codes()
-    for code in np.unique(run):
-        rows = np.flatnonzero(run == code)
-        alone = recording.take(rows)
-        far[rows] = distance(source.validity, alone)
-        kept = held(alone)
-        for component, found in source.evaluate(kept).items():
-            values[component][rows] = found
-            told = np.where(np.isfinite(found), found, 0.0)
-            half[component][rows] = source.half_width(component, kept, told, far[rows])
-    return _frame(source, recording, values, half, far)
+    (frame,) = _frames(source, [recording], lambda _: source.evaluate)
+    return frame
 
 
-def held(recording: Recording) -> Recording:
-    """One run with every input's last value held over gaps, and time that never goes back."""
-    changes = {}
+def predict_parts(source: Predictor, parts: Iterable[Recording]) -> Iterator[pd.DataFrame]:
+    """The same of a recording that comes in parts, part by part: equal to the bit, however it is cut.
+
+    Runs may be cut anywhere and may alternate. Memory: a part, and a few kB per run. Raises ValueError where the
+    source takes whole runs only (`in_parts`).
+    """
+    if source.begin is None or not source.in_parts:
+        raise ValueError("the predictor takes whole runs only")
+    return _frames(source, parts, source.begin)
+
+
+class _Run:
+    """What lasts of a run from one of its parts to the next: its evaluator, and the last value of each input."""
+
+    def __init__(self, evaluator: Evaluate):
+        self.evaluate = evaluator
+        self.last: dict[str, float] = {}
+
+
+def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iterator[pd.DataFrame]:
+    runs: dict[str, _Run] = {}
+    before = 0
+    for part in parts:
+        _all_there(source, part)
+        values = {c: np.zeros(len(part)) for c in source.components}
+        half = {c: np.full(len(part), np.nan) for c in source.components}
+        far = np.zeros(len(part))
+        codes, labels = part.run_codes(), part.run_labels()
+        for code in np.unique(codes):
+            label = labels[code] if code >= 0 else ""
+            run = runs[label] = runs.get(label) or _Run(begin(len(part)))
+            rows = np.flatnonzero(codes == code)
+            alone = part if rows.size == len(part) else part.take(rows)
+            far[rows] = distance(source.validity, alone)
+            kept = held(alone, run.last)
+            for component, found in run.evaluate(kept).items():
+                values[component][rows] = found
+                told = np.where(np.isfinite(found), found, 0.0)
+                half[component][rows] = source.half_width(component, kept, told, far[rows])
+        frame = _frame(source, part, values, half, far)
+        yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
+        before += len(part)
+
+
+def held(recording: Recording, last: dict[str, float] | None = None) -> Recording:
+    """Rows of one run with every input's last value held over gaps, and time that never goes back.
+
+    last: the values that the run's rows before these ended with, by column; brought up to date.
+    """
+    last = {} if last is None else last
+    changes: dict[str, np.ndarray] = {}
     for role in INPUTS:
         for name in recording.names(role):
-            column = recording.frame[name]
-            if column.isna().any():
-                changes[name] = column.ffill()
+            values = recording.array(name)
+            if np.isnan(values).any():
+                values = changes[name] = _filled(values, last.get(name, np.nan))
+            if not np.isnan(values[-1]):
+                last[name] = float(values[-1])
     time = recording.name("time")
     if time is not None:
-        t = recording.frame[time].ffill().bfill().to_numpy(dtype=float)
-        changes[time] = np.maximum.accumulate(t)
+        t = pd.Series(_filled(recording.array(time), last.get(time, np.nan))).bfill().to_numpy()
+        t = changes[time] = np.maximum(np.maximum.accumulate(t), last.get(time, -np.inf))
+        if not np.isnan(t[-1]):
+            last[time] = float(t[-1])
     return Recording(recording.manifest, recording.frame.assign(**changes)) if changes else recording
+
+
+def _filled(values: np.ndarray, before: float) -> np.ndarray:
+    """Gaps filled with the value before them; at the beginning with `before`."""
+    return pd.Series(values).ffill().fillna(before).to_numpy(dtype=float)
 
 
 def _all_there(source: Predictor, recording: Recording) -> None:
