@@ -29,7 +29,7 @@ with pq.ParquetWriter(sys.argv[2], read.schema_arrow.empty_table().select(names)
 
 
 def write(folder: Path) -> None:
-    """A recording of runs, time, a position and temperatures, and a table of one component: a curve and a lag per temperature."""
+    """A recording of runs, time, a position and temperatures; a table of one curve and a lag per temperature."""
     import pandas as pd
 
     from bench.bench_growth import TRAVEL, table
