@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from errpipe import files
 from errpipe.domain import units
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
@@ -15,6 +16,7 @@ from errpipe.simulation.responses import Values, error_column, names_of
 from errpipe.simulation.twin_options import CsvColumn, FromCsv
 
 GAP_STEPS = 10.0  # a step this many times the median one is a gap, unless `longest_gap` is given (from taste)
+MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header row
 MAX_GAPS_LISTED = 5  # gaps named by place in a message; the others are only counted
 
 
@@ -23,9 +25,12 @@ def csv_by_name(recording: Recording, file: Path) -> FromCsv:
     import csv
 
     try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            header = [name.strip() for name in next(csv.reader(stream), [])]
-    except (OSError, UnicodeDecodeError, csv.Error) as err:
+        with files.open_regular(file) as stream:
+            line = stream.readline(MAX_HEADER_BYTES).decode("utf-8-sig")
+        header = [name.strip() for name in next(csv.reader([line]), [])]
+    except OSError as err:
+        raise DataError(f"{file.name}: {files.why(err)}") from None
+    except (UnicodeDecodeError, csv.Error) as err:
         raise DataError(f"{file.name}: not a CSV table: {type(err).__name__}") from None
     clock = next((n for n in (recording.name("time"), "t", "time") if n in header), None)
     if clock is None:
@@ -148,10 +153,13 @@ def _read_csv(file: Path, how: FromCsv):
     """The file's columns that are needed, numbers as float64, labels as text."""
     import pandas as pd
 
-    if not file.is_file():
-        raise DataError(f"{file.name}: there is no such file")
     try:
-        table = pd.read_csv(file, sep=how.separator, dtype=str, keep_default_na=False, skipinitialspace=True)
+        with files.open_regular(file) as stream:
+            table = pd.read_csv(stream, sep=how.separator, dtype=str, keep_default_na=False, skipinitialspace=True)
+    except FileNotFoundError:
+        raise DataError(f"{file.name}: there is no such file") from None
+    except OSError as err:
+        raise DataError(f"{file.name}: {files.why(err)}") from None
     except (ValueError, UnicodeDecodeError) as err:
         raise DataError(f"{file.name}: not a CSV table: {str(err).splitlines()[0]}") from None
     names = [how.time, *(c.column for c in how.columns.values())]

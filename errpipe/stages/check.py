@@ -14,10 +14,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from errpipe import files
 from errpipe.domain import components
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import ConfigError, ErrpipeError, Problem, did_you_mean
 
+SAMPLE_BYTES = 1 << 20  # of each table that are looked at; a header row has less, too
 SAMPLE_ROWS = 400  # rows of each table that are looked at; a wrong column is wrong in its first rows
 CALENDAR = ("day", "month", "year")
 Place = tuple[str | int, ...]
@@ -91,12 +93,19 @@ def header_of(path: Path) -> Recording:
 def _table(file: Path, manifest: Manifest) -> Iterator[tuple[Place, str]]:
     """What a CSV table's header and first rows say against the manifest."""
     try:
-        with file.open(encoding="utf-8", newline="") as stream:
-            rows = csv.reader(stream)
-            header = next(rows, [])
-            sample = [row for _, row in zip(range(SAMPLE_ROWS), rows, strict=False)]
-    except (UnicodeDecodeError, csv.Error, OSError):
+        with files.open_regular(file) as stream:
+            lines = stream.read(SAMPLE_BYTES).splitlines(keepends=True)
+        whole = lines[:-1] if sum(map(len, lines)) == SAMPLE_BYTES else lines  # the last one may be cut
+        rows = csv.reader(line.decode("utf-8") for line in whole)
+        header = next(rows, [])
+        sample = [row for _, row in zip(range(SAMPLE_ROWS), rows, strict=False)]
+    except OSError as err:
+        yield ("tables",), f"{file.name} {files.why(err)}"
+        return
+    except (UnicodeDecodeError, csv.Error):
         return  # `run` says it with the line of the table
+    if not header and whole != lines:
+        return
     stored = {n: c for n, c in manifest.columns.items() if c.derived is None}
     for name, column in stored.items():
         if name not in header and column.role != "ignore":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from errpipe import files
 from errpipe.errors import DataError, did_you_mean
 
 SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing: 2 to 10 % by chance
@@ -20,8 +21,11 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     import pandas as pd
 
     try:
-        frame = pd.read_csv(file)
-    except (OSError, ValueError) as err:
+        with files.open_regular(file) as stream:
+            frame = pd.read_csv(stream)
+    except OSError as err:
+        raise DataError(f"{file}: {files.why(err)}") from None
+    except (ValueError, MemoryError) as err:
         raise DataError(f"{file}: not a CSV table ({err})") from None
     for name in (error, *(n for n in (group, time) if n)):
         if name not in frame.columns:

@@ -34,6 +34,7 @@ import numpy as np
 TIME_LIMIT = 60  # s of one attempt on a busy machine; none should take two
 MEMORY = 4 << 30  # bytes of address space; Arrow and Numba reserve much that they do not use
 ALLOWED = (0, 2, 3, 4, 6)
+WRITTEN = ("said.txt", "found-", "out", "imported", "unpacked", "o.ngc", "p.csv", "d.fmu")  # by commands, as asked
 TOKENS = [
     b"../../precious.txt", b"/etc/passwd", b"\0", b"nan", b"-inf", b"1e400", b"1e30", b"9" * 400, b"-", b"&a", b"*a",
     b"${HOME}", b"!!python/object:os.system", b"{", b"[" * 60, b"}", b"'", b'"', b"\xff\xfe", b"\n", b"\r", b",", b";",
@@ -112,6 +113,11 @@ def forked(work: Callable[[], int], folder: Path) -> tuple[int | None, str]:
 # ---------------------------------------------------------------- the doors
 
 
+def measured(at: np.ndarray) -> np.ndarray:
+    """Deviations (um) of rows 0, 1, ... of an axis 10 um too long, with noise."""
+    return 10 * (at % 10) / 9 + 0.3 * np.sin(7.0 * at)
+
+
 def doors(folder: Path) -> list[Door]:
     """Sound files of every kind in `folder`, each with the commands that read it."""
     from errpipe.cli.app import main
@@ -123,9 +129,10 @@ def doors(folder: Path) -> list[Door]:
     def command(*words: str | Path) -> list[str]:
         return [str(word) for word in words]
 
-    at = np.arange(40)
-    measured = 10 * (at % 10) / 9 + 0.3 * np.sin(7.0 * at)
-    rec, par = recording_folder(folder / "rec", dev=measured), parquet_folder(folder / "par" / "rec", 200)
+    rec, par = (
+        recording_folder(folder / "rec", dev=measured(np.arange(40))),
+        parquet_folder(folder / "par" / "rec", 200),
+    )
     pipeline, second = folder / "p.yaml", folder / "par" / "p.yaml"
     pipeline.write_text(PIPELINE + EXPORTED)
     machine, model = folder / "machine.yaml", folder / "model.json"
@@ -148,11 +155,14 @@ def doors(folder: Path) -> list[Door]:
         Door("table (.ect)", ect_file, [command("eval", ect_file, *at), command("whatis", ect_file)]),
         Door("table (JSON)", twin, [command("eval", twin, *at)]),
         Door("manifest", rec / "recording.yaml", [command("check", rec), run]),
-        Door("pipeline", pipeline, [command("check", pipeline), command("plan", pipeline, "--out", folder / "out")]),
+        Door(
+            "pipeline", pipeline, [command("check", pipeline), command("plan", pipeline, "--out", folder / "out"), run]
+        ),
         Door("CSV", rec / "rows.csv", [run]),
         Door("Parquet", par / "rows.parquet", [command("run", second, "--out", folder / "out2")]),
         Door("NC program", program, [correct]),
         Door("lock file", folder / "out" / "errpipe.lock", [run]),
+        Door("journal", _journal(folder / "out"), [run]),
         Door("model", model, [predict, command("whatis", model)]),
         Door("machine", machine, [command("synthesis", machine), command("check", machine)]),
         Door("exported folder", folder / "out/export/export.json", [command("verify", folder / "out" / "export")]),
@@ -173,6 +183,13 @@ def doors(folder: Path) -> list[Door]:
     found.append(Door("FMU archive", _archive(folder), []))
     found.append(Door("FMU description", _description(folder), []))
     return found
+
+
+def _journal(out: Path) -> Path:
+    """The journal of a stage, as an interrupted run leaves it."""
+    path = out / ".errpipe" / "clean.json"
+    path.write_text(json.dumps(["clean/cleaning.json", "clean/recording.parquet", "clean/gone.txt"]))
+    return path
 
 
 def _measurements(folder: Path) -> list[Door]:
@@ -331,14 +348,18 @@ def _repacked(data: bytes, rng: random.Random) -> bytes:
     return out.getvalue()
 
 
-def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door], list[str]]:
-    """Mutate one file after the other until time is up; the doors with what they answered, and what was found."""
+def beside(folder: Path) -> dict[str, int]:
+    """What lies beside the folder and in it, files with the time of their last change: no attempt may touch it."""
+    rows = [row for top in (folder.parent, folder) for row in os.scandir(top) if not row.name.startswith(WRITTEN)]
+    return {row.path: row.stat().st_mtime_ns if row.is_file() else 0 for row in rows}
+
+
+def attack(folder: Path, end: float, rng: random.Random) -> tuple[list[Door], list[str]]:
+    """Mutate one file after the other until `end`; the doors with what they answered, and what was found."""
     from errpipe.cli.app import main
 
-    precious = folder.parent / "precious.txt"
-    precious.write_text("precious")
+    (folder.parent / "precious.txt").write_text("precious")
     opened, found = doors(folder), []
-    end = time.monotonic() + seconds
     while time.monotonic() < end:
         door = rng.choice(opened)
         data = mutated(door.sound, rng)
@@ -352,7 +373,10 @@ def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door]
         line = rng.choice(door.lines) if door.lines else ["unpack"]
         inside = _unpack if door.file.suffix == ".fmu" else _described
         work = partial(main, line) if door.lines else partial(inside, door, folder)
+        before = beside(folder)
         code, said = forked(work, folder.parent)
+        touched = {path for path, _ in before.items() ^ beside(folder).items()}
+        found += [f"{door.name}: {' '.join(line[:1])} touched {path}" for path in sorted(touched)]
         door.file.write_bytes(door.sound)
         door.tried += 1
         door.codes[-1 if code is None else code] += 1
@@ -360,9 +384,6 @@ def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door]
             kept = folder.parent / f"found-{len(found)}-{door.file.name}"
             kept.write_bytes(data)
             found.append(f"{door.name}: {' '.join(line[:1])} gave {code}: {said.strip()[:300]} (kept as {kept.name})")
-        if precious.read_text() != "precious":
-            found.append(f"{door.name}: a file outside was written")
-            precious.write_text("precious")
     return opened, found
 
 
@@ -379,60 +400,76 @@ def tree(out: Path) -> dict[str, str]:
 
 
 def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int, list[str]]:
-    """Kill runs at any moment while the data change to and fro; every file must be whole, the next run mends all."""
+    """Kill runs at any moment while the data change to and fro; every file must be whole, the next run mends all.
+
+    Counted are the runs that were killed, not those that had ended before the signal came.
+    """
     from errpipe.cli.app import main
     from tests.hostile.doors import PIPELINE, recording_folder
 
-    (folder / "p.yaml").parent.mkdir(parents=True, exist_ok=True)
-    (folder / "p.yaml").write_text(PIPELINE)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "p.yaml").write_text(PIPELINE + EXPORTED)
     out, line = folder / "out", ["run", str(folder / "p.yaml"), "--out", str(folder / "out")]
-
-    def data(version: int) -> None:
-        recording_folder(folder / "rec", rows=2000 + version)
-
-    whole, took = [], 0.2
-    for version in (0, 1):
-        data(version)
+    whole, took = [], 0.0
+    at = np.arange(40)
+    for version in (0, 1, 0):  # in this process: the forked ones need not import or compile
+        recording_folder(folder / "rec", dev=measured(at) * (1 + version))
         began = time.monotonic()
-        forked(lambda: main(line), folder)
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            assert main(line) == 0
         took = time.monotonic() - began
         whole.append(tree(out))
     known = {(name, digest) for versions in whole for name, digest in versions.items()}
-    found, done = [], 0
+    sources = [(folder / "rec/rows.csv").read_bytes()]
+    recording_folder(folder / "rec", dev=measured(at) * 2)
+    sources.append((folder / "rec/rows.csv").read_bytes())
+    found, done, version = [], 0, 0
     while done < count and time.monotonic() < end:
-        version = rng.randrange(2)
-        data(version)
-        pid = os.fork()
-        if pid == 0:
-            with open(os.devnull, "w") as null, contextlib.redirect_stderr(null), contextlib.redirect_stdout(null):
-                os._exit(main(line))
-        time.sleep(rng.uniform(0, 1.2 * took))
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-        done += 1
+        version = 1 - version if rng.random() < 0.7 else version
+        (folder / "rec/rows.csv").write_bytes(sources[version])
+        killed = _killed(lambda: main(line), rng.uniform(0, 1.2 * took))
+        done += killed
         torn = [name for name, digest in tree(out).items() if (name, digest) not in known and name != "errpipe.lock"]
         found += [f"kill {done}: {name} is neither old nor new" for name in torn]
-        with contextlib.suppress(FileNotFoundError):
+        try:
             json.loads((out / "errpipe.lock").read_text())
-        if done % 20 == 0 or done == count:
+        except (OSError, ValueError) as err:
+            found.append(f"kill {done}: errpipe.lock: {err}")
+        if killed and (done % 20 == 0 or done == count):
             code, said = forked(lambda: main(line), folder)
             if code != 0 or tree(out) != whole[version]:
                 found.append(f"kill {done}: the next run gave {code} or other bytes: {said.strip()[:200]}")
     return done, found
 
 
+def _killed(work: Callable[[], int], after: float) -> bool:
+    """Whether a process that does `work` was killed `after` s; False where it had ended by then."""
+    pid = os.fork()
+    if pid == 0:
+        with open(os.devnull, "w") as null, contextlib.redirect_stderr(null), contextlib.redirect_stdout(null):
+            os._exit(work())
+    time.sleep(after)
+    os.kill(pid, signal.SIGKILL)
+    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+
+
 # ---------------------------------------------------------------- the report
 
 
-def report(opened: list[Door], killed: int, found: list[str]) -> Iterator[str]:
+def report(opened: list[Door], killed: str, found: list[str]) -> Iterator[str]:
     """What was tried and what was found, as a table and lines."""
     yield f"{'door':<16} {'tried':>7}  exit codes"
     for door in opened:
         codes = ", ".join(f"{code}: {n}" for code, n in sorted(door.codes.items()))
         yield f"{door.name:<16} {door.tried:>7}  {codes}"
-    yield f"{'SIGKILL':<16} {killed:>7}"
+    yield f"{sum(door.tried for door in opened)} files; SIGKILL: {killed}"
     yield f"found: {len(found)}"
     yield from found
+
+
+def memory() -> str | None:
+    """A folder in memory where there is one: a kill loses nothing that a disk keeps, and fsync does not wait."""
+    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 
 def main_() -> int:
@@ -443,18 +480,20 @@ def main_() -> int:
     parser.add_argument("--keep", type=Path, default=None, help="folder for the files that broke something")
     given = parser.parse_args()
     began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="errpipe-attack-", dir=memory()) as name:
+        killed, torn = kills(Path(name), given.kills, random.Random(given.seed), began + 0.6 * given.seconds)
+    took = time.monotonic() - began
     with tempfile.TemporaryDirectory(prefix="errpipe-attack-") as name:
         top = Path(name)
         (top / "doors").mkdir()
-        opened, found = attack(top / "doors", 0.5 * given.seconds, random.Random(given.seed))
-        killed, torn = kills(top / "kills", given.kills, random.Random(given.seed), began + given.seconds)
+        opened, found = attack(top / "doors", began + given.seconds, random.Random(given.seed))
         if given.keep is not None:
             given.keep.mkdir(parents=True, exist_ok=True)
             for path in top.glob("found-*"):
                 shutil.copy(path, given.keep)
     found += torn
     print(f"seed {given.seed}, {time.monotonic() - began:.0f} s")
-    print("\n".join(report(opened, killed, found)))
+    print("\n".join(report(opened, f"{killed} of {given.kills} in {took:.0f} s", found)))
     return 1 if found else 0
 
 
