@@ -84,7 +84,7 @@ retrain-demo: $(SETUP) ## a simulated year of nightly retraining
 	@$(BIN)/python examples/retraining/year.py out/retraining --seed $(SEED) $(ARGS)
 
 attack: $(SETUP) ## ten minutes of hostile files and killed processes
-	@$(BIN)/python -m tests.hostile.attack --seconds 600 --kills 1000 --seed $(SEED) $(ARGS)
+	@$(BIN)/python -m tests.hostile.attack --seconds 500 --kills 1000 --seed $(SEED) $(ARGS)
 	@$(BIN)/python -m tests.hostile.registry --kills 1000 --seed $(SEED)
 
 lock: $(SETUP) ## write requirements.lock: the versions that are installed

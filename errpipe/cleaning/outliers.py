@@ -8,7 +8,6 @@ simulated twin the mismatch is judged, which has less shape of its own.
 
 from __future__ import annotations
 
-import warnings
 from typing import Literal
 
 import numpy as np
@@ -130,9 +129,11 @@ def _side(windows: np.ndarray) -> np.ndarray:
 
 def _median(windows: np.ndarray) -> np.ndarray:
     """Median of each row of windows, NaN passed over; NaN where there is nothing."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmedian(windows, axis=1)
+    ordered = np.sort(windows, axis=1)  # NaN last; several times as fast as nanmedian
+    count = np.isfinite(windows).sum(axis=1)
+    rows = np.arange(len(windows))
+    middle = (ordered[rows, np.maximum(count - 1, 0) // 2] + ordered[rows, count // 2]) / 2
+    return np.where(count > 0, middle, np.nan)
 
 
 def _scatter(residual: np.ndarray, step: float) -> np.ndarray:

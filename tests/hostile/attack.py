@@ -85,6 +85,13 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     return bytes(out[: 1 << 20])
 
 
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Nothing is printed."""
+    with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        yield
+
+
 def forked(work: Callable[[], int], folder: Path) -> tuple[int | None, str]:
     """Exit code of `work` in a process of its own (None: killed by a signal, or out of time), and what it said."""
     said = folder / "said.txt"
@@ -147,7 +154,7 @@ def doors(folder: Path) -> list[Door]:
     run = command("run", pipeline, "--out", folder / "out")
     correct = command("correct", program, "--table", ect_file, "--start", "0,0,0", "--out", folder / "o.ngc")
     at = ["--at", "x=100"]
-    with contextlib.redirect_stdout(io.StringIO()):
+    with quiet():
         assert main(run) == 0
     shutil.copy(folder / "out" / "fit" / "error_model.json", model)
     predict = command("predict", model, rec, "--out", folder / "p.csv")
@@ -168,13 +175,13 @@ def doors(folder: Path) -> list[Door]:
         Door("exported folder", folder / "out/export/export.json", [command("verify", folder / "out" / "export")]),
         Door("laser file", laser, [command("whatis", laser)]),
     ]
-    with contextlib.redirect_stdout(io.StringIO()):  # all of it once in this process: the forked ones need not import
+    with quiet():  # all of it once in this process: the forked ones need not import
         for door in found:
             for line in door.lines:
                 code = main(line)
                 assert code == 0, (line, code)
     for door in _measurements(folder):
-        with contextlib.redirect_stdout(io.StringIO()):
+        with quiet():
             assert main(door.lines[0]) == 0, door.name
         shutil.rmtree(door.fresh)
         code, said = forked(partial(main, door.lines[0]), folder)
@@ -415,7 +422,7 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
     for version in (0, 1, 0):  # in this process: the forked ones need not import or compile
         recording_folder(folder / "rec", dev=measured(at) * (1 + version))
         began = time.monotonic()
-        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        with quiet():
             assert main(line) == 0
         took = time.monotonic() - began
         whole.append(tree(out))
@@ -446,7 +453,7 @@ def _killed(work: Callable[[], int], after: float) -> bool:
     """Whether a process that does `work` was killed `after` s; False where it had ended by then."""
     pid = os.fork()
     if pid == 0:
-        with open(os.devnull, "w") as null, contextlib.redirect_stderr(null), contextlib.redirect_stdout(null):
+        with quiet():
             os._exit(work())
     time.sleep(after)
     os.kill(pid, signal.SIGKILL)

@@ -152,6 +152,30 @@ def test_no_process_survives_also_not_in_a_session_of_its_own(
     assert running(str(seconds)) == [] and running(str(seconds + 1)) == []
 
 
+@pytest.mark.skipif(os.getuid() != 0, reason="only root has rights to give up")
+def test_started_by_root_it_has_no_rights(built: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """As nobody where that user can read the Python in use; the rights do not come back."""
+    from errpipe.simulation import fmu_process, fmu_worker
+
+    child = os.fork()
+    if child == 0:
+        fmu_worker.become(fmu_process.NOBODY)
+        with contextlib.suppress(PermissionError):
+            os.setuid(0)
+        mine = (*os.getresuid(), *os.getresgid(), *os.getgroups())
+        os._exit(0 if set(mine) == {fmu_process.NOBODY} else 1)
+    assert os.waitpid(child, 0)[1] == 0
+    shut = built[0].parent / "shut"
+    shut.mkdir(mode=0o700)
+    (shut / "python").touch()
+    monkeypatch.setattr(fmu_process.sys, "executable", str(shut / "python"))
+    assert fmu_process.unprivileged_user() == 0
+    monkeypatch.setattr(fmu_process.sys, "executable", "/bin/sh")
+    monkeypatch.setattr(fmu_process.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(fmu_process, "__file__", "/bin/sh")
+    assert fmu_process.unprivileged_user() == fmu_process.NOBODY
+
+
 def test_one_that_starts_processes_without_end_is_ended(built: tuple[Path, Path]) -> None:
     began = time.monotonic()
     with pytest.raises(DataError, match="more than 64 processes"):
