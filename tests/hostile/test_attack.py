@@ -21,7 +21,7 @@ def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_short_kill_campaign_finds_nothing(tmp_path: Path) -> None:
-    killed, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 60)
+    killed, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
     assert found == [] and killed >= 5
 
 
@@ -36,3 +36,17 @@ def test_what_is_planted_is_found(tmp_path: Path) -> None:
     assert attack.forked(fails, tmp_path)[0] == 1
     assert attack.forked(lambda: os.kill(os.getpid(), signal.SIGSEGV) or 0, tmp_path)[0] is None
     assert attack.forked(lambda: 3, tmp_path)[0] == 3
+
+
+def test_a_file_that_is_touched_beside_is_found(tmp_path: Path) -> None:
+    (tmp_path / "doors").mkdir()
+    (tmp_path / "precious.txt").write_text("precious")
+    before = attack.beside(tmp_path / "doors")
+    (tmp_path / "said.txt").write_text("said")
+    (tmp_path / "doors" / "o.ngc").write_text("G0 X0")
+    assert attack.beside(tmp_path / "doors") == before
+    (tmp_path / "doors" / "x").mkdir()
+    assert attack.beside(tmp_path / "doors") != before
+    (tmp_path / "doors" / "x").rmdir()
+    (tmp_path / "precious.txt").unlink()
+    assert attack.beside(tmp_path / "doors") != before
