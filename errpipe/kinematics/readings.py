@@ -12,11 +12,8 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.direct import Laser
 
-AT_THE_TOOL, FEWEST, MOST = (
-    12,
-    20,
-    48,
-)  # waves: of tests at the tool; of records; beyond 48 `unfollowed` says what is missed
+# Waves of a curve: of tests at the tool; of records, at least and at most. `unfollowed` says what more would show.
+AT_THE_TOOL, FEWEST, MOST = 12, 20, 48
 LEAST_MISSED = 0.05  # um, urad: less is no shape
 
 
@@ -50,10 +47,11 @@ def modes(tests: Mapping[str, Recording]) -> int:
     return min(MOST, max(FEWEST, dense - 2)) if dense else AT_THE_TOOL
 
 
-def unfollowed(chain: Chain, obs: o.Observations, residual: np.ndarray) -> dict[str, float]:
+def unfollowed(chain: Chain, obs: o.Observations, residual: np.ndarray, *, largest: bool = False) -> dict[str, float]:
     """What repeated readings of a component's targets agree on and its curve does not follow, rms in um or urad.
 
-    Mean residual of each target and side, less what the scatter of single readings leaves of it.
+    Mean residual of each target, less what the scatter of single readings leaves of it. largest: the largest mean
+    residual of a target instead, its scatter included, for the components that have such a rest.
     """
     out: dict[str, float] = {}
     for label in dict.fromkeys(obs.label.tolist() if obs.own is not None else ()):
@@ -66,5 +64,6 @@ def unfollowed(chain: Chain, obs: o.Observations, residual: np.ndarray) -> dict[
         mean = np.bincount(place, weights=residual[rows]) / count
         left = float(np.mean(mean**2) - np.mean(obs.noise[rows] ** 2) * np.mean(1.0 / count))
         if left > LEAST_MISSED**2:
-            out[name] = max(out.get(name, 0.0), float(np.sqrt(left)))
+            size = np.abs(mean).max() if largest else np.sqrt(left)
+            out[name] = max(out.get(name, 0.0), float(size))
     return out

@@ -2,14 +2,14 @@
 
     deviation(z) = F * (structure(z) + workpiece(z) + tool)                               [um] = [N] * [um/N]
 
-The structure (tool post, spindle and its tilt) comes from push tests as a polynomial in the distance from the chuck;
+The structure (tool post, spindle and its tilt) comes from push tests as a polynomial in the distance from the chuck, in
+all or by gauge (`_push_tests`);
 workpiece and tool are computed from their geometry (`kinematics.beam`), those of the push tests and those of the cut.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -25,15 +25,12 @@ if TYPE_CHECKING:
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
     from errpipe.kinematics import beam
+    from errpipe.models._push_tests import Structure
 
 FIGURES = "compliance.json"
 POINTS = 129  # of the compliance curve over the travel
 SEGMENTS = 40  # of the spline that carries it into the table
 MISSED = 0.002  # of the largest compliance: how far the spline may be off
-# Powers of the lever in structure(z), simplest first: a rigid spindle on springs has the square, and the lever too
-# where the middle of its springs is away from the chuck's face.
-POWERS = ((0,), (0, 2), (0, 1, 2))
-NAMES = ("level", "per_m", "per_m2")
 
 
 class Section(Frozen):
@@ -108,6 +105,11 @@ class Force(Family):
     tool: Body | None = Field(None, description="The tool that cuts, from its holder outwards.")
     pushed_workpiece: Body | None = Field(None, description="What was pushed on in the tests; default: rigid.")
     pushed_tool: Body | None = Field(None, description="The tool of the tests; default: rigid.")
+    gauge_datum: Literal["neighbour", "bed"] = Field(
+        "neighbour",
+        description="What a gauge at the workpiece reads against, where several gauges were recorded: the spindle "
+        "(neighbour), or the bed as the others do.",
+    )
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
     in_fit: ClassVar[bool] = False
 
@@ -140,16 +142,18 @@ class Force(Family):
         """Fit the structure on every row. Raises DataError, VerifyError."""
         import numpy as np
 
-        rows = np.ones(len(recording), dtype=bool)
-        found = _solve(self, recording, rows)
-        model, curve = _error_model(self, recording, found)
+        from errpipe.models import _push_tests as push
+
+        parts = push.solve(self, recording, np.ones(len(recording), dtype=bool))
+        found = push.whole(parts)
+        model, curve = _error_model(self, recording, parts)
         document = {
             "compliance": 1,
             "configuration": self.configuration,
             "component": self.component,
-            "structure_um_per_N": {n: float(v) for n, v in zip(NAMES, found.values, strict=True)},
-            "standard_error": {n: float(v) for n, v in zip(NAMES, found.errors, strict=True)},
-            "noise_um": found.noise,
+            **_figures(found),
+            "parts": {name: _figures(part) for name, part in parts.items() if name != push.WHOLE},
+            "not_gauged": [name for name in push.GAUGES if push.WHOLE not in parts and name not in parts],
             "curve": curve,
             "without_force": "a missing or old force reading counts as 0 N: no force correction is made",
             "validated": "on static push tests; no public recording of cutting force against part size was found",
@@ -161,108 +165,49 @@ class Force(Family):
         """The structure from one side, the other side's deflections judged; zero is that of each run."""
         import numpy as np
 
-        found = _solve(self, recording, fold.train)
-        force, lever, deviation, known = _rows(self, recording)
-        structure = np.vander(lever, len(NAMES), increasing=True) @ found.values
-        after = deviation - force * (structure + known) * self.sign * _twice(self)
-        return {self.component: held_out(fold, deviation, after, np.zeros(len(recording)))}
+        from errpipe.models import _push_tests as push
+
+        found = push.whole(push.solve(self, recording, fold.train))
+        pushes = push.read(self, recording)
+        structure = np.vander(pushes.lever, len(push.NAMES), increasing=True) @ found.values
+        gives = pushes.force * (structure + pushes.all_known)
+        after = pushes.whole - gives * self.sign * push.twice(self)
+        return {self.component: held_out(fold, pushes.whole, after, np.zeros(len(recording)))}
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """Compliance along the cut, with its parts."""
-        curve = documents[FIGURES]["curve"]
-        pick = range(0, len(curve["um_per_N"]), max(1, len(curve["um_per_N"]) // 8))
-        rows = [[curve["position"][k], *(1e3 * curve[n][k] for n in PARTS)] for k in pick]
+        curve, missing = documents[FIGURES]["curve"], documents[FIGURES]["not_gauged"]
+        columns = [n for n in curve if n.endswith(TOTAL)]
+        pick = range(0, len(curve[TOTAL]), max(1, len(curve[TOTAL]) // 8))
+        rows = [[curve["position"][k], *(1e3 * curve[n][k] for n in columns)] for k in pick]
+        names = [(n.removesuffix(TOTAL).replace("_", " ").strip() or "total") + ", um/kN" for n in columns]
         caption = "A force reading that is missing or old counts as 0 N: then no force correction is made."
-        return [Table("Compliance", ["position, mm", *(f"{n.split('_')[0]}, um/kN" for n in PARTS)], rows, caption)]
+        if missing:
+            caption += f" No gauge at {' and '.join(missing).replace('_', ' ')}: what gives way there is not corrected."
+        return [Table("Compliance", ["position, mm", *names], rows, caption)]
 
 
-PARTS = ("um_per_N", "structure_um_per_N", "workpiece_um_per_N", "tool_um_per_N")
+TOTAL = "um_per_N"
 
 
-@dataclass(frozen=True)
-class Structure:
-    """Coefficients of structure(z), um/N per power 0 to 2 of the lever in m; their standard errors; noise, um."""
+def _figures(part: Structure) -> dict[str, Any]:
+    """A structure as JSON values."""
+    from errpipe.models._push_tests import NAMES
 
-    values: np.ndarray
-    errors: np.ndarray
-    noise: float
-
-
-def _twice(options: Force) -> float:
-    from errpipe.domain import components
-
-    return 2.0 if components.parse(options.component).kind == "diameter" else 1.0
+    return {
+        "structure_um_per_N": {n: float(v) for n, v in zip(NAMES, part.values, strict=True)},
+        "standard_error": {n: float(v) for n, v in zip(NAMES, part.errors, strict=True)},
+        "noise_um": part.noise,
+    }
 
 
-def _rows(options: Force, recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Force (N), lever (m), deviation less its run's zero (um), what the tests' own bodies give (um/N); (rows,).
-
-    A run's zero is what it would read at no force, by its own straight line over the force.
-    """
-    import numpy as np
-
-    from errpipe.drivers.motion import position
-    from errpipe.errors import DataError
-    from errpipe.fitting.design import response_name
-
-    if options.force not in recording.names("force"):
-        there = ", ".join(recording.names("force")) or "none"
-        raise DataError(f"identify_force: no column {options.force!r} of role force (there are: {there})")
-    force = recording.array(options.force)
-    deviation = recording.array(response_name(recording, options.component)).copy()
-    place = np.zeros(len(force)) if options.axis is None else position(recording, options.axis)
-    away = options.outwards * (place - options.chuck_face)
-    run = recording.run_codes()
-    pushes = force[:, None] * (away[:, None] * 1e-3) ** np.arange(len(NAMES))
-    design = np.column_stack([np.ones(len(force)), pushes])
-    known_all = np.isfinite(design).all(axis=1) & np.isfinite(deviation)
-    for code in np.unique(run):
-        rows = (run == code) & known_all
-        deviation[run == code] -= (
-            np.linalg.lstsq(design[rows], deviation[rows], rcond=None)[0][0] if rows.any() else 0.0
-        )
-    known = np.zeros(len(force))
-    if options.pushed_workpiece is not None:
-        known = known + options.pushed_workpiece.at(away)
-    if options.pushed_tool is not None:
-        known = known + options.pushed_tool.at()
-    return force, away * 1e-3, deviation, known
-
-
-def _solve(options: Force, recording: Recording, rows: np.ndarray) -> Structure:
-    """Least squares of what the pushed bodies leave over force times powers of the lever, which by BIC."""
-    import numpy as np
-
-    from errpipe.errors import DataError
-
-    force, lever, deviation, known = _rows(options, recording)
-    use = rows & np.isfinite(force) & np.isfinite(lever) & np.isfinite(deviation)
-    if use.sum() < 4 or np.ptp(force[use]) <= 0:
-        raise DataError(f"identify_force: at least 4 readings at different forces are needed (found {int(use.sum())})")
-    left = (options.sign * deviation / _twice(options) - force * known)[use]
-    best: tuple[float, Structure] | None = None
-    places = np.unique(np.round(lever[use], 4)).size
-    for powers in (p for p in POWERS if len(p) <= places):
-        design = lever[use][:, None] ** np.array(powers) * force[use][:, None]
-        values, *_ = np.linalg.lstsq(design, left, rcond=None)
-        residual = left - design @ values
-        noise = float(np.sqrt(residual @ residual / max(len(left) - len(powers), 1)))
-        score = len(left) * np.log(max(residual @ residual, 1e-18) / len(left)) + len(powers) * np.log(len(left))
-        if best is None or score < best[0]:
-            every, errors = np.zeros(len(NAMES)), np.zeros(len(NAMES))
-            every[list(powers)] = values
-            errors[list(powers)] = noise * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-            best = (float(score), Structure(every, errors, noise))
-    assert best is not None  # a level was tried
-    return best[1]
-
-
-def _curve(options: Force, recording: Recording, found: Structure) -> dict[str, np.ndarray]:
+def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure]) -> dict[str, np.ndarray]:
     """Compliance of the cut over the axis, um/N, with its parts; one place where no axis moves."""
     import numpy as np
 
     from errpipe.drivers.motion import position
     from errpipe.errors import DataError
+    from errpipe.models import _push_tests as push
 
     if options.axis is None:
         at = np.zeros(1)
@@ -273,41 +218,49 @@ def _curve(options: Force, recording: Recording, found: Structure) -> dict[str, 
         seen = position(recording, options.axis)
         at = np.linspace(np.nanmin(seen), np.nanmax(seen), POINTS)
     away = np.clip(options.outwards * (at - options.chuck_face), 0.0, None) if options.axis else np.zeros(1)
-    structure = np.vander(away * 1e-3, len(NAMES), increasing=True) @ found.values
+    powers = np.vander(away * 1e-3, len(push.NAMES), increasing=True)
+    gauged = {name: powers @ part.values for name, part in parts.items()}
+    structure = np.sum(list(gauged.values()), axis=0)
     work = options.workpiece.at(away) if options.workpiece is not None else np.zeros(len(at))
     tool = np.full(len(at), float(options.tool.at()[0]) if options.tool is not None else 0.0)
     total = structure + work + tool
-    if total.min() < -3 * found.errors[0]:
-        raise DataError(
-            f"identify_force: the compliance would be {total.min():.3g} um/N: a force pulls what it should push. Check "
-            "the sign of force and deviation, `sign`, and what was pushed in the tests."
-        )
-    return dict(zip(("position", *PARTS), (at, total, structure, work, tool), strict=True))
+    pulled = {"compliance": total} if push.WHOLE in gauged else {f"compliance of the {n}": v for n, v in gauged.items()}
+    for name, value in pulled.items():
+        if value.min() < -3 * push.whole(parts).errors[0]:
+            raise DataError(
+                f"identify_force: the {name} would be {value.min():.3g} um/N: a force pulls what it should push. Check "
+                "the sign of force and deviation, `sign`, and what was pushed in the tests."
+            )
+    bodies = {"structure": structure, "workpiece": work, "tool": tool}
+    bodies |= {f"{n}_gauged": v for n, v in gauged.items() if n != push.WHOLE}
+    return {"position": at, TOTAL: total} | {f"{n}_{TOTAL}": v for n, v in bodies.items()}
 
 
-def _error_model(options: Force, recording: Recording, found: Structure) -> tuple[ErrorModel, dict[str, list[float]]]:
+def _error_model(
+    options: Force, recording: Recording, parts: Mapping[str, Structure]
+) -> tuple[ErrorModel, dict[str, list[float]]]:
     import numpy as np
 
     from errpipe import __version__
     from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
     from errpipe.drivers.motion import position_name
+    from errpipe.models import _push_tests as push
 
-    curve = _curve(options, recording, found)
-    force, _, deviation, _ = _rows(options, recording)
-    largest = float(np.nanmax(np.abs(force)))
+    curve, pushes, noise = _curve(options, recording, parts), push.read(options, recording), push.whole(parts).noise
+    largest = float(np.nanmax(np.abs(pushes.force)))
     columns = [options.force, *([position_name(recording, options.axis)] if options.axis else [])]
     ranges = {options.force: (-largest, largest)}
     if options.axis:
         ranges[columns[1]] = (float(curve["position"][0]), float(curve["position"][-1]))
-    gain = curve["um_per_N"] * options.sign * _twice(options)
+    gain = curve["um_per_N"] * options.sign * push.twice(options)
     part = ComponentModel(
         component=options.component,
         terms=_terms(options, curve["position"], gain),
         rows=len(recording),
         rows_effective=float(len(recording)),
-        rms_before=float(np.sqrt(np.nanmean(deviation**2))),
-        rms_after=found.noise * _twice(options),
-        half_width90=1.645 * found.noise * _twice(options),
+        rms_before=float(np.sqrt(np.nanmean(pushes.whole**2))),
+        rms_after=noise * push.twice(options),
+        half_width90=1.645 * noise * push.twice(options),
     )
     manifest = recording.manifest
     model = ErrorModel(

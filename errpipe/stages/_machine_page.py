@@ -50,6 +50,7 @@ def solve(stage: Any, context: Context) -> Solved:
     missed = readings.unfollowed(chain, seen, found.residual)
     document = summary.document(found, seen, missed=missed)
     document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
+    document["unfollowed_largest"] = readings.unfollowed(chain, seen, found.residual, largest=True)
     if single:
         each = zip(seen.label, seen.noise, strict=True)
         noise = {str(tag).split(" ")[-1]: float(size * found.noise) for tag, size in each}

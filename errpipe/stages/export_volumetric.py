@@ -79,7 +79,9 @@ class ExportVolumetric(SignOptions, Stage):
         prove(worst, allowed)
         ect.write(table, context.folder / _artefacts.TABLE)
         ect.write_json(table, context.folder / _artefacts.TWIN)
-        proof = [{"component": "tool point", "largest_difference_um": worst, "bound_um": allowed}]
+        missed = unfollowed(chain, document)
+        stated = {"bound_um": allowed + missed, "interpolation_um": allowed, "unfollowed_um": missed}
+        proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
         files += write_targets(table, self.targets, context.folder, remarks)
@@ -113,6 +115,17 @@ def bound(chain: Any, table: CompensationTable) -> float:
 
     off = {c.name: c.gridding for c in bounds.components(table)}
     return compensation.profile_bound(chain, off, chain.tip(100.0, (0.0, 0.0, 0.0)))
+
+
+def unfollowed(chain: Any, document: Mapping[str, Any]) -> float:
+    """How far what was measured can be from the identified curves, at the tool point of a tool of 100 mm, um.
+
+    Each component counts with the largest mean residual of its targets and its largest arm in the volume.
+    """
+    from errpipe.kinematics import compensation
+
+    largest = document.get("unfollowed_largest", {})
+    return compensation.profile_bound(chain, largest, chain.tip(100.0, (0.0, 0.0, 0.0)))
 
 
 def lattice(

@@ -17,6 +17,7 @@ from errpipe.kinematics.chain import compile_chain
 from errpipe.models import direct as direct_family
 from errpipe.simulation import direct_records as played
 from errpipe.simulation import measuring_runs, metrology
+from errpipe.stages.export_volumetric import unfollowed
 
 SEEDS = 200
 AIR = {"dead_path": 2000.0}
@@ -347,3 +348,6 @@ def test_the_curve_follows_what_the_targets_show_or_says_what_it_misses(most, fo
     assert (np.sqrt(np.mean(off**2)) < 0.25) == followed
     assert np.mean(np.abs(off) <= curve["half_width95"]) > 0.9
     assert bool(missed.get("EXX", 0.0) > 1.0) != followed
+    largest = readings.unfollowed(chain, obs, found.residual, largest=True)
+    stated = unfollowed(chain, {"unfollowed_largest": largest})  # of a table of these curves, at the tool
+    assert (stated == 0.0) if followed else (np.quantile(np.abs(off), 0.95) < stated < 2.5)

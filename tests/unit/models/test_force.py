@@ -55,3 +55,89 @@ def test_a_force_column_that_is_not_there_is_named():
 def test_turning_needs_the_axis_of_the_cut():
     with pytest.raises(ValidationError, match="turning needs the axis"):
         Force(force="F")
+
+
+POST, SPINDLE, TILT, CLAMP = 0.012, 0.008, 0.9, 0.003  # um/N; TILT um/N per m2 of lever
+MANDREL = {"sections": [{"length": 220.0, "diameter": 70.0}]}
+
+
+def gauged(sign: float = 1.0, bed: bool = False, drop: tuple[str, ...] = ()) -> Recording:
+    """A lathe pushed at five places, a gauge at the tool post, one at the spindle, one at the workpiece."""
+    rng = np.random.default_rng(3)
+    places = np.repeat([20.0, 70.0, 120.0, 170.0, 210.0], 11)
+    force = np.tile(np.r_[0:501:100, 400:-1:-100].astype(float), 5)
+    shaft = beam.compliance([beam.Stretch(220.0, diameter=70.0)], places)
+    gives = {"tool_post": POST, "spindle": SPINDLE + TILT * (places * 1e-3) ** 2, "workpiece": CLAMP + shaft}
+    if bed:
+        gives["workpiece"] = gives["workpiece"] + gives["spindle"]
+    run = np.array([f"Z{z:g}" for z in places])
+    frame = {"run": run, "Z": places, "F": force}
+    columns = {
+        "run": Column(role="run"),
+        "Z": Column(role="position", axis="Z", unit="mm"),
+        "F": Column(role="force", unit="N"),
+    }
+    for name in (n for n in gives if n not in drop):
+        frame[name] = sign * force * gives[name] + rng.normal(0, 3) + rng.normal(0, 0.1, force.size)
+        columns[name] = Column(role="error", component="E_X", unit="um", location=name)
+    return Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), pd.DataFrame(frame))
+
+
+def turning(**more) -> Force:
+    return Force(force="F", axis="Z", pushed_workpiece=MANDREL, workpiece=MANDREL, **more)
+
+
+@pytest.mark.parametrize("bed", [False, True])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_gauges_at_three_places_give_each_its_compliance_and_the_table_their_sum(sign, bed):
+    """Pushed apart at +X by a positive force (sign 1): the deviation that is said is positive, and all of it."""
+    recording = gauged(sign, bed)
+    fitted = turning(sign=sign, gauge_datum="bed" if bed else "neighbour").fit(recording)
+    found = fitted.documents["compliance.json"]
+    assert found["not_gauged"] == []
+    levels = {name: part["structure_um_per_N"] for name, part in found["parts"].items()}
+    assert levels["tool_post"]["level"] == pytest.approx(POST, abs=2e-4)
+    assert levels["workpiece"]["level"] == pytest.approx(CLAMP, abs=4e-4)
+    at = np.array(found["curve"]["position"])
+    spindle = SPINDLE + TILT * (at * 1e-3) ** 2
+    np.testing.assert_allclose(found["curve"]["spindle_gauged_um_per_N"], spindle, atol=6e-4)
+    said = evaluate(fitted.model, recording)["E_X"]
+    z = recording.array("Z")
+    shaft = beam.compliance([beam.Stretch(220.0, diameter=70.0)], z)
+    true = recording.array("F") * (POST + SPINDLE + TILT * (z * 1e-3) ** 2 + CLAMP + shaft)
+    np.testing.assert_allclose(said, sign * true, atol=0.3)
+    assert said[5] * sign > 10  # 500 N
+
+
+def test_gauges_that_sat_out_are_predicted_at_their_noise():
+    recording = gauged()
+    options = turning()
+    _, folds = options.folds(recording, None)
+    left = [options.judge(recording, fold)["E_X"] for fold in folds]
+    assert len(left) > 2 and max(f.rms(f.after) for f in left) < 2 * 0.1 * np.sqrt(3) < 5 < left[0].rms(left[0].before)
+
+
+def test_a_gauge_that_was_not_there_is_named():
+    fitted = turning().fit(gauged(drop=("spindle",)))
+    found = fitted.documents["compliance.json"]
+    assert found["not_gauged"] == ["spindle"] and "spindle" not in found["parts"]
+    (table,) = turning().tables(fitted.documents, {})
+    assert "No gauge at spindle" in table.caption and "tool post gauged, um/kN" in table.columns
+
+
+def test_a_gauge_of_the_wrong_sign_is_refused_and_named():
+    recording = gauged()
+    turned = recording.with_columns({"tool_post": -recording.array("tool_post")}, {})
+    with pytest.raises(DataError, match=r"compliance of the tool_post would be -0\.01"):
+        turning().fit(turned)
+
+
+@pytest.mark.parametrize("place", [None, "chuck", "spindle"])
+def test_columns_of_one_component_need_a_place_each(place):
+    recording = gauged()
+    column = Column(role="error", component="E_X", unit="um", location=place)
+    wrong = recording.with_columns({}, {"tool_post": column})
+    with pytest.raises(DataError, match=r"is no gauge|the same location"):
+        turning().fit(wrong)
+    with pytest.raises(DataError, match="leave out pushed_tool"):
+        turning(pushed_tool=PUSHED).fit(recording)
