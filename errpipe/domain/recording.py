@@ -42,6 +42,8 @@ Role = Literal[
     "depth_of_cut",
     "overhang",
     "cut_length",
+    "size",
+    "uncertainty",
     "error",
     "simulated",
     "ignore",
@@ -72,6 +74,8 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "depth_of_cut": ("mm", "um"),
     "overhang": ("mm", "m"),
     "cut_length": ("m", "mm", "km"),
+    "size": ("mm", "m", "inch"),
+    "uncertainty": ("um", "urad", "mm", "nm", "arcsec", "mrad"),
     "error": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
     "simulated": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
 }
@@ -194,7 +198,7 @@ class Column(Frozen):
 
     @model_validator(mode="after")
     def _complete(self) -> Column:
-        if self.role in ("error", "simulated") and self.component is None:
+        if self.role in ("error", "simulated", "uncertainty") and self.component is None:
             raise ValueError(f"a column of role {self.role} needs a component, such as EXX or E_Z")
         if self.acts_on is not None and self.role != "error":
             raise ValueError(f"acts_on is said of a column of role error (found {self.role})")

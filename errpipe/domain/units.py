@@ -56,6 +56,8 @@ _CANONICAL: dict[str, tuple[str, ...]] = {
     "depth_of_cut": ("mm",),
     "overhang": ("mm",),
     "cut_length": ("m",),
+    "size": ("mm",),
+    "uncertainty": ("um", "urad"),
     "error": ("um", "urad", "N", "N m"),
     "simulated": ("um", "urad", "N", "N m"),
 }

@@ -26,7 +26,10 @@ LEAST = 8  # readings of an identification
 
 @dataclass(frozen=True)
 class Left:
-    """One group that sat out: its label, its rows, and the readings without its set-up before and after, um (n,)."""
+    """One group that sat out: its label, its rows, and the readings without its set-up before and after, um (n,).
+
+    Where readings differ in uncertainty, each counts as much as it is certain beside the median.
+    """
 
     label: str
     rows: np.ndarray
@@ -84,7 +87,9 @@ def judge(
         rows = np.flatnonzero(group == number)
         sat_out = obs.take(rows)
         before = _without_setup(model, sat_out, np.zeros(len(found.mean)), found.noise)
-        out.append(Left(name, rows, before, _without_setup(model, sat_out, found.mean, found.noise)))
+        after = _without_setup(model, sat_out, found.mean, found.noise)
+        certain = np.median(sat_out.noise) / sat_out.noise
+        out.append(Left(name, rows, before * certain, after * certain))
     return out
 
 

@@ -109,7 +109,10 @@ class Parametrisation:
 
     def design(self, obs: Observations) -> np.ndarray:
         """d(reading)/d(parameter), shape (n, parameters), set-up columns not included."""
-        return obs.on_components(self.chain)[:, self.prior.component] * self.functions(obs.q)
+        found = np.zeros((len(obs), len(self.prior.names)))
+        for q, weights in obs.on_components(self.chain):
+            found += weights[:, self.prior.component] * self.functions(q)
+        return found
 
 
 def family_of(component: str) -> str:

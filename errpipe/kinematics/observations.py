@@ -32,7 +32,8 @@ class Observations:
     unit of each set-up parameter; socket (n, 3) mm in the workpiece frame, NaN where the row is no distance;
     noise: relative size of each row's noise (n,); label: the run each row is of; seconds: measuring time. own
     (n, components): weights on the components themselves, for records of single components; NaN where a row reads
-    the tool. None: every row does.
+    the tool. None: every row does. path (n, k, axes), path_weights (n, k, 6): places that a row is a sum over and
+    their weights on the deviation there, for features that the tool went along; None: every row reads at q alone.
     """
 
     q: np.ndarray
@@ -47,22 +48,35 @@ class Observations:
     label: np.ndarray
     seconds: float = 0.0
     own: np.ndarray | None = None
+    path: np.ndarray | None = None
+    path_weights: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.value)
 
     def take(self, rows: np.ndarray) -> Observations:
         """Some of the rows; set-up columns stay."""
-        names = ("q", "tip", "weights", "value", "nuisance", "socket", "noise", "label")
-        own = None if self.own is None else self.own[rows]
-        return replace(self, **{n: getattr(self, n)[rows] for n in names}, own=own)
+        names: tuple[str, ...] = ("q", "tip", "weights", "value", "nuisance", "socket", "noise", "label")
+        names += tuple(n for n in ("own", "path", "path_weights") if getattr(self, n) is not None)
+        return replace(self, **{n: getattr(self, n)[rows] for n in names})
 
-    def on_components(self, chain: Chain) -> np.ndarray:
-        """d(reading)/d(component), shape (n, components)."""
+    def places(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Poses (n, axes) and weights (n, 6) that the rows are sums over."""
+        if self.path is None or self.path_weights is None:
+            return [(self.q, self.weights)]
+        return [(self.path[:, k], self.path_weights[:, k]) for k in range(self.path.shape[1])]
+
+    def on_components(self, chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Poses (n, axes), and d(reading)/d(component there) (n, components), that the rows are sums over."""
         if self.own is not None and not np.isnan(self.own).any():
-            return self.own
-        through_tool = np.einsum("nk,nkc->nc", self.weights, synthesis.jacobian(chain, self.q, self.tip))
-        return through_tool if self.own is None else np.where(np.isnan(self.own), through_tool, self.own)
+            return [(self.q, self.own)]
+        found = []
+        for number, (q, weights) in enumerate(self.places()):
+            through_tool = np.einsum("nk,nkc->nc", weights, synthesis.jacobian(chain, q, self.tip))
+            if self.own is not None:
+                through_tool = np.where(np.isnan(self.own), through_tool, 0.0 if number else self.own)
+            found.append((q, through_tool))
+        return found
 
     def with_value(self, value: np.ndarray) -> Observations:
         """The same rows with other readings."""
@@ -246,7 +260,24 @@ def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observat
         nuisance_spread=np.array(spread),
         seconds=sum(p.seconds for p in parts),
         own=_own(parts),
+        **_paths(parts),
     )
+
+
+def _paths(parts: Sequence[Observations]) -> dict[str, np.ndarray]:
+    """Places and weights of all parts, filled up with places of no weight; nothing where no part has any."""
+    most = max((p.path.shape[1] for p in parts if p.path is not None), default=0)
+    if not most:
+        return {}
+    path = np.concatenate([np.repeat(p.q[:, None, :], most, axis=1) for p in parts])
+    weights = np.zeros((len(path), most, 6))
+    row = 0
+    for part in parts:
+        rows = slice(row, row + len(part))
+        for k, (q, share) in enumerate(part.places()):
+            path[rows, k], weights[rows, k] = q, share
+        row += len(part)
+    return {"path": path, "path_weights": weights}
 
 
 def _own(parts: Sequence[Observations]) -> np.ndarray | None:

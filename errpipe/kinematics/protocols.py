@@ -9,8 +9,9 @@ The manifest's constants name the protocol and the set-up (mm; `name@run` for on
     beam_X                       direction of a laser beam (any length)
     seconds                      measuring time
 
-A part is one run: a row per feature at its nominal place, with the deviations that the feature has (a bore's centre no
-E_Z, a face E_Z alone); how it lay on the CMM and how warm it was cut is set-up.
+A part is one run: a row per feature at its nominal place, with what the feature has (`parts`): a bore E_X, E_Y and, if
+milled, its diameter E_D; a face its offset and the turns E_A, E_B, E_C of its normal. Columns of role size (mm) and of
+role uncertainty (standard uncertainty, component by component) go with it; `cutter_diameter` (mm) is the tool's.
 
 Columns: `run`, a position for each axis (left out: 0, or the centre), and the error: E_R along a bar or beam,
 E_X E_Y E_Z at the tool point, E_A E_B E_C for a level or autocollimator.
@@ -25,6 +26,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
 from errpipe.kinematics import observations as o
+from errpipe.kinematics import parts as features
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 
@@ -70,6 +72,10 @@ class _Run:
         name = self._recording.name("error", component=component)
         return None if name is None else self._recording.array(name)[self._rows]
 
+    def of_role(self, role: str, component: str | None = None) -> np.ndarray | None:
+        name = self._recording.name(role, component=component)
+        return None if name is None else self._recording.array(name)[self._rows]
+
     def radial(self) -> np.ndarray:
         found = self.value("E_R")
         if found is None:
@@ -94,7 +100,7 @@ def _beam(run: _Run) -> o.Observations:
     return o.along(run.chain, run.q, run.tip, beam, run.radial(), run.label, run.seconds)
 
 
-def _points(pose: str, scale: bool = False) -> Callable[[_Run], o.Observations]:
+def _points(pose: str) -> Callable[[_Run], o.Observations]:
     def build(run: _Run) -> o.Observations:
         read = {d[2]: run.value(d) for d in DIRECTIONS[:3]}
         values = {d: v for d, v in read.items() if v is not None}
@@ -102,7 +108,7 @@ def _points(pose: str, scale: bool = False) -> Callable[[_Run], o.Observations]:
         if not directions:
             raise DataError("the recording has no error column of component E_X, E_Y or E_Z")
         value = np.column_stack([values[d] for d in directions])
-        return o.points(run.chain, run.q, run.tip, value, directions, run.label, pose, seconds=run.seconds, scale=scale)
+        return o.points(run.chain, run.q, run.tip, value, directions, run.label, pose, seconds=run.seconds)
 
     return build
 
@@ -119,6 +125,16 @@ def _level(run: _Run) -> o.Observations:
     return o.concatenate(parts)
 
 
+def _part(run: _Run) -> o.Observations:
+    named = {d: (run.value(d), run.of_role("uncertainty", d)) for d in (*DIRECTIONS, "E_D")}
+    value = {d: v for d, (v, _) in named.items() if v is not None}
+    stated = {d: u for d, (v, u) in named.items() if v is not None and u is not None}
+    size = run.of_role("size")
+    size = np.full(len(run.q), np.nan) if size is None else size
+    cutter = run.constant("cutter_diameter", 0.0)
+    return features.features(run.chain, run.q, run.tip, value, stated, size, run.label, cutter, run.seconds)
+
+
 PROTOCOLS: dict[str, Callable[[_Run], o.Observations]] = {
     "ballbar_circle": _bar,  # ISO 230-4
     "telescoping_bar": _bar,
@@ -133,7 +149,7 @@ PROTOCOLS: dict[str, Callable[[_Run], o.Observations]] = {
     "ball_plate": _points("XYZABC"),
     "ball_array": _points("XYZABC"),
     "hole_pattern": _points("XYC"),
-    "part": _points("XYZABC", scale=True),  # features that a CMM measured: bore centres in X and Y, faces along Z
+    "part": _part,  # features that a CMM measured: bores and faces
 }
 
 

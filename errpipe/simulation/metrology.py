@@ -17,10 +17,13 @@ from errpipe.domain.components import parse
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
+from errpipe.simulation import part_features
 
 # Rise of the straight part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
 # travel, angles of some 70 urad (5.8), beside waves of 4 um and 12 urad.
 SLOPE = {"positioning": 8.7, "radial": 2.6, "axial": 2.6}
+WARM = 20e-6  # mm/mm: a part cut some 2 K away from 20 degC
+CUTTER = 60.0  # um: how much larger the cutter of a part is than it was taken to be
 RUN_OUT = 4.0  # um: ball in the spindle, after turning the spindle by half a turn and averaging
 
 Values = Mapping[str, Callable[[np.ndarray], np.ndarray] | float]
@@ -121,6 +124,11 @@ def record(
     for name in frame.columns:
         if name.startswith("E_"):
             columns[name] = Column(role="error", component=name, unit=parse(name).unit)
+        elif name.startswith("u_"):
+            component = f"E_{name[2:]}"
+            columns[name] = Column(role="uncertainty", component=component, unit=parse(component).unit)
+        elif name == "size":
+            columns[name] = Column(role="size", unit="mm")
     manifest = Manifest(
         recording=1,
         title=f"{protocol.replace('_', ' ')} on a simulated machine",
@@ -154,6 +162,8 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
         turn = synthesis.exact(chain, run.q, comps, tip)[:, 3:]
         for i, d in enumerate("ABC"):
             out[f"E_{d}"] = turn[:, i] + rng.normal(0, setup) + rng.normal(0, noise, len(run.q))
+    elif protocol == "part":
+        out |= _part(chain, values, run, rng, noise, setup)
     else:
         middle = ideal[:, 0].mean(axis=0)
         turn = rng.normal(0, setup * 1e-6, 3) if protocol != "r_test" else np.zeros(3)
@@ -163,9 +173,27 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
         for d in directions:
             i = "XYZ".index(d)
             out[f"E_{d}"] = (moved - ideal[:, 0])[:, i] * 1e3 + rng.normal(0, noise, len(run.q))
-            if protocol == "part":  # bores and faces in turn: a bore's centre has no height, a face no place
-                out[f"E_{d}"][np.arange(len(run.q)) % 2 == int(d != "Z")] = np.nan
     return pd.DataFrame(out)
+
+
+def _part(chain: Chain, values: Values, run: Run, rng: np.random.Generator, noise: float, setup: float):
+    """Readings of a part's features: it lay turned by `setup` urad on the CMM, and was cut warm, some 20 um/m."""
+    tip = chain.tip(run.length, run.offset)
+    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    middle = synthesis.ideal_pose(chain, run.q, tip)[:, 0].mean(axis=0)
+    turn, shift = rng.normal(0, setup * 1e-6, 3), rng.normal(0, setup * 1e-3, 3)
+    warm, cutter = (rng.normal(0, size) if setup else 0.0 for size in (WARM, CUTTER))
+
+    def cut(feature: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        q = run.q[feature].astype(float)
+        ways = synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
+        q[:, linear] += np.linalg.solve(ways, steps[..., None])[..., 0]
+        ideal = synthesis.ideal_pose(chain, q, tip)[:, 0]
+        point = synthesis.actual_pose(chain, q, components_at(chain, values, q), tip)[:, 0]
+        moved = point + np.cross(turn, point - middle) + warm * (point - middle) + shift
+        return (moved - ideal) * 1e3
+
+    return part_features.read(len(run.q), cut, rng, noise, cutter)
 
 
 def _constants(chain: Chain, run: Run) -> dict[str, Constant]:

@@ -12,8 +12,10 @@ from errpipe.stages.fit import FitStage
 class IdentifyForce(Force, FitStage):
     """Compliance of machine, workpiece and tool over the cut, times a force that the controller reads every cycle.
 
-    A missing force reading gives no force correction. Validation is on push tests: no public recording of cutting force
-    against part size was found.
+    Push tests hold one error column, the deviation between tool and work, or one for each gauge, whose place is its
+    `location` (tool_post, spindle, workpiece): the compliance of each is reported, and their sum corrected. A missing
+    force reading gives no force correction. Validation is on push tests: no public recording of cutting force against
+    part size was found.
     """
 
     kind: Literal["identify_force"]  # type: ignore[assignment]
