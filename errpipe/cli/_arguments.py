@@ -61,13 +61,13 @@ def output_folder(file: Path, out: Path | None) -> Path:
 
 def input_values(at: list[str]) -> dict[str, float]:
     """The inputs of `--at x=100 --at T_nut=25`. Raises UsageError."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for text in at:
         name, equals, value = text.partition("=")
         try:
             if not equals or not name.strip():
                 raise ValueError
-            found[name.strip()] = float(value)
+            values[name.strip()] = float(value)
         except ValueError:
             raise UsageError(f"--at {text}: not of the form INPUT=VALUE, such as x=100") from None
-    return found
+    return values

@@ -30,19 +30,19 @@ def command(
     """
     from errpipe.cli.output import print_result
 
-    found: list[Problem] = []
+    problems: list[Problem] = []
     checked = []
     for file in files:
         path = file / "recording.yaml" if file.is_dir() else file
         try:
             checked.append({"file": str(path), "what": _check(path, data)})
         except ConfigError as err:
-            found += err.problems
-    if found and style == "github":
-        print_result("check", {}, map(_github, sorted(found)), as_json=False)
+            problems += err.problems
+    if problems and style == "github":
+        print_result("check", {}, map(_github, sorted(problems)), as_json=False)
         raise typer.Exit(2)
-    if found:
-        raise ConfigError(found)
+    if problems:
+        raise ConfigError(problems)
     print_result("check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=json)
 
 

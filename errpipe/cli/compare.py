@@ -36,9 +36,9 @@ def command(
     """
     from errpipe.cli.output import print_result, stage_module
 
-    found = stage_module("compare").compare(old, new, max_um, figure)
-    says = found.pop("says")
-    code = 4 if found["within"] is False else 0
-    print_result("compare", found, says, as_json=json, code=code)
+    comparison = stage_module("compare").compare(old, new, max_um, figure)
+    says = comparison.pop("says")
+    code = 4 if comparison["within"] is False else 0
+    print_result("compare", comparison, says, as_json=json, code=code)
     if code:
         raise typer.Exit(code)

@@ -42,11 +42,11 @@ def command(shell: Literal["bash", "zsh", "fish"] = typer.Argument(..., help="Th
     options = {name: sorted({o for p in verb(name).params for o in p.opts if o.startswith("--")}) for name in VERBS}
     if shell == "fish":
         lines = ["complete -c errpipe -f -n __fish_use_subcommand -a '" + " ".join(VERBS) + "'"]
-        for name, found in options.items():
+        for name, flags in options.items():
             seen = f"-n '__fish_seen_subcommand_from {name}'"
-            lines += [f"complete -c errpipe {seen} -l {option.removeprefix('--')}" for option in found]
+            lines += [f"complete -c errpipe {seen} -l {option.removeprefix('--')}" for option in flags]
         sys.stdout.write("\n".join([*lines, ""]))
         return
     head = "autoload -U +X bashcompinit && bashcompinit\n" if shell == "zsh" else ""
-    cases = "\n".join(f'            {name}) words="{" ".join(found)}" ;;' for name, found in options.items())
+    cases = "\n".join(f'            {name}) words="{" ".join(flags)}" ;;' for name, flags in options.items())
     sys.stdout.write(head + BASH.format(verbs=" ".join(VERBS), cases=cases))

@@ -48,7 +48,9 @@ def command(
         raise typer.Exit(code)
     reporter = ProgressReporter(str(out))
     try:
-        found = stage_module("diagnose").diagnose(recording, out, reporter.progress_of("diagnose"), simulation, apply)
+        diagnosis = stage_module("diagnose").diagnose(
+            recording, out, reporter.progress_of("diagnose"), simulation, apply
+        )
     finally:
         reporter.clear()
-    print_answer("diagnose", found, as_json=json)
+    print_answer("diagnose", diagnosis, as_json=json)

@@ -32,14 +32,14 @@ def command(
 
     reporter = ProgressReporter(str(out))
     try:
-        found = stage_module("fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))
+        summary = stage_module("fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))
     finally:
         reporter.clear()
-    rows = found["machines"]
+    rows = summary["machines"]
     bad = [r for r in rows if r["state"] != "done"]
     lines = [f"{r['name']}: {r['state']}: {r['message']}" for r in bad]
-    lines += [f"{d['name']}: {d['what']} drifts since run {d['since']}" for d in found["drifting"]]
+    lines += [f"{d['name']}: {d['what']} drifts since run {d['since']}" for d in summary["drifting"]]
     lines += [f"{len(rows) - len(bad)} of {len(rows)} machines done", str(out / "fleet.md")]
-    print_result("fleet", found, lines, as_json=json, code=4 if bad else 0)
+    print_result("fleet", summary, lines, as_json=json, code=4 if bad else 0)
     if bad:
         raise typer.Exit(4)

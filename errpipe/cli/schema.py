@@ -53,6 +53,6 @@ def schema_of(name: str) -> dict[str, Any]:
 
     title, where = MODELS[name]
     module, _, attribute = where.partition(":")
-    found = getattr(import_module(module), attribute)
-    model = pipeline_model(found) if name == "pipeline" else found
+    declared = getattr(import_module(module), attribute)
+    model = pipeline_model(declared) if name == "pipeline" else declared
     return json_schema(model, title, written=name in WRITTEN)

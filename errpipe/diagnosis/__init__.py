@@ -2,17 +2,17 @@
 
 thinning    a long log as stretches at its own rate; rare events in all its rows
 prepare     rows that can be judged; sensors filled and smoothed; motion from positions
-hypotheses  every effect in every binding as design columns: the textbook form and how far it may stray
+hypotheses  every effect in every binding as design columns: the textbook form, and columns for departures from it
 evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
 decompose   the noiseless simulated signal into its own effects (what a recalibration may change)
 search      forward, backward and in pairs: what is missing
-left_out    how well it predicts rows, or whole starts of the machine, that sat out
-admit       what is left, and whether a name is deserved
+left_out    how well it predicts held-out rows or held-out sessions
+admit       the residual beside the findings: does a shape without a name explain more?
 locate      where it acts
 model       parameters with intervals, held-out figures
 empirical   an equation for what has no name
-confidence  how often such a finding is right
-separate    which rival explains nearly as well, and what to measure to tell
+confidence  calibrated probability that such a finding is right
+separate    which rival explains nearly as well, and which measurement separates the two
 """
 
 from __future__ import annotations
@@ -69,12 +69,12 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
         case = judge.judge(recording, prepare.followed(recording, conditioned, pair), pair, done)
         progress((k + 0.8) / len(pairs), f"{pair.component}: proving it on rows that had no say")
-        response, contribution, left = report.response(case)
+        response, contribution, residual = report.response(case)
         response = empirical.with_equation(case, response)
         responses.append(response)
         inputs = report.inputs(case, response)
         held = [p.hypothesis for p in case.decomposition.parts]
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
-        rows.append(Rows(case.y, left, case.run, contribution, inputs, parts))
-        del case  # or two tables of products are held at once
+        rows.append(Rows(case.y, residual, case.run, contribution, inputs, parts))
+        del case  # frees one table of products before the next is built
     return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=(*short.notes, *notes)), rows

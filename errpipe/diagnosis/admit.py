@@ -1,4 +1,4 @@
-"""What is left after the best names, and whether a shape without a name explains more than they do."""
+"""Remainder test: does a smooth shape without a name explain the residual beside the findings?"""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 
-ENOUGH = 8.0  # log Bayes factor from which a shape counts
+ENOUGH = 8.0  # threshold: log Bayes factor from which a shape is accepted
 MOST = 3
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """Shapes that go on explaining beside the chosen hypotheses.
+    """Shapes accepted beside the chosen hypotheses.
 
-    shapes: accepted ones with their gains; rms: what is left after them; share: of the variance that names and
+    shapes: accepted ones with their gains; rms: of the residual after them; share: of the variance that findings and
     shapes explain beyond the recalibration, the part that only the shapes reach.
     """
 

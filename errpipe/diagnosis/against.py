@@ -6,8 +6,8 @@ the factor k that it takes there, all findings of a response together, beside a 
     recorded - simulated = datum + sum of k_i * contribution_i + rest           k = 1: as it was, 0: gone
 
 Ordinary least squares; the variance of k is the cluster-robust one (Liang and Zeger 1986) over whole sessions where
-there are at least `MIN_CLUSTERS`, else over blocks of neighbouring rows, so that rows that go together are not counted
-as many. `changed` is a t test of k = 1 that knows the earlier interval too, at 5 % over all findings (Bonferroni).
+there are at least `MIN_CLUSTERS`, else over blocks of neighbouring rows, so that correlated rows are not counted as
+independent. `changed` is a t test of k = 1 that knows the earlier interval too, at 5 % over all findings (Bonferroni).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
 
 LEVEL = 0.05  # chance that any of the unchanged effects is called changed
-MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions say little of the variance between them
-UNDECIDED = 0.5  # half width of the interval of k from which a recording cannot say whether the effect is there
+MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions estimate the variance between them badly
+UNDECIDED = 0.5  # half width of the interval of k from which the state is `undecided`
 NEVER_ACTS = "what drives it never moves in this recording"
 
 State = Literal["unchanged", "larger", "smaller", "gone", "reversed", "undecided", "not judged"]
@@ -52,7 +52,7 @@ class Held:
 
     @property
     def changed(self) -> bool:
-        """Is it another effect now than it was?"""
+        """True where the factor k differs from 1 significantly."""
         return self.state in CHANGED
 
     def plain(self) -> dict[str, Any]:
@@ -109,12 +109,12 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
             done[k] = _not_judged(r, findings[k], NEVER_ACTS)
             del columns[k]
     if rows.size < 30 + 3 * len(columns):
-        left = [k for k in columns if k not in done]
-        done |= {k: _not_judged(r, findings[k], f"only {rows.size} rows hold what it reads") for k in left}
+        unjudged = [k for k in columns if k not in done]
+        done |= {k: _not_judged(r, findings[k], f"only {rows.size} rows hold what it reads") for k in unjudged}
         columns = {}
     if columns:
         design = np.column_stack([columns[k][rows] for k in columns])
-        if any(f.effect == GAIN for f in r.findings):  # the simulation's gain was off: it is set right beside
+        if any(f.effect == GAIN for f in r.findings):  # the simulation's gain was off: it is fitted beside the findings
             design = np.column_stack([design, read.array(twin)[rows]])
         session = sessions(read)[rows]
         whole = np.column_stack([design, session_datums(design, mismatch[rows], session)])
@@ -125,17 +125,17 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
 
 
 def contribution(f: Finding, read: Recording, unit: str) -> np.ndarray:
-    """What a finding said, with its own parameters, on every row of another recording, shape (rows,).
+    """A finding's contribution, with its own parameters, on every row of another recording, shape (rows,).
 
     Raises LookupError or DataError where the recording lacks what it reads.
     """
     block = block_of(f, read, unit)
-    told, gains = list(f.parameters), []
+    remaining, gains = list(f.parameters), []
     for term in block.terms:
         rotary = units.on_rotary_axis(term, read)
         for p in term.linear():
-            at = next(i for i, q in enumerate(told) if q.name == p.name)
-            gains.append(told.pop(at).value / units.reported(p.unit, unit, rotary)[1])
+            at = next(i for i, q in enumerate(remaining) if q.name == p.name)
+            gains.append(remaining.pop(at).value / units.reported(p.unit, unit, rotary)[1])
     return block.columns(read) @ np.array(gains)
 
 

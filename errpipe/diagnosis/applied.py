@@ -24,8 +24,8 @@ from errpipe.fitting.spec import AnyTerm
 from errpipe.terms import Term
 
 GAIN = "recalibration"
-GAIN_SPREAD = 0.5  # prior standard deviation of a gain less 1; keeps gains of parts that resemble each other apart
-PLAIN = 0.02  # share of a simulated signal's rms that its effects may leave, for each to have its own gain
+GAIN_SPREAD = 0.5  # prior standard deviation of a gain less 1; regularises gains of parts that are nearly collinear
+PLAIN = 0.02  # largest residual, as share of a simulated signal's rms, at which each of its effects has its own gain
 MOST_STEPS = 12  # Gauss-Newton steps for non-linear parameters, which start at their best value
 UNNAMED = "no effect carries it: an equation that would come back is not known"
 NO_TERM = "its form is one of the search alone: no term of an error model says the same"
@@ -54,7 +54,7 @@ class Part:
 class Corrected:
     """One response: its accepted findings, those refused and why, and the corrected simulation, (rows,).
 
-    gain, offset: what sets the simulated signal itself right before the parts are added; mismatch: before all of it.
+    gain, offset: recalibration of the simulated signal before the parts are added; mismatch: before all of it.
     """
 
     component: str
@@ -105,12 +105,12 @@ def terms_of(finding: Finding) -> tuple[Term, ...]:
 
 def inner_values(finding: Finding, term: Term, recording: Recording, response: str) -> dict[str, float]:
     """Non-linear parameters of a finding in its term's own units. Raises KeyError where one is not stated."""
-    told = {p.name: p.value for p in finding.parameters}
+    stated = {p.name: p.value for p in finding.parameters}
     rotary = units.on_rotary_axis(term, recording)
     out = {}
     for p in term.nonlinear():
         known = term.fixed.get(p.name)
-        out[p.name] = told[p.name] / units.reported(p.unit, response, rotary)[1] if known is None else known
+        out[p.name] = stated[p.name] / units.reported(p.unit, response, rotary)[1] if known is None else known
     return out
 
 
@@ -144,11 +144,11 @@ class _Block:
 
     def spans(self, recording: Recording, response: str) -> dict[str, tuple[float, float, float]]:
         """Non-linear parameters that have an interval: value, low, high, in the term's own units."""
-        told = {p.name: p for p in self.finding.parameters}
+        parameters = {p.name: p for p in self.finding.parameters}
         out = {}
         for p in self.terms[0].free():
             factor = units.reported(p.unit, response, units.on_rotary_axis(self.terms[0], recording))[1]
-            low, high = (v / factor for v in told[p.name].ci95)
+            low, high = (v / factor for v in parameters[p.name].ci95)
             if low < self.inner[0][p.name] < high:
                 out[p.name] = (self.inner[0][p.name], low, high)
         return out
@@ -193,8 +193,8 @@ def _response(read: Recording, recording: Recording, r: ResponseDiagnosis, least
         return Corrected(r.component, r.unit, twin, (), tuple(refused), simulated, mismatch, mismatch)
     parts, gain, offset = _Solve(read, r.unit, simulated, mismatch, blocks, gains, held).run()
     added = np.sum([p.contribution for p in parts], axis=0) + (gain - 1.0) * simulated + offset
-    better, left = simulated + added, mismatch - added
-    return Corrected(r.component, r.unit, twin, tuple(parts), tuple(refused), better, mismatch, left, gain, offset)
+    better, residual = simulated + added, mismatch - added
+    return Corrected(r.component, r.unit, twin, tuple(parts), tuple(refused), better, mismatch, residual, gain, offset)
 
 
 def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
@@ -274,11 +274,11 @@ class _Solve:
 
         start, low, high = (np.array([s[j] for s in spans]) for j in (2, 3, 4))
         scale = np.maximum(np.abs(start), 1e-12)
-        found = least_squares(
+        optimum = least_squares(
             left, start / scale, bounds=(low / scale, high / scale), diff_step=1e-4, max_nfev=MOST_STEPS
         )
-        if 2 * found.cost < float(np.sum(left(start / scale) ** 2)):
-            self.blocks = blocks(found.x)
+        if 2 * optimum.cost < float(np.sum(left(start / scale) ** 2)):
+            self.blocks = blocks(optimum.x)
 
     def _own_parts(self) -> list[Part]:
         """What the simulated signal is a sum of, effect by effect; [] where it is no such sum."""
@@ -298,10 +298,10 @@ class _Solve:
             return []
         out, at = [], 0
         for term, inner, columns in made:
-            mine, at = b[at : at + columns.shape[1]], at + columns.shape[1]
-            values = dict(zip((p.name for p in term.linear()), mine.tolist(), strict=True))
+            coefficients, at = b[at : at + columns.shape[1]], at + columns.shape[1]
+            values = dict(zip((p.name for p in term.linear()), coefficients.tolist(), strict=True))
             values |= dict(zip((p.name for p in term.nonlinear()), inner, strict=True))
-            out.append(Part(self.gains, (term,), (values,), columns @ mine))
+            out.append(Part(self.gains, (term,), (values,), columns @ coefficients))
         return out
 
 
@@ -314,14 +314,14 @@ def _scaled(part: Part, gain: float) -> Part:
 
 def session_datums(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> np.ndarray:
     """Columns of the datum beside a design: one, or one for each session where that explains enough more (BIC)."""
-    one = np.ones((y.size, 1))
+    single = np.ones((y.size, 1))
     codes, inside = np.unique(session, return_inverse=True)
     if codes.size < 2 or codes.size > y.size // 10:
-        return one
-    each = np.eye(codes.size)[inside]
+        return single
+    each_session = np.eye(codes.size)[inside]
     criterion = []
-    for columns in (one, each):
+    for columns in (single, each_session):
         whole = np.column_stack([design, columns])
-        left = y - whole @ np.linalg.lstsq(whole, y, rcond=None)[0]
-        criterion.append(y.size * np.log(np.mean(left**2) + 1e-300) + columns.shape[1] * np.log(y.size))
-    return one if criterion[0] <= criterion[1] else each
+        residual = y - whole @ np.linalg.lstsq(whole, y, rcond=None)[0]
+        criterion.append(y.size * np.log(np.mean(residual**2) + 1e-300) + columns.shape[1] * np.log(y.size))
+    return single if criterion[0] <= criterion[1] else each_session

@@ -19,7 +19,7 @@ from errpipe.domain.recording import Recording
 
 @dataclass
 class SetUp:
-    """What is known of one response before anything is looked for in it."""
+    """What is known of one response before the search."""
 
     recording: Recording  # conditioned
     pair: Pair
@@ -33,7 +33,7 @@ class SetUp:
     nuisance: Active
     names: list[str]
     recal: np.ndarray  # the nuisances' columns before whitening
-    sizes: np.ndarray  # rms of what each of them stands for: its coefficient over this is a gain less 1
+    sizes: np.ndarray  # rms of the signal part behind each; a coefficient over it is a gain less 1
     noise_estimate: float  # noise from second differences
     free_shapes: list[Shape]  # shapes without a name
     places: list[np.ndarray]  # their columns in the library's table
@@ -65,7 +65,7 @@ def chosen_of(explanation: Explanation) -> list[tuple[int, float]]:
 
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
-    """What the explanation leaves, on the judged rows."""
+    """Residual of the explanation, on the judged rows."""
     chosen = case.chosen() if chosen is None else chosen
     scene = case.search.scene(chosen)
     blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in chosen]
@@ -81,7 +81,7 @@ def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None
 
 
 def needs_recalibration(case: Case) -> bool:
-    """Are datum or gains off beyond doubt?"""
+    """Do datum or gains differ from the simulation's significantly?"""
     full = case.search.active(case.chosen())
     m = case.nuisance.index.size
     without = Active(full.index[m:], full.sd[m:])
@@ -91,4 +91,4 @@ def needs_recalibration(case: Case) -> bool:
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
     scored = scene.score(sets, [np.ones(s.size) for s in sets], case.search.rows)
-    return max(s.gain for s in scored) > OFF + np.log(len(sets))  # the best of so many
+    return max(s.gain for s in scored) > OFF + np.log(len(sets))  # log of the number of sets: multiple comparisons

@@ -1,4 +1,4 @@
-"""How often a finding like this one is right: two logistic curves with few inputs, fitted on generated cases.
+"""Calibrated confidence of a finding: two logistic regressions with few inputs, fitted on generated cases.
 
 `admission` is the chance that a named effect accounts for the structure at all; `naming` that the name is
 right. The constants come from cases of this project's own blind trials (seeds and counts beside them).

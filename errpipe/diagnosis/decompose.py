@@ -1,4 +1,4 @@
-"""The simulated signal has no noise: taken apart into its effects, it tells what a recalibration may change."""
+"""The noiseless simulated signal decomposed into its effects: each may have its own gain in a recalibration."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
 
 MOST_PARTS = 5
-BEAM = 6  # states followed at once
-ALTERNATIVES = 3  # sets of effects handed on
-MOST_MOVES = 6  # effects tried beside a state
-MAX_BEHIND = 40.0  # log evidence by which they may be behind the best
-COARSE = (0.004, 0.08)  # what textbook forms cannot reach, relative to the signal: taken for noise
-MATTERS = 20.0  # a part left over matters once a tenth of it, over all rows, stands out of the measuring noise
-ROWS = (60.0, 0.025)  # what is left is no noise: it counts as so many rows, and for each row so many more
-DOUBTS = 2  # directions of doubt kept of each part
+BEAM = 6  # beam width: states kept at each step
+ALTERNATIVES = 3  # decompositions returned
+MOST_MOVES = 6  # effects tried as an addition to a state
+MAX_BEHIND = 40.0  # log evidence below the best up to which a decomposition is returned
+COARSE = (0.004, 0.08)  # misfit of textbook forms relative to the signal; it stands in for the noise
+MATTERS = 20.0  # log evidence: an unexplained part counts once a tenth of it exceeds the measuring noise over all rows
+ROWS = (60.0, 0.025)  # effective number of rows (offset, per row): the residual is correlated misfit, not noise
+DOUBTS = 2  # directions of largest posterior variance kept of each part
 PRICE = 6.0  # log prior odds against each part
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
 
@@ -64,7 +64,7 @@ def decompose(
 ) -> list[Decomposition]:
     """Parts added, exchanged and dropped while the evidence grows; the likeliest sets of effects, best first.
 
-    noise: rms of the measuring noise; finer than it can show, the signal need not be taken apart.
+    noise: rms of the measuring noise, below which the decomposition stops.
     """
     run = library.table.run
     if _one_level_per_run(simulated, run):
@@ -73,21 +73,21 @@ def decompose(
 
 
 def _one_level_per_run(simulated: np.ndarray, run: np.ndarray) -> bool:
-    """Is the signal one value for each of several runs? That is a table of levels, and no physics to be found in it."""
+    """Is the signal constant within each of several runs? Such a table of levels is not decomposed."""
     _, inside, count = np.unique(run, return_inverse=True, return_counts=True)
     level = np.bincount(inside, simulated) / count
     return count.size > 1 and bool(np.std(simulated - level[inside]) <= PLAIN * np.std(simulated))
 
 
-PLAIN = 1e-4  # rms, relative to the signal's, that a sum of plain readings may leave: a simulation has no noise
+PLAIN = 1e-4  # residual rms over the signal's, up to which it counts as a sum of sensor readings
 
 
 def static(
     simulated: np.ndarray, library: Library, raw: Recording, recording: Recording, rows: np.ndarray
 ) -> Decomposition | None:
-    """The decomposition of a signal that is plainly a constant gain on each of several sensors' readings, or None.
+    """The decomposition of a signal that is a constant gain on each of several sensors' readings, or None.
 
-    A search part by part would take such a model of many sensors that resemble each other for fewer, other parts.
+    A stepwise search would replace collinear sensors by fewer, wrong parts.
     raw: the recording as it was read, from which the simulation was made; recording: with sensors smoothed.
     """
     own = {h.drivers[0]: i for i, h in enumerate(library.hypotheses) if h.terms[0].one_sensor and not h.mask}
@@ -96,25 +96,25 @@ def static(
     spread = float(np.std(simulated))
     if known.sum() < max(0.5 * rows.size, 10 * len(own)) or spread <= 0:
         return None
-    for name in tuple(own):  # those that it does not need are not its own
+    for name in tuple(own):  # drop sensors without which the residual stays as small
         others = [read[n][known] for n in own if n != name]
         if others and _gains(others, simulated[known])[1] < PLAIN * spread:
             del own[name]
     if len(own) < 2:
         return None
-    gains, left = _gains([read[n][known] for n in own], simulated[known])
-    if left > PLAIN * spread:
+    gains, residual_rms = _gains([read[n][known] for n in own], simulated[known])
+    if residual_rms > PLAIN * spread:
         return None
     parts = []
     for (name, index), gain in zip(own.items(), gains, strict=True):
         reading = recording.array(name)[rows]
         without = _gains([read[n][known] for n in own if n != name], simulated[known])[1]
-        certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(left, 1e-6 * spread))
+        certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(residual_rms, 1e-6 * spread))
         core = gain * (reading - reading.mean())
         sure = np.zeros((core.size, 0))
         parts.append(Part(library.hypotheses[index], index, core, np.zeros_like(core), float(certainty), sure))
-    rest = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
-    return Decomposition(tuple(parts), left / spread, rest, 0.0, plain=True)
+    unexplained = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
+    return Decomposition(tuple(parts), residual_rms / spread, unexplained, 0.0, plain=True)
 
 
 def _gains(columns: list[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, float]:
@@ -143,14 +143,14 @@ class _Work:
             return [Decomposition((), 0.0, np.zeros_like(self.y), 0.0)]
         self.data = Data(self.library.table, self.y)
         beam: list[tuple[float, Chosen]] = [(self._worth([]), [])]
-        seen: dict[tuple, float] = {(): beam[0][0]}
+        visited: dict[tuple, float] = {(): beam[0][0]}
         done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
             fresh = []
             for _worth, state in beam:
                 if tuple(state) not in done:  # moves from a state once left were all seen
                     done.add(tuple(state))
-                    fresh += self._moves(state, seen)
+                    fresh += self._moves(state, visited)
             best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]
             if [w for w, _ in best] == [w for w, _ in beam]:
                 break
@@ -184,7 +184,7 @@ class _Work:
         return out
 
     def _tuned(self, chosen: Chosen) -> Chosen:
-        """Sizes brought in line with what each part turns out to carry."""
+        """Sizes set to the fitted rms of each part."""
         for _ in range(2):
             b = self._scene(chosen).coefficients()[1:]
             out, start = [], 0
@@ -206,12 +206,12 @@ class _Work:
     def _listed(self, others: Chosen) -> Chosen:
         gain, size, core = self._scene(others).scores(self.library.listed, rows=self.count)
         gain = gain - textbook_penalty(core) + self.prior
-        seen = {self.library.hypotheses[i].effect for i, _ in others}
+        effects = {self.library.hypotheses[i].effect for i, _ in others}
         out: Chosen = []
         for k in np.argsort(-gain):
             effect = self.library.hypotheses[k].effect
-            if effect not in seen:
-                seen.add(effect)
+            if effect not in effects:
+                effects.add(effect)
                 out.append((int(k), float(size[k])))
             if len(out) == MOST_MOVES:
                 break
@@ -246,23 +246,23 @@ class _Work:
         scene = self._scene(chosen)
         b = scene.coefficients()
         worth = self._certainty(chosen)
-        spread = scene.covariance() * self.y.size / self.count  # what is left is no noise: it counts as fewer rows
+        spread = scene.covariance() * self.y.size / self.count  # the residual is correlated: fewer effective rows
         parts, start, total = [], 1, np.full_like(self.y, b[0])
         for (i, _), certainty in zip(chosen, worth, strict=True):
             columns = self.library.block(i, self.recording, self.rows)
-            mine = slice(start, start + columns.shape[1])
-            weights, start = b[mine], mine.stop
+            own_columns = slice(start, start + columns.shape[1])
+            weights, start = b[own_columns], own_columns.stop
             cores = self.library.cores[i]
             core, slack = columns[:, :cores] @ weights[:cores], columns[:, cores:] @ weights[cores:]
             total = total + core + slack
-            doubt = _doubt(columns, spread[mine, mine])
+            doubt = _uncertain_directions(columns, spread[own_columns, own_columns])
             centred = core - core.mean(), slack - slack.mean()
             parts.append(Part(self.library.hypotheses[i], i, *centred, certainty, doubt))
-        rest = self.y - total
-        return Decomposition(tuple(parts), float(np.std(rest) / self.spread), rest, total_worth)
+        unexplained = self.y - total
+        return Decomposition(tuple(parts), float(np.std(unexplained) / self.spread), unexplained, total_worth)
 
 
-def _doubt(columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def _uncertain_directions(columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """The few directions in which a part's contribution is least certain, shape (rows, directions)."""
     lam, U = np.linalg.eigh(0.5 * (spread + spread.T))
     ways = columns @ (U * np.sqrt(np.maximum(lam, 0.0)))

@@ -3,8 +3,8 @@
 Orthogonal matching pursuit (Pati 1993) over a library of candidate columns of unit length picks at most three. The
 whole selection is repeated without each fold (whole sessions, else blocks of neighbouring rows: `hypotheses.folds`),
 and the number of terms is the smallest within one standard error of the best held-out one (Hastie, Tibshirani and
-Friedman 2009, 7.10). It is said only where it predicts `LEAST_SHARE` of the held-out variance and where none of 99
-surrogates is predicted as well: the response shifted round by a random number of rows, and noise of its colour.
+Friedman 2009, 7.10). It is reported only where it predicts `LEAST_SHARE` of the held-out variance and where none of 99
+surrogates is predicted as well: the response shifted circularly by random rows, and noise with its autocorrelation.
 
 Units are carried along: temperatures enter as rises over their mean and positions as distances from the middle, so that
 a power or product means something; a coefficient has the response's unit over that of its column.
@@ -29,7 +29,7 @@ from errpipe.kernels import responses
 from errpipe.terms import resolved_times
 
 MOST_TERMS = 3
-MOST_ROWS = 6000  # rows that take part, chosen at random: more tell little more
+MOST_ROWS = 6000  # rows that take part, chosen at random: further rows change the result little
 MOST_BASE = 40  # columns and lags whose products are tried
 LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name
 SURROGATES = 99
@@ -45,7 +45,7 @@ PLAIN, BENT, TWO = (
     1.0,
     0.98,
     0.96,
-)  # weight of a column, its power, a product: of two that say the same the plainer wins
+)  # weight of a column, its power, a product: of two nearly collinear columns the simpler one is picked
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,13 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     place = next((k for k, f in enumerate(response.findings) if f.effect == "unknown"), None)
     if place is None:
         return response
-    # where it comes first the names behind it are doubted: then all of the mismatch is to be explained
-    left = residual(case, [] if place == 0 else None)
-    found = equation(case.recording, case.pair.rows, left, response.unit)
-    if found is None:
+    # `unknown` in first place means the named findings are uncertain: then explain the whole mismatch
+    unexplained = residual(case, [] if place == 0 else None)
+    empirical = equation(case.recording, case.pair.rows, unexplained, response.unit)
+    if empirical is None:
         return response
     f = response.findings[place]
-    better = f.model_copy(update={"empirical": found, "says": f"{f.says} {found.says}"})
+    better = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
     findings = (*response.findings[:place], better, *response.findings[place + 1 :])
     return response.model_copy(update={"findings": findings})
 
@@ -96,7 +96,7 @@ def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, s
     if count == 0 or shares[count] < LEAST_SHARE:
         return None
     for k in range(SURROGATES):
-        surrogate = _shifted(target, rng) if k % 2 else _of_its_colour(target, rng)
+        surrogate = _shifted(target, rng) if k % 2 else _coloured_noise(target, rng)
         if search.held_out(surrogate)[0].max() >= shares[count]:
             return None
     p = 1 / (SURROGATES + 1)
@@ -105,17 +105,17 @@ def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, s
 
 
 def _shifted(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A surrogate: shifted round by a tenth of the rows or more, its sign turned at random."""
+    """A surrogate: circular shift by at least a tenth of the rows, random sign."""
     by = int(rng.integers(y.size // 10, y.size - y.size // 10))
     return np.roll(y, by) * rng.choice([-1.0, 1.0])
 
 
-def _of_its_colour(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _coloured_noise(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A surrogate: white noise beside a first-order process with the autocorrelation of y at one and five rows."""
     centred = y - y.mean()
-    one, five = (float(centred[k:] @ centred[:-k]) / float(centred @ centred) for k in (1, 5))
-    keep = float(np.clip((max(five, 1e-6) / max(one, 1e-6)) ** 0.25, 0.0, 0.9995))
-    slow = float(np.clip(one / max(keep, 1e-6), 0.0, 1.0))  # share of the variance that is remembered
+    lag_1, lag_5 = (float(centred[k:] @ centred[:-k]) / float(centred @ centred) for k in (1, 5))
+    keep = float(np.clip((max(lag_5, 1e-6) / max(lag_1, 1e-6)) ** 0.25, 0.0, 0.9995))
+    slow = float(np.clip(lag_1 / max(keep, 1e-6), 0.0, 1.0))  # share of the variance that is autocorrelated
     drawn = rng.standard_normal(y.size)
     drawn[1:] *= np.sqrt(1.0 - keep**2)
     remembered = lfilter([1.0], [1.0, -keep], drawn)
@@ -151,7 +151,7 @@ class _Pursuit:
 
     def held_out(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Share of the held-out variance predicted with 0 to MOST_TERMS terms, and its standard error over folds."""
-        left = np.zeros((len(self.rows), MOST_TERMS + 1))
+        squares = np.zeros((len(self.rows), MOST_TERMS + 1))
         for f, test in enumerate(self.rows):
             train = np.ones(y.size, dtype=bool)
             train[test] = False
@@ -159,8 +159,8 @@ class _Pursuit:
             for k in range(MOST_TERMS + 1):
                 own = np.column_stack([np.ones(y.size), self.columns[:, order[:k]]])
                 b = np.linalg.lstsq(own[train], y[train], rcond=None)[0]
-                left[f, k] = float(np.sum((y[test] - own[test] @ b) ** 2))
-        gained = (left[:, :1] - left) / max(float(left[:, 0].mean()), 1e-300)
+                squares[f, k] = float(np.sum((y[test] - own[test] @ b) ** 2))
+        gained = (squares[:, :1] - squares) / max(float(squares[:, 0].mean()), 1e-300)
         return gained.mean(axis=0), gained.std(axis=0, ddof=1) / np.sqrt(len(self.rows))
 
 
@@ -170,8 +170,8 @@ def candidates(recording: Recording, rows: np.ndarray) -> list[Candidate]:
     out = list(base)
     for c in base:
         if np.unique(c.values).size > 2:
-            yielded = Candidate(f"({c.name})^2", _times(c.unit, c.unit), c.values**2, BENT)
-            out += [yielded, Candidate(f"|{c.name}|", c.unit, np.abs(c.values), BENT)]
+            squared = Candidate(f"({c.name})^2", _times(c.unit, c.unit), c.values**2, BENT)
+            out += [squared, Candidate(f"|{c.name}|", c.unit, np.abs(c.values), BENT)]
     for one, other in itertools.combinations(base, 2):
         out.append(Candidate(f"{one.name} {other.name}", _times(one.unit, other.unit), one.values * other.values, TWO))
     spread = [float(c.values.std()) for c in out]
@@ -180,7 +180,7 @@ def candidates(recording: Recording, rows: np.ndarray) -> list[Candidate]:
 
 def _base(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
     """Columns about their mean (positions about the middle), and what follows them late."""
-    _, lasting = resolved_times(recording)
+    _, longest = resolved_times(recording)
     session, t = sessions(recording), recording.time()
     for role in READ:
         for name in recording.names(role):
@@ -192,16 +192,16 @@ def _base(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
             sign = role in MOVING
             zero = 0.0 if sign else 0.5 * float(whole[rows].min() + whole[rows].max())
             zero = float(whole[rows].mean()) if role in LAGGED else zero
-            told = name if zero == 0 else f"({name} - {zero:.5g})"
-            yield Candidate(told, unit, whole[rows] - zero, PLAIN)
+            expression = name if zero == 0 else f"({name} - {zero:.5g})"
+            yield Candidate(expression, unit, whole[rows] - zero, PLAIN)
             if role == "velocity":
                 yield Candidate(f"sign({name})", (), np.sign(whole[rows]), PLAIN)
             if role in LAGGED and recording.name("time") is not None:
                 for share in LAGS:
-                    tau = share * lasting
-                    late = responses.lag(session, t, whole, tau, tau, True)[rows]
-                    if np.ptp(late) > 0:
-                        yield Candidate(f"lag({name} - {zero:.5g}, {tau:.3g} s)", unit, late - zero, BENT)
+                    tau = share * longest
+                    lagged = responses.lag(session, t, whole, tau, tau, True)[rows]
+                    if np.ptp(lagged) > 0:
+                        yield Candidate(f"lag({name} - {zero:.5g}, {tau:.3g} s)", unit, lagged - zero, BENT)
 
 
 def _times(one: tuple[tuple[str, int], ...], other: tuple[tuple[str, int], ...]) -> tuple[tuple[str, int], ...]:

@@ -1,8 +1,8 @@
-"""How much better data are explained with a hypothesis than without: marginal likelihood in coloured noise.
+"""Bayes factor of a hypothesis: ratio of marginal likelihoods with and without it, in coloured noise.
 
 Model of a response on n rows:  y = N b + H w + e.  N holds nuisances (datum, gains of what the simulation
 already knows) with Gaussian priors, H a hypothesis' columns, w ~ Normal(0, (a s)^2), s the columns' relative
-freedom (1 for the textbook form, less for how far reality strays from it), a its unknown size, averaged over
+freedom (1 for the textbook form, less for departures from it), a its unknown size, averaged over
 a grid. e is white noise with a small slowly varying share; an ARMA(1,1) filter makes it white. The noise
 variance is profiled. A hypothesis pays for every column and for every size that does not fit.
 
@@ -22,12 +22,12 @@ import numpy as np
 
 from errpipe.kernels import evidence, noise
 
-MEMORY = 8.0  # rows over which the slow share of the noise forgets (public blind trials: 5 to 12)
+MEMORY = 8.0  # correlation length, in rows, of the slow share of the noise (public blind trials: 5 to 12)
 SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
-ROOM = 512  # columns that products have room for besides those of the hypotheses
+ROOM = 512  # capacity for columns besides those of the hypotheses
 AT_ONCE = 64  # columns filtered together
-MIN_TEXTBOOK_SHARE = 0.25  # below this share of its textbook form an effect is not what its name says,
-MAX_TEXTBOOK_PENALTY = 60.0  # and at none it would need this log Bayes factor
+MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
+MAX_TEXTBOOK_PENALTY = 60.0  # up to this log Bayes factor at a share of 0
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
@@ -250,7 +250,7 @@ class Scored:
 
 
 class Scene:
-    """A signal with some columns active: their coefficients, what they leave, and what a hypothesis would add."""
+    """A signal with some columns active: coefficients, residual, and log Bayes factors of further hypotheses."""
 
     def __init__(self, data: Data, active: Active, sigma: float):
         table = data.table
@@ -271,7 +271,7 @@ class Scene:
         return evidence.backward(self.chol, self.half)
 
     def residual(self) -> np.ndarray:
-        """What is left, whitened, shape (rows,)."""
+        """Whitened residual, shape (rows,)."""
         return self.data.y - self.table.W[:, self.active.index] @ self.coefficients()
 
     def covariance(self) -> np.ndarray:
@@ -300,7 +300,7 @@ class Scene:
         cross = np.ascontiguousarray(self.G[self.active.index][:, index])
         s = evidence.freed(self.chol, cross, self.half, self.Zy_all[index])
         S = self.G[index, index] - np.sum(cross**2, axis=0)
-        rest = s - value * S  # what the column still sees once `value` of it is taken away
+        rest = s - value * S  # product with the residual once `value` times the column is subtracted
         Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
         price = 0.5 * np.log1p(S * sd**2 / self.sigma**2)
         return -price - 0.5 * (rows or self.n) * np.log(np.maximum(Q, 1e-9 * self.Q) / self.Q)
@@ -349,9 +349,9 @@ class Scene:
         turned = np.einsum("mij,mi->mj", U, s)
         z = turned**2
         a2 = SIZES[None, :, None] ** 2
-        took = (z[:, None, :] * a2 / (1.0 + a2 * lam[:, None, :])).sum(axis=2)
-        left = np.maximum(self.Q - took, 1e-9 * self.Q)
-        log_bf = -0.5 * np.log1p(a2 * lam[:, None, :]).sum(axis=2) - 0.5 * rows * np.log(left / self.Q)
+        explained = (z[:, None, :] * a2 / (1.0 + a2 * lam[:, None, :])).sum(axis=2)
+        residual_squares = np.maximum(self.Q - explained, 1e-9 * self.Q)
+        log_bf = -0.5 * np.log1p(a2 * lam[:, None, :]).sum(axis=2) - 0.5 * rows * np.log(residual_squares / self.Q)
         top = log_bf.argmax(axis=1)
         peak = log_bf.max(axis=1)
         mean = peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
@@ -369,7 +369,7 @@ def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndar
 
 
 def textbook_penalty(share: Any) -> Any:
-    """Log Bayes factor that a hypothesis must bring besides, where its textbook form has so small a share."""
+    """Penalty, a log Bayes factor, of a hypothesis whose textbook form has a small share."""
     return MAX_TEXTBOOK_PENALTY * np.maximum(0.0, 1.0 - share / MIN_TEXTBOOK_SHARE)
 
 

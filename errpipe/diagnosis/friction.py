@@ -1,11 +1,10 @@
-"""Friction that differs by direction: the whole drive force fitted once with one law, once with one for each way.
+"""Friction that differs by direction: the drive force fitted with one law for both, and with one for each.
 
     force = mass a + damping v + friction tanh(v / sharpness) + offset                       both ways alike
     force = mass a + damping(way) v + friction(way) tanh(|v| / sharpness)                    each way its own
 
-The second is said to hold where held-out blocks of the recording are predicted better with it and a
-difference between the ways is beyond doubt. Intervals come from leaving out blocks in turn, for neighbouring rows of
-a trace tell the same.
+The second is accepted where it predicts held-out blocks of the recording better and a parameter differs
+significantly between the directions. Intervals are a block jackknife, because neighbouring rows are correlated.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from errpipe.terms.viscous_friction import ViscousFriction
 
 SHARPNESS = (0.0, 0.0025, 0.008, 0.016, 0.024, 0.032, 0.048, 0.064)  # of the highest speed
 BLOCKS = 40
-BETTER = 0.97  # rms on held-out blocks, over that of one law both ways, below which the ways differ
-MAX_LOSS = 1.02  # rms on held-out blocks, over that of the best sharpness, up to which another one may be true
+BETTER = 0.97  # ratio of held-out rms, two laws to one: threshold below which two laws are accepted
+MAX_LOSS = 1.02  # ratio of held-out rms to the best sharpness's, up to which another one widens the interval
 DOUBT = 4.0  # standard errors by which a parameter must differ between the ways
-WIDER = 1.25  # as for all parameters: see model.py
+WIDER = 1.25  # factor on the standard errors, as in model.py
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Fitted:
         return FoundParameter(name=name, value=value, unit=unit, ci95=(value - reach, value + reach))
 
     def differ(self, one: int, other: int) -> bool:
-        """Do two coefficients differ beyond doubt?"""
+        """Do two coefficients differ by more than DOUBT standard errors?"""
         c = self.covariance
         sd = np.sqrt(max(c[one, one] + c[other, other] - 2 * c[one, other], 1e-300))
         return bool(abs(self.value[one] - self.value[other]) > DOUBT * sd)
@@ -71,11 +70,11 @@ class ByDirection:
         )
 
     def damping(self) -> tuple[FoundParameter, ...]:
-        """What grows with speed, each way."""
+        """Damping of each direction."""
         return tuple(self._in_units(f"damping_{way}", k, "N s/m") for way, k in (("forward", 1), ("backward", 2)))
 
     def force(self) -> tuple[FoundParameter, ...]:
-        """What does not, each way."""
+        """Dry friction of each direction."""
         return tuple(self._in_units(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
 
     def briefly(self) -> str:
@@ -89,10 +88,10 @@ class ByDirection:
     def says(self) -> str:
         """One sentence."""
         both = (*self.damping(), *self.force())
-        told = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g}) {p.unit}" for p in both]
+        values = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g}) {p.unit}" for p in both]
         return (
-            f"Friction differs by direction: {told[0]} forwards and {told[1]} backwards, beside a dry part of "
-            f"{told[2]} and {told[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} "
+            f"Friction differs by direction: {values[0]} forwards and {values[1]} backwards, beside a dry part of "
+            f"{values[2]} and {values[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} "
             f"{self.response} rms instead of {self.alike.held_out:.3g} with one law both ways."
         )
 
@@ -106,7 +105,7 @@ def rubs(findings: list[Finding]) -> bool:
 
 
 def by_direction(case: Case) -> ByDirection | None:
-    """The law of each way where it differs, from the recorded force; None where it does not or cannot be told."""
+    """The law of each way where it differs, from the recorded force; None where it does not or cannot be decided."""
     axis = case.pair.component[2:]
     velocity = case.recording.name("velocity", axis=axis)
     acceleration = case.recording.name("acceleration", axis=axis)
@@ -115,8 +114,8 @@ def by_direction(case: Case) -> ByDirection | None:
     rows = case.pair.rows
     force = case.recording.array(case.pair.error)[rows]
     v, a = (case.recording.array(name)[rows] for name in (velocity, acceleration))
-    ahead, back = (v > 0).astype(float), (v < 0).astype(float)
-    if min(ahead.sum(), back.sum()) < 10 * BLOCKS:
+    forward, back = (v > 0).astype(float), (v < 0).astype(float)
+    if min(forward.sum(), back.sum()) < 10 * BLOCKS:
         return None
     best, laws = None, []
     known = case.recording.manifest.axis(axis)
@@ -124,35 +123,35 @@ def by_direction(case: Case) -> ByDirection | None:
     for sharpness in (fastest * s for s in SHARPNESS):
         dry = np.sign(v) if sharpness == 0 else np.tanh(v / sharpness)
         mass, drag = 1e-3 * a, 1e-3 * v
-        law = fitted(np.column_stack([mass, drag * ahead, drag * back, dry * ahead, dry * back]), force)
+        law = fitted(np.column_stack([mass, drag * forward, drag * back, dry * forward, dry * back]), force)
         laws.append(law)
         if best is None or law.held_out < best.law.held_out:
-            alike = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
+            single_law = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
             rotary = known is not None and known.kind == "rotary"
-            best = ByDirection(axis, velocity, sharpness, law, alike, case.pair.unit, rotary)
+            best = ByDirection(axis, velocity, sharpness, law, single_law, case.pair.unit, rotary)
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
-    apart = best.law.differ(1, 2) or best.law.differ(3, 4)
-    return best if apart and best.law.held_out < BETTER * best.alike.held_out else None
+    differs = best.law.differ(1, 2) or best.law.differ(3, 4)
+    return best if differs and best.law.held_out < BETTER * best.alike.held_out else None
 
 
 def widened(law: Fitted, others: list[Fitted]) -> Fitted:
-    """A law whose intervals know that friction may as well turn round a little more or less sharply than was found."""
-    apart = np.stack([o.value - law.value for o in others if o.held_out < MAX_LOSS * law.held_out])
-    return replace(law, covariance=law.covariance + apart.T @ apart / len(apart))
+    """The law with its covariance widened by the spread over other sharpnesses that predict nearly as well."""
+    differences = np.stack([o.value - law.value for o in others if o.held_out < MAX_LOSS * law.held_out])
+    return replace(law, covariance=law.covariance + differences.T @ differences / len(differences))
 
 
 def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
-    """Least squares, and what leaving out each block of rows in turn says about it."""
+    """Least squares with a block jackknife: covariance and held-out rms."""
     block = np.arange(y.size) * BLOCKS // y.size
     G = np.stack([columns[block == k].T @ columns[block == k] for k in range(BLOCKS)])
     g = np.stack([columns[block == k].T @ y[block == k] for k in range(BLOCKS)])
     whole = G.sum(axis=0) + 1e-12 * np.trace(G.sum(axis=0)) * np.eye(columns.shape[1])
     value = np.linalg.solve(whole, g.sum(axis=0))
     without = np.stack([np.linalg.solve(whole - G[k], g.sum(axis=0) - g[k]) for k in range(BLOCKS)])
-    moved = without - without.mean(axis=0)
-    left = y - np.einsum("nk,nk->n", columns, without[block])
-    return Fitted(value, (BLOCKS - 1) / BLOCKS * moved.T @ moved, float(np.sqrt(np.mean(left**2))))
+    deviations = without - without.mean(axis=0)
+    residual = y - np.einsum("nk,nk->n", columns, without[block])
+    return Fitted(value, (BLOCKS - 1) / BLOCKS * deviations.T @ deviations, float(np.sqrt(np.mean(residual**2))))
 
 
 def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Finding]:
@@ -166,7 +165,7 @@ def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Find
         if PARTS.get(f.effect) == "dry":
             f = f.model_copy(update={"parameters": (*f.parameters, *law.force()), "says": f"{f.says} {law.says()}"})
         elif PARTS.get(f.effect) == "viscous":
-            # one damping both ways, beside the simulation's own, says nothing where each way has its own
+            # a common damping is redundant where each direction has its own
             f = f.model_copy(update={"parameters": law.damping(), "says": law.says()})
         elif PARTS.get(f.effect) == "falling" and mends(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
@@ -187,6 +186,6 @@ def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Find
 
 
 def mends(stribeck: Finding, findings: list[Finding]) -> bool:
-    """Does a Stribeck part work against the dry friction beside it, where the law would have it add to it?"""
+    """Does a Stribeck part have the opposite sign to the dry friction beside it? By the law it adds to it."""
     dry = [f.parameters[0].value for f in findings if PARTS.get(f.effect) == "dry" and f.parameters]
     return bool(dry) and bool(stribeck.parameters) and stribeck.parameters[0].value * dry[0] < 0

@@ -1,7 +1,7 @@
-"""Gains of a simulation stay within limits: where only a gain beyond them explains, something else does.
+"""Limits on a simulation's gains: an explanation that needs a gain beyond them is penalised.
 
-The simulated signal is taken apart into parts, each with a gain of its own beside that of the whole. A Gaussian prior
-lets enough rows push a gain anywhere; here an explanation pays for what the limits would cost it.
+The simulated signal is decomposed into parts, each with a gain of its own beside that of the whole. A Gaussian prior
+is overruled by enough rows; here the log evidence that the limits would cost is subtracted.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import numpy as np
 
 from errpipe.diagnosis.evidence import Scene
 
-LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a little for parts that were not told apart well)
+LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a margin for parts that are poorly separated)
 
 
 def totals(names: list[str], sizes: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Parts, and the rows that turn the nuisances' coefficients into their gains less 1, shape (parts, nuisances)."""
+    """Parts, and the matrix from the nuisances' coefficients to their gains less 1, shape (parts, nuisances)."""
     parts = [j for j, name in enumerate(names) if j > 1 and "," not in name and not name.startswith("datum")]
     rows = np.zeros((max(len(parts), 1), len(names)))
     rows[:, 1] = 1.0 / sizes[1]
@@ -37,11 +37,11 @@ def excess(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tu
     at, cost = A @ b, 0.0
     first = np.abs(at) > LIMIT * 1.001
     for _ in range(rows.shape[0]):
-        beyond = (np.abs(at) > LIMIT * 1.001) & ~held
-        if not beyond.any():
+        outside = (np.abs(at) > LIMIT * 1.001) & ~held
+        if not outside.any():
             break
-        held |= beyond
-        aim[beyond] = LIMIT * np.sign(at[beyond])
+        held |= outside
+        aim[outside] = LIMIT * np.sign(at[outside])
         off = (A @ b - aim)[held]
         push = np.linalg.lstsq(spread[np.ix_(held, held)], off, rcond=None)[0]
         cost = float(off @ push)

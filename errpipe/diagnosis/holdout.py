@@ -1,4 +1,4 @@
-"""Before and after on rows that neither selected nor fitted: the whole search is repeated without each fold."""
+"""Nested hold-out: the whole search and fit is repeated without each fold and judged on it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from errpipe.drivers.sessions import sessions
 class HeldOut:
     """rms on held-out rows; how often the full search's first effect was chosen without them.
 
-    named: rms once what has a name is taken away; shaped: once shapes over inputs are, too.
+    named: residual rms of the findings; shaped: of findings and shapes over inputs together.
     """
 
     scheme: str
@@ -37,7 +37,7 @@ class HeldOut:
 def held_out(case: Case) -> HeldOut:
     """Repeat search and fit without each fold, predict the fold.
 
-    Whether shapes without a name predict anything is asked of the rows that take part, fold by fold.
+    Whether shapes without a name predict held-out rows is decided inside the fitted rows, fold by fold.
     """
     search, library = case.search, case.library
     _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
@@ -61,16 +61,16 @@ def held_out(case: Case) -> HeldOut:
             search.rows,
         )
         part.weighed = search.weighed
-        if any(found.hypothesis.mask for found in case.explanation.accepted):
-            chosen = part.tune(case.chosen())  # where a partial effect acts cannot be found without its runs
+        if any(finding.hypothesis.mask for finding in case.explanation.accepted):
+            chosen = part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
         else:
             chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if first else []
             chosen = supported_by_held_out(part, chosen, judged)
         names = [i for i, _ in chosen]
-        rest = admit.remainder(part, library, chosen, case.free_shapes, case.places)
+        remainder = admit.remainder(part, library, chosen, case.free_shapes, case.places)
         ways = [(part.active(chosen), judged.columns(names)), _textbook(part, chosen, judged)]
-        if rest.taken:
-            ways.append((rest.active, judged.columns(names, rest.taken)))
+        if remainder.taken:
+            ways.append((remainder.active, judged.columns(names, remainder.taken)))
         known = [judged.mean_square(part.data, active, part.noise, columns) for active, columns in ways]
         way = int(np.argmin(known))
         shaped += way == 2
@@ -94,7 +94,7 @@ def held_out(case: Case) -> HeldOut:
 def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:
     """Nuisances and the textbook forms alone, without what a part may add to them: their columns.
 
-    What differs from run to run says nothing of a run that was not seen.
+    Offsets of single runs cannot be predicted for a held-out run.
     """
     active, first = part.nuisance, part.nuisance.index.size
     kept = [*range(first)]

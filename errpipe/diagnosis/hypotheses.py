@@ -1,4 +1,4 @@
-"""Every effect in every binding as design columns: the textbook form, and how far reality may stray from it.
+"""Every effect in every binding as design columns: the textbook form, and departures from it.
 
 A hypothesis has `core` columns (the term's own basis at given non-linear parameters) and `slack` columns:
 what real parts add to the textbook (a lead error that is not quite straight, friction that varies along the
@@ -72,7 +72,7 @@ class Library:
         return self._together
 
     def _listed(self, h: Hypothesis, block: Block, cores: int) -> np.ndarray:
-        """Take down a hypothesis; its columns."""
+        """Store a hypothesis; returns its columns."""
         columns, freedom, scale = block
         self._families.setdefault(h.key, []).append(len(self.hypotheses))
         self.hypotheses.append(h)
@@ -117,7 +117,7 @@ def build(
     raw: Recording | None = None,
     signals: tuple[np.ndarray, ...] = (),
 ) -> Library:
-    """The library for a response; raw: the recording as it was read, in which sensors may be seen to fail.
+    """The library for a response; raw: the recording as it was read, in which sensor faults are visible.
 
     signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
     """
@@ -130,7 +130,7 @@ def build(
 def _with_columns(
     every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray
 ) -> Iterator[tuple[Hypothesis, Block, int]]:
-    """Hypotheses that say something on these rows, one at a time."""
+    """Hypotheses whose core columns vary on these rows, one at a time."""
     for hypothesis in every:
         core, slack, rel = columns_of(hypothesis, recording)
         block = scaled(core[rows], slack[rows], rel)
@@ -138,16 +138,16 @@ def _with_columns(
             yield hypothesis, block, core.shape[1]
 
 
-FOLDS = MANY_STARTS  # so that each has a session, where whole ones sit out
+FOLDS = MANY_STARTS  # so that each fold holds out at least one session
 BLOCKS = 8  # stretches of the recording that make up one fold
 
 
 def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarray, str]:
-    """Which rows sit out together, shape (rows,), and the scheme's name.
+    """Number of the fold that holds out each row, shape (rows,), and the scheme's name.
 
     Where the machine was started anew often enough (session of each row: see `drivers.sessions`), whole sessions are
     held out.
-    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, dealt out in turn, so that each fold
+    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, assigned in turn, so that each fold
     sees every run and thermal state, and no row is judged beside its own neighbours alone.
     """
     if session is not None:
@@ -163,7 +163,7 @@ Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their fr
 
 
 def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None:
-    """Columns of unit size, their freedoms and scales; None where a core column says nothing."""
+    """Columns of unit size, their freedoms and scales; None where a core column does not vary."""
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
     rms, spread = np.sqrt(np.mean(core**2, axis=0)), core.std(axis=0)
@@ -201,7 +201,7 @@ def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:
 
 
 def without_motion(recording: Recording, rows: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """A signal less what goes with the axes' speeds and accelerations, beside which waves would drown."""
+    """A signal less what goes with the axes' speeds and accelerations, which would hide waves."""
     columns = [np.ones(rows.size)]
     for name in (*recording.names("velocity"), *recording.names("acceleration")):
         values = recording.array(name)[rows]

@@ -24,13 +24,13 @@ Progress = Callable[[float, str], None]
 
 
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
-DEPENDENT = 1.8  # rows per independent row of what is left, from which rows count for less
+DEPENDENT = 1.8  # rows per independent row of the residual, above which the effective number of rows is used
 PROVED = 0.7  # mean square on held-out rows, over that without, from which wide gains are believed whatever they cost
-WIDE_PRICE = 10.0  # log Bayes factor it takes to believe so
+WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off
 
 
 def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
-    """The explanation once effects that act in part have joined the library."""
+    """The explanation with effects that act only in part added to the library."""
     if not partial.add_parts(search, conditioned, rows, explanation.alone):
         return explanation
     in_part = search.explain()
@@ -40,23 +40,23 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
     return in_part
 
 
-def _reached(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:
+def _explains_share(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:
     """Does the explanation reach this share of the variance that is neither noise nor recalibration?"""
     noise, base = 1.2 * noise_estimate, search.scene([]).rms()
-    left = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
-    return bool(explanation.accepted) and left**2 - noise**2 < (1 - share) * (base**2 - noise**2)
+    residual_rms = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+    return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
 MIN_SIZE = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
 
 
 MIN_SHARE_OF_PART = (
-    0.2  # size beside the simulation's own part of that name and driver, below which a finding mends its form
+    0.2  # ratio to the simulation's own part of that name and driver, below which a finding only corrects its form
 )
 
 
 def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
-    """The explanation without findings too small to be physics of their own: they mend the form of something else."""
+    """The explanation without findings below the size thresholds: they only correct the form of another effect."""
     own = {
         (p.hypothesis.effect, p.hypothesis.drivers): MIN_SHARE_OF_PART * float(np.std(p.contribution))
         for p in held.parts
@@ -70,10 +70,10 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
             block = search.library.block(f.index, conditioned, rows)
             contribution = block @ b[first : first + block.shape[1]]
             first += block.shape[1]
-            acting = np.abs(contribution) > 0.1 * np.abs(contribution).max()
-            size = float(np.sqrt(np.mean(contribution[acting] ** 2)))
-            mends = size < own.get((f.hypothesis.effect, f.hypothesis.drivers), 0.0)
-            sizes.append(0.0 if mends else size / search.sigma)
+            active = np.abs(contribution) > 0.1 * np.abs(contribution).max()
+            size = float(np.sqrt(np.mean(contribution[active] ** 2)))
+            negligible = size < own.get((f.hypothesis.effect, f.hypothesis.drivers), 0.0)
+            sizes.append(0.0 if negligible else size / search.sigma)
         too_small = [k for k, size in enumerate(sizes) if size < MIN_SIZE[min(k, 1)]]
         if not too_small:
             break
@@ -85,9 +85,9 @@ OUTLIER = 4.5  # a lone row further than this from the explanation, in robust no
 
 
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
-    """Explain one response; outliers that only the explanation shows are set aside, and it is explained again."""
+    """Explain one response; outliers of its residual are set aside, and it is explained again."""
     case = _judge(raw, conditioned, pair, progress)
-    outlying = _isolated(residual(case))
+    outlying = _isolated_outliers(residual(case))
     if not outlying.any() or outlying.mean() > 0.03:
         return case
     kept = replace(
@@ -96,20 +96,20 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
         mismatch=pair.mismatch[~outlying],
         outliers=np.sort(np.r_[pair.outliers, pair.rows[outlying]]),
     )
-    del case  # or two tables of products are held at once
+    del case  # frees one table of products before the next is built
     return _judge(raw, conditioned, kept, progress)
 
 
-def _isolated(left: np.ndarray) -> np.ndarray:
-    """Rows far out whose neighbours are not."""
+def _isolated_outliers(left: np.ndarray) -> np.ndarray:
+    """Isolated outliers: rows beyond the threshold whose neighbours are not."""
     size = np.abs(left) / (1.4826 * np.median(np.abs(left)) + 1e-300)
     out = size > OUTLIER
     beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
     return out & (beside < size)
 
 
-NEARLY = 5.0  # log Bayes factor by which an explanation with a size may be less likely than one without
-RETRIES = 4  # searches after the first, each without the impossible findings of those before
+NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
+RETRIES = 4  # further searches, each without the findings ruled out before
 
 
 def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> Case:
@@ -123,13 +123,13 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
             break
         case = _without(made, out[0])
     else:
-        made.prior[:] = NEVER  # whatever is found instead cannot be true either
+        made.prior[:] = NEVER  # no effect is accepted in their place either
         case = _explained(made)
     for m in plausible.doubtful(case)[:1]:
         prior = made.prior.copy()
         other = _without(made, m)
-        nearly = case.search.joint(other.chosen()) > case.search.joint(case.chosen()) - NEARLY
-        if other.chosen() and nearly and not plausible.doubtful(other) and not plausible.impossible(other):
+        close = case.search.joint(other.chosen()) > case.search.joint(case.chosen()) - NEARLY
+        if other.chosen() and close and not plausible.doubtful(other) and not plausible.impossible(other):
             return other
         made.prior = prior
     return case
@@ -177,14 +177,14 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
 
 
 def _explained(made: SetUp) -> Case:
-    """The best explanation of a response, and what is left beside it."""
+    """The best explanation of a response, and the remainder beside it."""
     library, nuisance, rows = made.library, made.nuisance, made.pair.rows
     search, explanation = settled(library, made.data, nuisance, made.prior, made.noise_estimate)
     if not made.in_part:
         explanation = _with_parts(search, explanation, made.recording, rows)
         made.prior, made.in_part = search.prior.copy(), True
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
-    if search.rows is None:  # else the simulation lacks so much that its gains may be anything
+    if search.rows is None:  # else the residual is correlated and the gains are poorly known
         search, explanation = recalibration.within_limits(
             search, explanation, made.decomposition, made.names, made.recal, made.sizes, made.noise_estimate
         )
@@ -196,17 +196,17 @@ def _explained(made: SetUp) -> Case:
     chosen = chosen_of(explanation)
     sigma = max(search.scene(chosen).rms(), 1e-9)
     search.sigma = sigma
-    rest = admit.remainder(search, library, chosen, made.free_shapes, made.places)
-    if made.session is not None and not predicts_held_out(search, chosen, rest, judged):
-        rest = admit.remainder(search, library, chosen, [], [])
+    remainder = admit.remainder(search, library, chosen, made.free_shapes, made.places)
+    if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
+        remainder = admit.remainder(search, library, chosen, [], [])
     known = {f.name: getattr(made, f.name) for f in fields(SetUp)} | {"nuisance": nuisance}
-    return Case(**known, search=search, explanation=explanation, sigma=sigma, remainder=rest)
+    return Case(**known, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
 
 
 def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation, Active]:
-    """Where the best explanation leaves rows that go together they count for less, and gains may be far off.
+    """Where the residual is autocorrelated: an effective number of rows, and a wider prior on the gains.
 
-    How much less, the best single effect tells: what two reach together may have been bent to the rows.
+    The effective number comes from the best single effect's residual: two effects may overfit.
     """
     library, nuisance, run, noise = made.library, made.nuisance, made.run, made.noise_estimate
     time = correlation_time(search.scene(chosen_of(explanation)).residual(), run)
@@ -215,7 +215,7 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     worth = max(run.size / time, 30.0)
     single, one = settled(library, made.data, nuisance, search.prior, noise, worth, most=1)
     left = single.scene(chosen_of(one)).residual()
-    if not (_reached(search, explanation, noise) and not _reached(single, one, noise, 0.75)):
+    if not (_explains_share(search, explanation, noise) and not _explains_share(single, one, noise, 0.75)):
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
         search, explanation = settled(library, made.data, nuisance, search.prior, noise, worth)
     wide = Active(nuisance.index, nuisance.sd * np.where([n.startswith("datum") for n in made.names], 1.0, WIDE))
@@ -235,7 +235,7 @@ def _held_out(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> f
     return judged.mean_square(made.data, search.active(chosen), search.noise, judged.columns([i for i, _ in chosen]))
 
 
-SESSION_DATUM_PRICE = 10.0  # log Bayes factor from which it is believed
+SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
 def favours_session_datums(
@@ -243,15 +243,15 @@ def favours_session_datums(
 ) -> bool:
     """Is the best explanation likelier with a datum for each session than the best one with a single datum?
 
-    Each datum pays for its freedom. Rows count for less where what is left beside all datums still goes together.
+    The evidence penalises each datum. The effective number of rows comes from the residual beside all datums.
     """
-    tried = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
-    both = [settled(library, data, n, prior, noise_estimate) for n in tried]
-    left = [s.scene([(f.index, f.size) for f in e.accepted]) for s, e in both]
-    worth = max(run.size / correlation_time(left[0].residual(), run), 30.0)
+    nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
+    both = [settled(library, data, n, prior, noise_estimate) for n in nuisances]
+    scenes = [s.scene([(f.index, f.size) for f in e.accepted]) for s, e in both]
+    worth = max(run.size / correlation_time(scenes[0].residual(), run), 30.0)
     with_each, with_one = (
         scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.accepted)
-        for scene, (_, e) in zip(left, both, strict=True)
+        for scene, (_, e) in zip(scenes, both, strict=True)
     )
     return with_each > with_one + SESSION_DATUM_PRICE
 

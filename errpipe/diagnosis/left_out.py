@@ -1,6 +1,6 @@
-"""How well an explanation, fitted without some folds, predicts their rows; and what of it these rows speak for.
+"""How well an explanation, fitted without some folds, predicts their rows; which findings held-out rows support.
 
-Where each session has a datum of its own, a held-out session tells its datum by its first rows, which do not count.
+Where each session has a datum of its own, a held-out one's is estimated from its first rows, which are not judged.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from errpipe.diagnosis.shapes import Shape
 from errpipe.domain.recording import Recording
 from errpipe.terms import MANY_STARTS
 
-ZEROED = 5  # rows of a held-out session which tell its datum
+ZEROED = 5  # first rows of a held-out session, from which its datum is estimated
 
 
 @dataclass
@@ -56,16 +56,16 @@ class LeftOut:
         return np.concatenate(out)
 
     def left(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
-        """What a fit to `data` without this fold leaves of its rows."""
+        """Residual on this fold's rows of a fit to `data` without it."""
         test = self.library.table.rows[fold]
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return self.zeroed(self.y[test] - columns[test] @ b, test)
 
     def mean_square(self, data: Data, active: Active, sigma: float, columns: np.ndarray) -> float:
-        """Of the folds that take part in `data`, each predicted without itself."""
+        """Mean square of the cross-validation residual over the folds of `data`."""
         folds = [f for f, rows in enumerate(self.library.table.rows) if f != data.without and rows.size]
-        left = [self.left(data, active, sigma, columns, f) for f in folds]
-        return float(np.mean(np.concatenate(left) ** 2))
+        residuals = [self.left(data, active, sigma, columns, f) for f in folds]
+        return float(np.mean(np.concatenate(residuals) ** 2))
 
 
 def coefficients(data: Data, active: Active, sigma: float, without: int | None) -> np.ndarray:
@@ -106,8 +106,8 @@ def datums(
 def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
     """Of findings, strongest first, as many as predict held-out sessions best; the first one always stays.
 
-    Only where sessions have their own datums: what is much alike within a session, and not between them, is then many
-    rows that say the same, and a further finding may only bend the first one to them.
+    Only where sessions have their own datums: rows within a session are then strongly
+    correlated, and a further finding may only overfit them.
     """
     if judged.session is None or len(chosen) < 2:
         return chosen
@@ -119,7 +119,7 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
 
 
 def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
-    """Do shapes without a name predict rows that sit out? What differs from start to start is no mechanism's shape."""
+    """Do shapes without a name predict held-out rows? What differs from session to session is no mechanism's shape."""
     names = [i for i, _ in chosen]
     without = judged.mean_square(search.data, search.active(chosen), search.noise, judged.columns(names))
     return judged.mean_square(search.data, rest.active, search.noise, judged.columns(names, rest.taken)) < without

@@ -33,7 +33,7 @@ def regimes(
 ) -> tuple[Regime, ...]:
     """rms of the mismatch before and after in each part of the recording, and the part's share of what is to explain.
 
-    mismatch: with datum and gains of the simulation set right; its energy beyond `noise` (rms) is what is shared out.
+    mismatch: with datum and gains of the simulation fitted; its energy beyond `noise` (rms) is divided among the parts.
     """
     out = []
     energy = mismatch**2 - noise**2
@@ -42,7 +42,7 @@ def regimes(
         if inside.sum() >= LEAST_ROWS:
             b, a = (float(np.sqrt(np.mean(v[inside] ** 2))) for v in (before, after))
             share = None
-            if total > 0.1 * rows.size * noise**2:  # else nothing stands out of the noise that could be shared out
+            if total > 0.1 * rows.size * noise**2:  # else the mismatch does not exceed the noise
                 share = float(np.clip(energy[inside].sum() / total, 0.0, 1.0))
             out.append(Regime(what=what, rows=int(inside.sum()), rms_before_um=b, rms_after_um=a, share=share))
     return tuple(out)
@@ -61,7 +61,7 @@ def between_runs(run: np.ndarray, mismatch: np.ndarray, noise: float) -> float |
 def changes(recording: Recording, rows: np.ndarray, mismatch: np.ndarray) -> tuple[ChangePoint, ...]:
     """Where the mismatch changes its level or its size for good: binary segmentation of its block means in time.
 
-    A mismatch that wanders has no such points: what neighbouring blocks share is taken off the evidence.
+    The autocorrelation of block means reduces the evidence, so that a random walk has no change points.
     """
     clock = recording.name("time")
     t = recording.time()[rows] if clock else rows.astype(float)
@@ -71,14 +71,14 @@ def changes(recording: Recording, rows: np.ndarray, mismatch: np.ndarray) -> tup
     fill = np.bincount(block)
     level = np.bincount(block, mismatch) / fill
     spread = np.sqrt(np.bincount(block, (mismatch - level[block]) ** 2) / fill)
-    found = []
+    change_points = []
     for what, values in (("level", level), ("size", np.log(spread + 1e-3 * spread.mean() + 1e-300))):
         for k, low, high in _segments(values):
             if what == "size":
                 low, high = float(np.exp(low)), float(np.exp(high))
             at = float(t[first[k]])
-            found.append(ChangePoint(column=clock or "row", at=at, what=what, before_um=low, after_um=high))
-    return tuple(sorted(found, key=lambda c: c.at))
+            change_points.append(ChangePoint(column=clock or "row", at=at, what=what, before_um=low, after_um=high))
+    return tuple(sorted(change_points, key=lambda c: c.at))
 
 
 def _segments(values: np.ndarray) -> list[tuple[int, float, float]]:
@@ -93,10 +93,10 @@ def _segments(values: np.ndarray) -> list[tuple[int, float, float]]:
         if not best[1]:
             break
         fresh = sorted([*cuts, best[1]])
-        left = np.concatenate([values[a:b] - values[a:b].mean() for a, b in itertools.pairwise(fresh)])
-        rho = float(np.clip(left[1:] @ left[:-1] / max(left @ left, 1e-300), 0.0, 0.95))
+        residual = np.concatenate([values[a:b] - values[a:b].mean() for a, b in itertools.pairwise(fresh)])
+        rho = float(np.clip(residual[1:] @ residual[:-1] / max(residual @ residual, 1e-300), 0.0, 0.95))
         independent = (1 - rho) / (1 + rho)
-        if best[0] * independent < CHANGE * float(left @ left) / max(values.size - len(fresh), 1):
+        if best[0] * independent < CHANGE * float(residual @ residual) / max(values.size - len(fresh), 1):
             break
         cuts = fresh
     means = [float(values[a:b].mean()) for a, b in itertools.pairwise(cuts)]

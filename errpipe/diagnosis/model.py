@@ -1,4 +1,4 @@
-"""Parameters of the findings: refined between the points of the grid, with 95 % intervals that know the slack."""
+"""Parameters of the findings, refined between grid points, with 95 % intervals widened for departures from the form."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
-WIDER = 1.3  # what textbook forms leave open beyond the noise; set by coverage on generated cases
+WIDER = 1.3  # factor on intervals for departures from textbook forms; chosen on coverage over generated cases
 DROP = 3.2  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
 CHI2_95 = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}  # 95 % points, by degrees of freedom
-DEPARTED = 0.3  # how far a size may be off where a contribution has departed from its textbook form
-SHAPE = 0.1  # how far the deepest point of a worn stretch may be off because of its shape
+DEPARTED = 0.3  # relative standard deviation of a size where the contribution departs from its textbook form
+SHAPE = 0.1  # relative standard deviation of the deepest point of a worn stretch because of its shape
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def modelled(case: Case, k: int) -> Modelled:
 
 
 def _projected_sizes(case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int) -> list[Estimate]:
-    """Sizes where the departures from the textbook form take its place: those of the form nearest to the contribution.
+    """Sizes where departures dominate the textbook form: its projection on the contribution.
 
     Their intervals are those of a fit of the textbook form alone, and the shape's uncertainty beside.
     """
@@ -91,12 +91,12 @@ def _reported(e: Estimate, response: str, rotary: bool) -> Estimate:
 
 def core_share(case: Case, k: int) -> float:
     """Share of the textbook form in the contribution of finding k, as it was searched."""
-    found = case.explanation.accepted
+    accepted = case.explanation.accepted
     scene = case.search.scene(case.chosen())
     b = scene.coefficients()
-    first = case.nuisance.index.size + sum(case.library.indices(f.index).size for f in found[:k])
-    at = case.library.indices(found[k].index)
-    return float(textbook_share(b[first : first + at.size], case.library.cores[found[k].index]))
+    first = case.nuisance.index.size + sum(case.library.indices(f.index).size for f in accepted[:k])
+    at = case.library.indices(accepted[k].index)
+    return float(textbook_share(b[first : first + at.size], case.library.cores[accepted[k].index]))
 
 
 def _columns(case: Case, h: Hypothesis):
@@ -120,7 +120,7 @@ def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
     except ValueError:
         return -np.inf
     S, s = _projected(scene, block)
-    rows = case.search.rows or scene.n  # rows that go together tell no more than they are worth
+    rows = case.search.rows or scene.n  # effective number of rows where they are correlated
     gain, _, _ = scene._log_bf((S * freedom[:, None] * freedom)[None], (freedom * s)[None], rows)
     return float(gain[0])
 
@@ -134,7 +134,7 @@ def _fit(scene: Scene, block, freedom, size: float, case: Case) -> tuple[np.ndar
 
 
 def _dependence(case: Case, scene: Scene, block, b) -> float:
-    """How much larger the variance is than independent rows would have it: block sums of the scores."""
+    """Ratio of the variance to that of independent rows, from block sums of the scores."""
     inside = scene.table.W[:, scene.active.index]
     both = np.column_stack([whiten(block[:, :1], case.run), whiten((block @ b)[:, None], case.run)])
     freed = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
@@ -192,10 +192,10 @@ def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
         steps = search.neighbours(value, best.terms[0], case.recording)
         if search.bounded:
             steps = steps[(steps >= p.bounds[0]) & (steps <= p.bounds[1])]
-        tried = [(_gain(case, scene, _at(best, j, float(v))), float(v)) for v in [value, *steps]]
-        top, where = max(tried)
+        scored = [(_gain(case, scene, _at(best, j, float(v))), float(v)) for v in [value, *steps]]
+        top, where = max(scored)
         best = _at(best, j, where)
-        inside = [v for g, v in tried if g > top - DROP]
+        inside = [v for g, v in scored if g > top - DROP]
         spans.append((p.name, p.unit, where, *search.widened(min(inside), max(inside), best.terms[0], case.recording)))
     return best, spans
 

@@ -19,12 +19,12 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
 
 LEADERS = 24  # hypotheses tried in part,
-EACH = 2  # and so many of each effect
+EACH = 2  # and at most so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 BINS = 14
-FEW = 4  # columns up to which a part is tried with all that reality may add to its textbook form
+FEW = 4  # columns up to which a part is tried with its slack columns
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
-MENDING = 0.05  # and this share of what the best whole brings: a part may only mend the textbook form
+MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,10 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
 def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> list[int]:
     """Extend the library with hypotheses in part that beat every whole; returns their indices.
 
-    Where the best of them acts, the others are tried too: within one run or stretch many effects look alike.
+    The other candidates are tried in the best one's place too: within one run or stretch many effects are collinear.
     """
     library, clock = search.library, recording.name("time")
-    tried = candidates(search, alone)
+    shortlist = candidates(search, alone)
     whole = max(float(np.max(alone - search.prior)), 0.0)
     parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
     scene = search.scene([])
@@ -117,20 +117,20 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     for groups in partitions(recording, rows):
         order = np.argsort(groups.code, kind="stable")
         edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
-        for index in tried:
+        for index in shortlist:
             if not may_act_in_part(library.hypotheses[index], groups.kind, clock):
                 continue
             W = library.table.W[:, library.places[index]] * library.freedom_of(index)
             W = W if W.shape[1] <= FEW else W[:, : library.cores[index]]
-            found = _best_part(scene, basis, y, W, groups, order, edges)
-            if found and found[0] > whole + BETTER + MENDING * whole and found[0] > 12.0:
-                parts.append((found[0], index, groups, found[1]))
+            best_part = _best_part(scene, basis, y, W, groups, order, edges)
+            if best_part and best_part[0] > whole + BETTER + MENDING * whole and best_part[0] > 12.0:
+                parts.append((best_part[0], index, groups, best_part[1]))
     parts.sort(key=lambda p: -p[0])
     fresh = [(index, groups, groups.mask(members)) for _gain, index, groups, members in parts[:8]]
     if fresh:
         _, groups, mask = fresh[0]
         known = {(index, mask) for index, _, mask in fresh}
-        for index in tried:
+        for index in shortlist:
             if may_act_in_part(library.hypotheses[index], groups.kind, clock) and (index, mask) not in known:
                 fresh.append((index, groups, mask))
     made = [_extend(library, search, recording, rows, index, mask) for index, _, mask in fresh]
@@ -160,7 +160,7 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
     if term.in_part == "runs":
         return False
     if getattr(term, "radial", False) and term.family == "reversal":
-        return False  # a step close to where the axis turns is a spike
+        return False  # a step close to a reversal is a spike
     return kind == clock or kind in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 

@@ -1,7 +1,7 @@
-"""Findings that cannot be true, whatever their evidence: they are ruled out, and the search is made again.
+"""Implausible findings: they are ruled out whatever their evidence, and the search is repeated.
 
-no size        every linear parameter may as well be nothing, alone and all together
-cancelling     a finding far larger than the mismatch, nearly all of which another finding takes away again
+no size        no linear parameter differs significantly from 0, alone or jointly
+cancelling     a finding far larger than the mismatch, nearly all of which another finding cancels
 at its limit   a scale at the end of what the recording resolves: a lag as long as the whole session is a drift
 """
 
@@ -14,7 +14,7 @@ from errpipe.diagnosis.case import Case
 from errpipe.terms import search_of
 
 TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which another one must be cancelling it
-RATIO = 1.6  # factor between neighbouring values of a scale: an interval that reaches this far off a limit leaves it
+RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that reaches further is not at its limit
 FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
 
@@ -26,7 +26,7 @@ def impossible(case: Case) -> list[model.Modelled]:
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
-    """Accepted findings whose size may as well be nothing, or whose scale may as well be at its limit.
+    """Accepted findings whose size is not significant, or whose scale's interval reaches its limit.
 
     Least certain first.
     """
@@ -37,32 +37,32 @@ def doubtful(case: Case) -> list[model.Modelled]:
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
     """The weaker one of two findings that cancel.
 
-    What gains of the simulation can play does not count: where it was fitted without the missing effect, gain and
-    effect are both far larger than the mismatch, and both are true.
+    What gains of the simulation can reproduce is projected out first: where it was fitted without the missing effect,
+    gain and effect are both far larger than the mismatch, and both are true.
     """
     spread, out = float(np.std(case.y)), []
-    beyond = [_beyond_gains(case, m.contribution) for m in made]
+    projected = [_beyond_gains(case, m.contribution) for m in made]
     for k, m in enumerate(made):
-        for one in beyond[:k]:
-            sizes = [float(np.std(x)) for x in (one, beyond[k])]
+        for one in projected[:k]:
+            sizes = [float(np.std(x)) for x in (one, projected[k])]
             if max(sizes) > TOO_LARGE * spread and min(sizes) > 0:
-                together = np.corrcoef(one, beyond[k])[0, 1]
-                out += [m] if together < CANCELLING else []
+                correlation = np.corrcoef(one, projected[k])[0, 1]
+                out += [m] if correlation < CANCELLING else []
     return out
 
 
 def _beyond_gains(case: Case, contribution: np.ndarray) -> np.ndarray:
-    """The part of a contribution that datum and gains of the simulation cannot play, shape (rows,)."""
+    """The part of a contribution orthogonal to datum and gains of the simulation, shape (rows,)."""
     return contribution - case.recal @ np.linalg.lstsq(case.recal, contribution, rcond=None)[0]
 
 
 def no_size(m: model.Modelled) -> bool:
-    """May every linear parameter be nothing, alone and all together?"""
+    """Does no linear parameter differ significantly from 0, alone or jointly?"""
     return m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 
 def not_in_full(m: model.Modelled) -> bool:
-    """Is it far from 1 where the linear parameter is known to be 1? Half a shift in time is no shift in time."""
+    """Is it far from 1 where the linear parameter is known to be 1? A time shift acts in full or not at all."""
     sd = m.hypothesis.terms[0].gain_sd
     return sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * sd
 

@@ -1,4 +1,4 @@
-"""Rows that can be judged, and columns fit to be driven by: filled, smoothed, motion taken from positions."""
+"""Rows that can be judged, and conditioned columns: filled, smoothed, motion derived from positions."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
 
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
-MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged: more would cost time and tell nothing new
-MOST_MISSING = 0.5  # a sensor with more gaps than this drives nothing
+MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
+MOST_MISSING = 0.5  # share of gaps above which a sensor is left out
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 
 
@@ -36,7 +36,7 @@ class Pair:
 
 def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
     """Every response with a simulated twin, and why others cannot be used. Raises DataError where none can."""
-    found, refused = [], []
+    accepted, refused = [], []
     for error in recording.names("error"):
         component = recording.manifest.columns[error].component
         twin = recording.name("simulated", component=component)
@@ -48,12 +48,12 @@ def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
             refused.append(f"{component}: recorded in {units[0]}, simulated in {units[1]}; they must be the same")
             continue
         try:
-            found.append(_pair(recording, str(component), error, twin, units[0] or "um"))
+            accepted.append(_pair(recording, str(component), error, twin, units[0] or "um"))
         except DataError as err:
             refused.append(str(err))
-    if not found:
+    if not accepted:
         raise DataError("diagnose: no pair of responses\n" + "\n".join(f"  {line}" for line in refused))
-    return found, refused
+    return accepted, refused
 
 
 def _pair(recording: Recording, component: str, error: str, twin: str, unit: str) -> Pair:
@@ -69,12 +69,12 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
     if np.nanstd(recording.array(error)[rows]) == 0:
         raise DataError(f"{component}: the recorded value never changes")
     outlying = spikes(mismatch[rows], recording.run_codes()[rows])
-    keep = _enough(recording, rows)
+    keep = _judged_rows(recording, rows)
     rows, outlying = rows[keep], outlying[keep]
     return Pair(component, unit, error, twin, rows[~outlying], mismatch[rows[~outlying]], rows[outlying])
 
 
-def _enough(recording: Recording, rows: np.ndarray) -> np.ndarray:
+def _judged_rows(recording: Recording, rows: np.ndarray) -> np.ndarray:
     """Which rows of a long recording are judged: a share spread at random, or of a fast trace whole stretches."""
     step = np.diff(recording.time()[rows])
     fast = recording.name("time") is not None and np.median(step) < 0.1
@@ -89,7 +89,7 @@ def _enough(recording: Recording, rows: np.ndarray) -> np.ndarray:
 
 
 def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Rows that say again, cell by cell, what the row before said."""
+    """Rows that repeat the row before in every cell."""
     frame = recording.frame.iloc[rows]
     cells, gaps = frame.to_numpy(), frame.isna().to_numpy()
     same = (cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])
@@ -111,7 +111,7 @@ def spikes(values: np.ndarray, run: np.ndarray, times: float = 6.0) -> np.ndarra
 
 
 def condition(recording: Recording) -> Recording:
-    """The recording with its driving columns made fit: gaps filled, sensors smoothed, motion from positions.
+    """The recording with its driving columns conditioned: gaps filled, sensors smoothed, motion from positions.
 
     Sensors that miss more than MOST_MISSING of their rows, or never change, are left out. The error and
     simulated columns stay as they are.
@@ -155,11 +155,11 @@ def condition(recording: Recording) -> Recording:
     return Conditioned(recording.manifest, frame, between="inferred")
 
 
-FOLLOWED = 6.0  # standard errors by which the noise of a reading must show in a mismatch
+FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
 
 
 def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:
-    """The conditioned recording; a sensor whose very noise shows in the mismatch is taken as it was read.
+    """The conditioned recording; a sensor whose noise correlates with the mismatch is kept unsmoothed.
 
     A controller that compensates by a sensor carries the sensor's noise into the axis.
     """
@@ -201,12 +201,12 @@ def segments(values: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Run codes, split further where a reading jumps: nothing is smoothed across a jump."""
     step = np.abs(np.diff(values))
     jump = step > np.maximum(12 * np.median(step) + 1e-9, 0.35)
-    calm = np.convolve(step, np.ones(9) / 9, mode="same") - step / 9 if step.size >= 9 else step
-    return run * 1000 + np.r_[0, np.cumsum(jump & (step > 8 * calm))]
+    usual_step = np.convolve(step, np.ones(9) / 9, mode="same") - step / 9 if step.size >= 9 else step
+    return run * 1000 + np.r_[0, np.cumsum(jump & (step > 8 * usual_step))]
 
 
 def usable(values: np.ndarray) -> bool:
-    """Does a sensor hold enough different finite values to drive anything?"""
+    """Does a sensor hold enough different finite values?"""
     finite = np.isfinite(values)
     return finite.mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
 
@@ -224,13 +224,13 @@ def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:
             between = np.interp(t[rows], t[good], values[good])
             last = values[good][np.maximum(np.searchsorted(good, rows, side="right") - 1, 0)]
             out[rows] = np.where(bad[rows], np.where(_long(bad)[rows], last, between), values[rows])
-    left = ~np.isfinite(out)
-    out[left] = np.nanmedian(values)
+    missing = ~np.isfinite(out)
+    out[missing] = np.nanmedian(values)
     return out
 
 
 def _long(bad: np.ndarray, least: int = 12) -> np.ndarray:
-    """Rows inside gaps so long that whoever read the sensor will have held its last value."""
+    """Rows inside gaps so long that a controller would have held the sensor's last value."""
     edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
     out = np.zeros(bad.size, dtype=bool)
     for a, b in zip(edges[::2], edges[1::2], strict=True):
@@ -247,7 +247,7 @@ def hold(values: np.ndarray, session: np.ndarray) -> np.ndarray:
 
 
 def smooth(values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """A sensor's reading without its noise: a kernel as wide as leaving single rows out recommends."""
+    """A sensor's reading smoothed by a kernel; its width by leave-one-out cross-validation."""
     best = (np.inf, values)
     stretches = [np.flatnonzero(run == r) for r in np.unique(run)]
     for width in WINDOWS:
@@ -277,7 +277,7 @@ def _kernel_smooth(values: np.ndarray, width: float) -> tuple[np.ndarray, np.nda
 
 
 def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Velocities and accelerations from positions where rows are dense: a derivative is cleaner than its reading."""
+    """Velocities and accelerations from positions where rows are dense: less noisy than a recorded speed."""
     out: dict[str, np.ndarray] = {}
     t, run = recording.time(), recording.run_codes()
     step = np.diff(t)
@@ -289,22 +289,22 @@ def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np
         if source is None:
             continue
         v = derivative(t, columns[source], run)
-        if _agrees(v, columns[name]):
-            out[name] = _mended(v, columns[name])
+        if _is_noisy_derivative(v, columns[name]):
+            out[name] = _without_edge_errors(v, columns[name])
         for acc in recording.names("acceleration", axis=axis):
             a = second_derivative(t, columns[source], run)
-            if _agrees(a, columns[acc]):
-                out[acc] = _mended(a, columns[acc])
+            if _is_noisy_derivative(a, columns[acc]):
+                out[acc] = _without_edge_errors(a, columns[acc])
     return out
 
 
-def _mended(derived: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+def _without_edge_errors(derived: np.ndarray, recorded: np.ndarray) -> np.ndarray:
     """The derivative; the reading where the two differ beyond the reading's noise (at the edges of a short push)."""
-    apart = np.abs(derived - recorded)
-    return np.where(apart > 4.0 * 1.4826 * np.median(apart), recorded, derived)
+    difference = np.abs(derived - recorded)
+    return np.where(difference > 4.0 * 1.4826 * np.median(difference), recorded, derived)
 
 
-def _agrees(derived: np.ndarray, recorded: np.ndarray) -> bool:
+def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
     """Is the reading the derivative plus noise? (else the column means something else, and stays)"""
     return bool(np.corrcoef(derived, recorded)[0, 1] > 0.98)
 

@@ -11,16 +11,14 @@ from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 
-GAIN_SD = 0.10  # how far a simulation's gains are usually off (0..15 %)
-OFF = 3.0  # log Bayes factor for a recalibration
-OWN_SD = 0.04  # how far the gain of what is not textbook in a part is off beside the gain of the part
+GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
+OFF = 3.0  # threshold: log Bayes factor for a recalibration
+OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
-SURE = 15.0  # log Bayes factor from which a part of the simulation is sure to be there
-MAX_GAIN_PENALTY = (
-    60.0  # log evidence that gains beyond the limits can cost at most: the signal may have been taken apart wrongly
-)
-CLAMPED_SD = 0.03  # freedom of a gain beyond the limits, while another explanation is looked for
+SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
+MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
+CLAMPED_SD = 0.03  # standard deviation of a gain beyond the limits during the search for another explanation
 
 
 def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
@@ -33,42 +31,42 @@ def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
 def within_limits(search, explanation, d: parts.Decomposition, names, recal, sizes, noise_estimate):
     """The explanation, or a likelier one without the gains beyond the limits that it needs."""
     labels, rows = gains.totals(names, sizes)
-    gain_penalty, beyond = gains.excess(
+    gain_penalty, outside = gains.excess(
         search.scene([(f.index, f.size) for f in explanation.accepted]), rows, search.rows
     )
-    if gain_penalty < OFF or beyond is None or d.plain:  # a static model of sensors may hold any gains
+    if gain_penalty < OFF or outside is None or d.plain:  # a static model of sensors may hold any gains
         return search, explanation
-    beyond_limits = {name for name, out in zip(labels, beyond, strict=False) if out}
-    prior = _less_surely_held(search, d, {name.split(" on ")[0] for name in beyond_limits})
+    beyond_limits = {name for name, out in zip(labels, outside, strict=False) if out}
+    prior = _weaker_prior(search, d, {name.split(" on ")[0] for name in beyond_limits})
     kept = _clamped(search, beyond_limits, names, recal, sizes)
     other, clamped = settled(search.library, search.data, kept, prior, noise_estimate, search.rows)
-    free, fair = (
+    free, penalised = (
         Search(search.library, search.data, search.nuisance, sigma, prior, MISSING, MORE, search.rows)
         for sigma in (other.sigma, search.sigma)
     )
-    found = free.accepted(free.tune([(f.index, f.size) for f in clamped.accepted]))
-    second, nothing = replace(clamped, accepted=found), replace(clamped, accepted=())
-    if not found or _worth(fair, second, rows) <= _worth(fair, explanation, rows) + OFF:
+    accepted = free.accepted(free.tune([(f.index, f.size) for f in clamped.accepted]))
+    second, nothing = replace(clamped, accepted=accepted), replace(clamped, accepted=())
+    if not accepted or _worth(penalised, second, rows) <= _worth(penalised, explanation, rows) + OFF:
         return search, explanation
-    if len(found) == 1:  # it brings what it does for the rows, and what it spares the gains
-        spared = _worth(fair, second, rows) + MISSING - _worth(fair, nothing, rows)
-        second = replace(second, accepted=(replace(found[0], gain=max(found[0].gain, spared)),))
+    if len(accepted) == 1:  # its gain includes the avoided penalty
+        avoided = _worth(penalised, second, rows) + MISSING - _worth(penalised, nothing, rows)
+        second = replace(second, accepted=(replace(accepted[0], gain=max(accepted[0].gain, avoided)),))
     return free, second
 
 
 def _clamped(search: Search, parts_held: set[str], names, recal, sizes) -> Active:
-    """The nuisances with little freedom for these parts: the gain of the whole does not reach them either."""
-    theirs = [j for j, name in enumerate(names) if name.split(",")[0] in parts_held]
-    rest = recal[:, 1] * sizes[1] - recal[:, theirs] @ sizes[theirs]
-    size = max(float(np.std(rest)), 1e-12)
+    """The nuisances with a narrow prior on these parts; the gain of the whole excludes them too."""
+    clamped = [j for j, name in enumerate(names) if name.split(",")[0] in parts_held]
+    remaining = recal[:, 1] * sizes[1] - recal[:, clamped] @ sizes[clamped]
+    size = max(float(np.std(remaining)), 1e-12)
     index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
-    index[1], sd[1] = search.library.add((rest / size)[:, None])[0], GAIN_SD * size
-    sd[theirs] = np.minimum(sd[theirs], CLAMPED_SD * sizes[theirs])
+    index[1], sd[1] = search.library.add((remaining / size)[:, None])[0], GAIN_SD * size
+    sd[clamped] = np.minimum(sd[clamped], CLAMPED_SD * sizes[clamped])
     return Active(index, sd)
 
 
-def _less_surely_held(search: Search, d: parts.Decomposition, effects: set[str]) -> np.ndarray:
-    """Log prior odds where parts with gains beyond the limits are not so sure to be in the simulation after all."""
+def _weaker_prior(search: Search, d: parts.Decomposition, effects: set[str]) -> np.ndarray:
+    """Log prior odds with parts whose gains are beyond the limits counted as less certain."""
     prior = search.prior.copy()
     held = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
     for i, h in enumerate(search.library.hypotheses):
@@ -77,20 +75,20 @@ def _less_surely_held(search: Search, d: parts.Decomposition, effects: set[str])
     return prior
 
 
-TRUST = 0.3  # weight of the evidence from taking the simulation apart: what it leaves over is no noise
+TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 
 
 def likeliest(alternatives: list[parts.Decomposition], simulated, library, data: Data, noise_estimate: float):
     """The decomposition that makes signal and mismatch likeliest together, with its recalibration."""
-    tried = []
+    scored = []
     for d in alternatives:
         nuisance, names, columns, sizes = recalibration(simulated, d, library)
         worth = TRUST * d.worth
         if len(alternatives) > 1:
             search, e = settled(library, data, nuisance, log_prior(library, d), noise_estimate)
             worth += _worth(search, e, gains.totals(names, sizes)[1])
-        tried.append((worth, (d, (nuisance, names, columns, sizes))))
-    return max(tried, key=lambda t: t[0])[1]
+        scored.append((worth, (d, (nuisance, names, columns, sizes))))
+    return max(scored, key=lambda t: t[0])[1]
 
 
 def recalibration(
@@ -119,7 +117,7 @@ def recalibration(
 
 
 def together(found: tuple[parts.Part, ...]) -> list[parts.Part]:
-    """Parts that nearly cancel are one part: their own gains would let anything pass for a recalibration."""
+    """Parts that nearly cancel are merged: with gains of their own they could reproduce almost anything."""
     out: list[parts.Part] = []
     for part in found:
         for k, other in enumerate(out):
@@ -132,7 +130,7 @@ def together(found: tuple[parts.Part, ...]) -> list[parts.Part]:
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
-    """Log prior odds: what the simulation already holds is seldom what it lacks."""
+    """Log prior odds: lower for effects that the simulation already holds."""
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
     held_by = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}

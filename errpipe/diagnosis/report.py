@@ -20,26 +20,26 @@ from errpipe.domain.diagnosis import (
 )
 from errpipe.terms import Term
 
-CLOSE = 4.0  # log Bayes factor below which a rival cannot be told apart
-ALIKE = 0.97  # or this share of the contribution that the rival's textbook form explains
-MOSTLY = 0.5  # share of the mismatch that is one offset per run, from which it is said
+CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
+ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed too
+MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report says so
 HELD_OUT_SHARE = (
-    0.1  # of the held-out variance beyond the names, which shapes over inputs must predict to be a mechanism
+    0.1  # threshold: share of the held-out variance beyond the findings that shapes over inputs must predict
 )
-PROVISIONAL = 0.4  # confidence of `unknown`, at most, where they do not
-UNSIZED = 0.6  # confidence of a name, at most, where its textbook form alone may as well be nothing
-UNPROVED = 0.45  # confidence of a name, at most, where held-out rows are no better explained with it
+PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
+UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
+UNPROVED = 0.45  # upper limit of the confidence of a finding that does not improve held-out rows
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
-    """One response of diagnosis.json, what each finding contributes on the judged rows, and what all of it leaves."""
+    """One response of diagnosis.json, the findings' contributions on the judged rows, and the residual."""
     before, after = case.y, residual(case)
     held = holdout.held_out(case)
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
     sized = [1.0 if not plausible.no_size(m) else UNSIZED for m in made]
-    findings = [f.model_copy(update=_no_surer(f, most)) for f, most in zip(findings, sized, strict=True)]
+    findings = [f.model_copy(update=_capped_confidence(f, most)) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = _p_unknown(case, indicators, held)
     findings, verdict = _verdict(case, findings, p_unknown)
@@ -48,10 +48,10 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     floor = float(min(case.sigma, case.noise_estimate) if indicators or p_unknown >= PROVISIONAL else case.sigma)
     recalibrated = residual(case, [])
     datums = own_datums(case, [])
-    found = significance.chance(case)
-    findings = [f.model_copy(update=_beyond_chance(case, f)) for f in findings]
+    chance = significance.chance(case)
+    findings = [f.model_copy(update=_surrogate_test(case, f)) for f in findings]
     if held.after >= held.before:
-        findings = [f.model_copy(update=_no_surer(f, UNPROVED)) if f.p_search else f for f in findings]
+        findings = [f.model_copy(update=_capped_confidence(f, UNPROVED)) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.with_directional_law(findings, law) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
@@ -70,11 +70,11 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         between_runs=locate.between_runs(case.run, recalibrated if datums is None else recalibrated + datums, floor),
         whiteness=whiteness.whiteness(case),
         significance=Significance(
-            p=found.p,
-            gain=found.gain,
-            limit95=found.limit,
-            scheme=found.scheme,
-            effective_rows=found.rows,
+            p=chance.p,
+            gain=chance.gain,
+            limit95=chance.limit,
+            scheme=chance.scheme,
+            effective_rows=chance.rows,
             rows=int(case.run.size),
         ),
     )
@@ -83,7 +83,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
 
 
 def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """What the shapes without a name carry on the judged rows, and what names and shapes leave together."""
+    """Contribution of the shapes without a name on the judged rows, and the residual of findings and shapes."""
     shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
     named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
     b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
@@ -92,7 +92,7 @@ def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _datums(case: Case) -> str:
-    """That each run was given its own datum, and how far these are apart."""
+    """Sentence on the datums of single runs and their spread; '' where one datum is for all."""
     values = own_datums(case, case.chosen())
     if values is None:
         return ""
@@ -104,22 +104,24 @@ def _datums(case: Case) -> str:
 
 def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
     """Values, on the judged rows, of what drives the findings, of the axis positions and of time."""
-    wanted = [n for f in r.findings for n in f.drivers]
-    wanted += [n for n in (case.recording.name("time"), *case.recording.names("position")) if n is not None]
-    held = [n for n in dict.fromkeys(wanted) if n in case.recording.frame.columns]
+    names = [n for f in r.findings for n in f.drivers]
+    names += [n for n in (case.recording.name("time"), *case.recording.names("position")) if n is not None]
+    held = [n for n in dict.fromkeys(names) if n in case.recording.frame.columns]
     labels = case.recording.names("run") + case.recording.names("group")
     return {n: case.recording.array(n)[case.pair.rows] for n in held if n not in labels}
 
 
-def _beyond_chance(case: Case, f: Finding) -> dict[str, object]:
-    """How often surrogates that hold nothing take the search as far, for a finding that has a name."""
+def _surrogate_test(case: Case, f: Finding) -> dict[str, object]:
+    """The surrogate test of a named finding: its p value and sentence."""
     place = [k for k, g in enumerate(case.explanation.accepted) if g.hypothesis.effect == f.effect]
     if not place:
         return {}
-    found = significance.chance(case, place[0])
-    what = "none" if found.p * (significance.SURROGATES + 1) < 1.5 else f"{found.p:.0%}"
-    told = f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {found.p:.2g})."
-    return {"p_search": found.p, "says": f.says + told}
+    chance = significance.chance(case, place[0])
+    what = "none" if chance.p * (significance.SURROGATES + 1) < 1.5 else f"{chance.p:.0%}"
+    sentence = (
+        f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {chance.p:.2g})."
+    )
+    return {"p_search": chance.p, "says": f.says + sentence}
 
 
 def _rms(v: np.ndarray) -> float:
@@ -127,19 +129,19 @@ def _rms(v: np.ndarray) -> float:
 
 
 def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indicators:
-    """What the search says about finding k."""
-    found = case.explanation.accepted
-    rivals = case.search.rivals(found, k)
-    own = {f.hypothesis.effect for f in found}
+    """Inputs of the confidence of finding k."""
+    accepted = case.explanation.accepted
+    rivals = case.search.rivals(accepted, k)
+    own = {f.hypothesis.effect for f in accepted}
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
     shaped = case.remainder
     return confidence.Indicators(
-        gain=found[k].gain,
+        gain=accepted[k].gain,
         margin=margin,
         leftover=case.sigma / max(case.noise_estimate, 1e-12),
         share=shaped.share,
         shapes=sum(g for _, g in shaped.shapes),
-        others=len(found) - 1,
+        others=len(accepted) - 1,
         core=model.core_share(case, k),
         agreement=held.agreement,
         rank=k,
@@ -151,7 +153,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
 
 def unreached(case: Case, left: float) -> float:
     """Share of the structured variance that is still there at a residual rms of `left`."""
-    noise = 1.2 * case.noise_estimate  # neighbours do not see the slow share of the noise
+    noise = 1.2 * case.noise_estimate  # second differences miss the slow share of the noise
     base = case.search.scene([]).rms()
     if base <= noise:
         return 0.0
@@ -168,7 +170,7 @@ def is_fast(case: Case) -> bool:
 def _p_unknown(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
     """Chance that a mechanism outside the vocabulary is at work; PROVISIONAL where held-out rows do not show it.
 
-    Rows that merely go together (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
+    Autocorrelated residuals alone (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
     must predict held-out rows.
     """
     share = held.shape_share()
@@ -183,17 +185,17 @@ def _p_unknown(case: Case, indicators: list[confidence.Indicators], held: holdou
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
-    """One finding, with its rivals and what would tell them apart."""
-    found = case.explanation.accepted
-    h = found[k].hypothesis
-    rivals = sorted(case.search.rivals(found, k), key=lambda r: r[1])
-    own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in found}  # the same effect by other columns is a rival
+    """One finding, with its rivals and the measurement that would separate them."""
+    accepted = case.explanation.accepted
+    h = accepted[k].hypothesis
+    rivals = sorted(case.search.rivals(accepted, k), key=lambda r: r[1])
+    own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in accepted}  # the same effect by other columns is a rival
     other = [r for r in rivals if r[0] != h.effect and (r[0], case.library.hypotheses[r[2]].drivers) not in own]
     every = [r for r in other if r[1] < CLOSE or _alike(case, made, r[2])]
     close = every[:4]
-    beyond = min((r[1] for r in other if r not in every), default=50.0)
-    sure = confidence.of_class(replace(indicators[k], margin=max(beyond, indicators[k].margin)))
-    sure = max(sure, confidence.naming(indicators[k]))
+    outside = min((r[1] for r in other if r not in every), default=50.0)
+    class_confidence = confidence.of_class(replace(indicators[k], margin=max(outside, indicators[k].margin)))
+    class_confidence = max(class_confidence, confidence.naming(indicators[k]))
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
@@ -212,7 +214,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
             FoundParameter(name=e.name, value=e.value, unit=e.unit, ci95=(e.low, e.high)) for e in made.estimates
         ),
         indistinguishable_from=tuple(r[0] for r in close),
-        confidence_of_class=round(sure, 3) if close else None,
+        confidence_of_class=round(class_confidence, 3) if close else None,
         would_separate=sentence,
         says=_says(case, h.effect, h.drivers, made, indicators[k]),
         rms_um=float(np.std(made.contribution)),
@@ -258,7 +260,7 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[lis
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     if findings and p_unknown > confidence.UNKNOWN_FIRST:
-        named = [f.model_copy(update=_no_surer(f, 1.0 - p_unknown)) for f in findings]
+        named = [f.model_copy(update=_capped_confidence(f, 1.0 - p_unknown)) for f in findings]
         return [_unknown(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
@@ -267,9 +269,11 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[lis
     return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
 
 
-def _no_surer(f: Finding, most: float) -> dict[str, float]:
-    sure = {} if f.confidence_of_class is None else {"confidence_of_class": round(min(f.confidence_of_class, most), 3)}
-    return {"confidence": round(min(f.confidence, most), 3), **sure}
+def _capped_confidence(f: Finding, most: float) -> dict[str, float]:
+    of_class = (
+        {} if f.confidence_of_class is None else {"confidence_of_class": round(min(f.confidence_of_class, most), 3)}
+    )
+    return {"confidence": round(min(f.confidence, most), 3), **of_class}
 
 
 def _recalibration(case: Case, needed: bool) -> list[Finding]:
@@ -289,7 +293,7 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
         label = name if is_datum else f"gain of {name} less 1"
         low, high = float(value - 2 * sd), float(value + 2 * sd)
         parameters.append(FoundParameter(name=label, value=float(value), unit=unit, ci95=(low, high)))
-    moved = float(np.std(case.recal @ b[:m]))
+    rms = float(np.std(case.recal @ b[:m]))
     return [
         Finding(
             effect="recalibration",
@@ -297,15 +301,15 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
             drivers=(case.pair.simulated,),
             parameters=tuple(parameters),
             says="Datum or gains of the simulation are off; setting them right moves it by "
-            f"{moved:.3g} {case.pair.unit} rms.",
-            rms_um=moved,
+            f"{rms:.3g} {case.pair.unit} rms.",
+            rms_um=rms,
             compensable=False,
         )
     ]
 
 
 def _unknown(case: Case, chance: float) -> Finding:
-    """Structure that no effect explains: its drivers, and the shape that still explains."""
+    """The finding `unknown`: structure that no effect explains, its inputs and its shape."""
     shapes = case.remainder.shapes
     drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
         case.recording.name("time") or "row",
@@ -335,7 +339,7 @@ def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.
 
 
 def _unusual(made: model.Modelled) -> str:
-    """A lag or length far from what machines show is said to be: the form may stand for something else."""
+    """A sentence on lags or lengths far from typical ones: the form may stand for another effect."""
     names = {p.name: p for t in made.hypothesis.terms for p in t.nonlinear()}
     for e in made.estimates:
         p = names.get(e.name)
@@ -344,8 +348,8 @@ def _unusual(made: model.Modelled) -> str:
     return ""
 
 
-def _set_anew(r: ResponseDiagnosis) -> str:
-    """What to say where the mismatch is mostly another offset in each run."""
+def _datum_per_run_text(r: ResponseDiagnosis) -> str:
+    """Sentence for a mismatch that is mostly an offset of each run."""
     if r.between_runs is None or r.between_runs < MOSTLY:
         return ""
     return f" {r.between_runs:.0%} of the mismatch is one offset per run, as a datum that is set anew each time gives."
@@ -369,11 +373,11 @@ def in_words(r: ResponseDiagnosis) -> str:
         verb, them = ("is", "it") if one else ("are", "them")
         return (
             f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
-            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after).{_set_anew(r)}"
+            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after).{_datum_per_run_text(r)}"
         )
     if names[0] == "unknown":
-        told = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]
-        near = f" (the nearest name would be {told[0]})" if told else ""
+        known = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]
+        near = f" (the nearest name would be {known[0]})" if known else ""
         return (
             f"{r.component}: something is missing that no known effect explains{near}; a shape in the data brings the "
             f"mismatch, held out, from {before:.3g} to {after:.3g} {unit} rms."

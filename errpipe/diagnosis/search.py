@@ -1,4 +1,4 @@
-"""What is missing: the effects that explain the mismatch beyond what a recalibration can, alone and in pairs."""
+"""Stepwise search for the effects that explain the mismatch beyond a recalibration, alone and in pairs."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
-MISSING = 10.0  # log Bayes factor for the first finding
+MISSING = 10.0  # threshold: log Bayes factor of the first finding
 MORE = 10.0  # and for each further one
-MOST = 2  # findings looked for; a third would mostly mend the textbook form of the other two
+MOST = 2  # largest number of findings; a third would mostly correct the textbook form of the other two
 SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason,
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
-BETTER = 6.0  # log Bayes factor beside the others from which an effect takes the place of another
+BETTER = 6.0  # log Bayes factor beside the others from which an effect replaces another
 MAX_EXCHANGES = 4  # effects tried in the place of each finding
-FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged as a whole at the end, and how far behind the best they may be
+FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged jointly at the end, and their largest log evidence below the best
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """One accepted hypothesis: size in noise rms, gain = what its absence would cost beside the others."""
+    """One accepted hypothesis: size in noise rms, gain = its log Bayes factor beside the others."""
 
     index: int
     hypothesis: Hypothesis
@@ -48,7 +48,7 @@ class Explanation:
 
 
 class Search:
-    """One response, its nuisances, a noise level: explanations are looked for here."""
+    """The search on one response with its nuisances and a noise level."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Search:
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
         self.most = MOST
         self.weighed = True  # do priors know what rows are worth? Not those of gains that held-out rows have proved
-        self.rows = rows  # how many rows' worth of evidence the rows hold, where they are not independent
+        self.rows = rows  # effective number of rows, where they are not independent
         self.threshold, self.threshold_more = threshold, threshold_more
 
     def explain(self, starts: int = SHORTLIST) -> Explanation:
@@ -88,7 +88,7 @@ class Search:
         return Explanation(self.accepted(best), alone, float(best_total))
 
     def _exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
-        """One finding after the other gives way to another effect, while the whole grows likelier."""
+        """Exchange step: each finding is replaced by another effect while the joint evidence grows."""
         worth = self.joint(chosen)
         for _ in range(2):
             before = worth
@@ -103,7 +103,7 @@ class Search:
         return chosen
 
     def _improves(self, other: list[tuple[int, float]], chosen, place: int, worth: float) -> bool:
-        """Is another member in one place better: plainly so beside the others, else as a whole?"""
+        """Is the exchange better: clearly so beside the others, else in the joint evidence?"""
         more = self._with_candidate(other, place) - self._with_candidate(chosen, place)
         return more > 0 if abs(more) > BETTER else self.joint(other) > worth + 0.1
 
@@ -116,11 +116,11 @@ class Search:
         """The best hypotheses beside the others, each effect once, but the one given up."""
         scored = self.score(others)
         gain = scored.gain + self.prior
-        seen = {self.library.hypotheses[i].effect for i, _ in others} | {self.library.hypotheses[given_up].effect}
+        effects = {self.library.hypotheses[i].effect for i, _ in others} | {self.library.hypotheses[given_up].effect}
         out: list[tuple[int, float]] = []
         for i in np.argsort(-gain):
-            if self.library.hypotheses[i].effect not in seen:
-                seen.add(self.library.hypotheses[i].effect)
+            if self.library.hypotheses[i].effect not in effects:
+                effects.add(self.library.hypotheses[i].effect)
                 out.append((int(i), float(scored.size[i])))
             if len(out) == MAX_EXCHANGES:
                 break
@@ -159,7 +159,7 @@ class Search:
         return total
 
     def _price(self, total: float) -> float:
-        """What a further finding must bring beside findings that bring `total`."""
+        """Threshold on the log Bayes factor of a further finding beside findings that total `total`."""
         return min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
 
     def active(self, chosen: list[tuple[int, float]]) -> Active:
@@ -172,7 +172,7 @@ class Search:
 
     @property
     def noise(self) -> float:
-        """Noise rms beside which priors stand: larger where rows are worth less than their number."""
+        """Noise rms for the priors, scaled up where the effective number of rows is smaller."""
         return self.sigma * float(np.sqrt(self.data.n / self.rows)) if self.rows and self.weighed else self.sigma
 
     def scene(self, chosen: list[tuple[int, float]]) -> Scene:
@@ -195,11 +195,11 @@ class Search:
 
     def best_of_each_key(self, gain: np.ndarray, most: int) -> list[int]:
         """The best point of each key, best first."""
-        out, seen = [], set()
+        out, keys = [], set()
         for i in np.argsort(-gain):
             key = self.library.hypotheses[i].key
-            if key not in seen:
-                seen.add(key)
+            if key not in keys:
+                keys.add(key)
                 out.append(int(i))
             if len(out) == most:
                 break
@@ -235,24 +235,24 @@ class Search:
         return chosen
 
     def _worth(self, chosen: list[tuple[int, float]]) -> list[Accepted]:
-        found = []
+        accepted = []
         for place, (i, _) in enumerate(chosen):
             s = self.score(chosen[:place] + chosen[place + 1 :], [i])
-            found.append(Accepted(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
-        return found
+            accepted.append(Accepted(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
+        return accepted
 
 
 def settled(
     library, data, nuisance, prior, noise_estimate, rows=None, most=MOST, weighed=True
 ) -> tuple[Search, Explanation]:
-    """Search until the noise level agrees with what the explanation leaves."""
+    """Repeat the search until the noise level agrees with the residual rms."""
     sigma = noise_estimate
     for _ in range(4):
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
         search.most, search.weighed = most, weighed
         explanation = search.explain()
-        left = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
-        if abs(left / sigma - 1) < 0.03:
+        residual_rms = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+        if abs(residual_rms / sigma - 1) < 0.03:
             break
-        sigma = max(left, 1e-9)
+        sigma = max(residual_rms, 1e-9)
     return search, explanation

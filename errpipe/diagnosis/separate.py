@@ -1,4 +1,4 @@
-"""What to measure next so that two rivals come apart: the conditions under which their fitted models differ most."""
+"""Model discrimination: the next measurement, under whose conditions two rivals' fitted models differ most."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from errpipe.domain.recording import Recording
 
 STEPS = 240
 REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm
-SURE = 3.0  # standard errors by which two rivals must come apart
-MOST_READINGS = 20000  # nobody takes more
+SURE = 3.0  # standard errors by which the predictions of two rivals must differ
+MOST_READINGS = 20000  # about a shift at one reading per second; a longer measurement is not proposed
 
 
 def would_separate(
@@ -26,7 +26,7 @@ def would_separate(
     first, second: a hypothesis and the coefficients of its core columns, each.
     """
     best = (0.0, "")
-    for what, trial in _trials(recording, (*first[0].drivers, *second[0].drivers)):
+    for what, trial in _hypothetical_recordings(recording, (*first[0].drivers, *second[0].drivers)):
         try:
             gap = _predict(first, trial) - _predict(second, trial)
         except (KeyError, ValueError, IndexError):
@@ -51,22 +51,22 @@ def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndar
     return columns @ b
 
 
-def _trials(recording: Recording, drivers: tuple[str, ...]):
-    """Recordings that were not made: one driver changes, the others stand still."""
-    wanted = dict.fromkeys(drivers)
+def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
+    """Hypothetical recordings: one driver changes, the others are constant."""
+    names = dict.fromkeys(drivers)
     columns = recording.manifest.columns
-    rest = _rest(recording)
+    constant = _rest(recording)
     t = recording.time()
     duration = float(np.nanmax(t) - np.nanmin(t)) or 3600.0
     clock = recording.name("time")
-    rest[clock or "t"] = np.linspace(0.0, duration, STEPS)
-    for name in wanted:
+    constant[clock or "t"] = np.linspace(0.0, duration, STEPS)
+    for name in names:
         kind = columns.get(name)
         if kind is None or name not in recording.frame.columns or kind.role in ("time", "run", "direction"):
             continue
         values = recording.array(name)
         low, high = np.nanquantile(values, [0.02, 0.98])
-        frame = rest.copy()
+        frame = constant.copy()
         if kind.role == "position":
             frame[name] = np.linspace(low, high, STEPS)
             yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", _made(recording, frame)
@@ -76,14 +76,14 @@ def _trials(recording: Recording, drivers: tuple[str, ...]):
             x = recording.array(position)
             frame[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
         yield f"step {name} between {low:.4g} and {high:.4g} and hold every other input still", _made(recording, frame)
-    for axis in {columns[n].axis for n in wanted if n in columns and columns[n].role in ("direction", "position")}:
-        made = _short_reversals(recording, rest, axis)
-        if made is not None:
-            yield "approach the same target after reversals of 0.002, 0.01, 0.1 and 1 mm", made
+    for axis in {columns[n].axis for n in names if n in columns and columns[n].role in ("direction", "position")}:
+        trial = _short_reversals(recording, constant, axis)
+        if trial is not None:
+            yield "approach the same target after reversals of 0.002, 0.01, 0.1 and 1 mm", trial
 
 
 def _rest(recording: Recording) -> pd.DataFrame:
-    """Every input still, at its median."""
+    """Every input constant at its median."""
     frame = pd.DataFrame(index=range(STEPS))
     for name in recording.frame.columns:
         if recording.manifest.columns[name].role in ("run", "group"):

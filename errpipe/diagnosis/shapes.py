@@ -1,6 +1,6 @@
-"""Shapes without a name: smooth in a column or in time, per run, or a surface, to catch what no effect explains.
+"""Nonparametric shapes: smooth in a column or in time, per run, or a surface, for what no effect explains.
 
-They stand against named effects: where a shape goes on explaining after the best name, the name is in doubt.
+They compete with named effects: a shape that explains the residual of a finding lowers its confidence.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms import resolved_times
 
-WANDERING = ("time", "runs", "slope in time", "slope of each run")  # kinds that say when, and of no input
+WANDERING = ("time", "runs", "slope in time", "slope of each run")  # kinds over time or runs, not over an input
 TIME_WAVES = 40
 PLACE_WAVES = 24
 SMOOTH = 8
@@ -34,14 +34,14 @@ class Shape:
 
     @property
     def of_inputs(self) -> bool:
-        """Is it a shape over inputs? One over time or runs alone is how noise wanders, too."""
+        """Is it a shape over inputs? Slow noise looks like a shape over time or runs alone."""
         return self.kind not in WANDERING
 
 
 def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape]:
     """All shapes for a response on its rows, columns of unit rms."""
     out = []
-    for kind, drivers, columns, freedom in _every(recording, component, rows):
+    for kind, drivers, columns, freedom in _all_columns(recording, component, rows):
         rms = np.sqrt(np.mean(columns**2, axis=0))
         keep = rms > 1e-9
         if keep.sum() >= 1:
@@ -50,7 +50,7 @@ def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape
 
 
 def _waves(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines over the range of u, the rougher the less free."""
+    """Cosines over the range of u, with a smoothness prior."""
     low, high = np.min(u), np.max(u)
     at = (u - low) / (high - low) if high > low else np.zeros_like(u)
     k = np.arange(1, count + 1)
@@ -78,9 +78,9 @@ MOST_PRODUCTS = 8  # inputs whose products are tried in pairs
 
 
 def _of_columns(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
-    """Smooth in an input, in an input that acts late, or in the product of two."""
+    """Smooth in an input, in a lagged input, or in the product of two."""
     session, t = sessions(recording), recording.time()
-    _, lasting = resolved_times(recording)
+    _, longest = resolved_times(recording)
     slow: list[tuple[str, np.ndarray]] = []
     for role in ROLES:
         for name in recording.names(role):
@@ -91,16 +91,16 @@ def _of_columns(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
             yield ("column", (name,), *_waves(u, min(SMOOTH, np.unique(u).size - 1)))
             if role in SLOW and recording.name("time") is not None:
                 slow.append((name, u))
-                late = [responses.lag(session, t, whole, lasting * k, lasting * k, True)[rows] for k in LAGS]
-                for v in late:
+                lagged = [responses.lag(session, t, whole, longest * k, longest * k, True)[rows] for k in LAGS]
+                for v in lagged:
                     yield ("lagged column", (name,), *_waves(v, 3))
-                slow.append((name, late[1]))
+                slow.append((name, lagged[1]))
     centred = [(name, (u - u.mean()) / (u.std() or 1.0)) for name, u in slow[:MOST_PRODUCTS]]
     for (one, u), (other, v) in itertools.combinations_with_replacement(centred, 2):
         yield "product", tuple(dict.fromkeys((one, other))), (u * v)[:, None] - np.mean(u * v), np.ones(1)
 
 
-def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[tuple]:
+def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iterator[tuple]:
     run = recording.run_codes()[rows]
     clock = recording.name("time") or "row"
     place = np.arange(rows.size, dtype=float)
@@ -110,10 +110,10 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
         steps = (run[:, None] == codes).astype(float)
         yield "runs", (recording.name("run") or clock,), steps - steps.mean(axis=0), np.ones(codes.size)
     yield from _of_columns(recording, rows)
-    found = axes(recording)
-    if component == "E_R" and len(found) >= 2:
-        x, y = (recording.array(position_name(recording, a))[rows] for a in found[:2])
-        names = tuple(position_name(recording, a) for a in found[:2])
+    letters = axes(recording)
+    if component == "E_R" and len(letters) >= 2:
+        x, y = (recording.array(position_name(recording, a))[rows] for a in letters[:2])
+        names = tuple(position_name(recording, a) for a in letters[:2])
         angle = np.arctan2(y, x)
         k = np.arange(1, 13)
         rings = np.column_stack([np.cos(angle[:, None] * k), np.sin(angle[:, None] * k)])
@@ -122,7 +122,7 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
         turn = np.sign(np.gradient(np.unwrap(angle)))
         yield "angle and sense", names, rings * turn[:, None], free
         return
-    for axis in found:
+    for axis in letters:
         name = position_name(recording, axis)
         x = recording.array(name)[rows]
         if x.max() <= x.min():
@@ -133,16 +133,16 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
             side = direction(recording, axis)[rows]
         except KeyError:
             continue
-        if np.unique(side).size > 1 and len(found) == 1:
+        if np.unique(side).size > 1 and len(letters) == 1:
             yield "place and direction", (name,), np.column_stack([side, waves * side[:, None]]), np.r_[1.0, free]
-        if codes.size > 1 and len(found) == 1:
+        if codes.size > 1 and len(letters) == 1:
             slopes = (run[:, None] == codes) * (x - x.mean())[:, None]
             yield "slope of each run", (name, recording.name("run") or clock), slopes, np.ones(codes.size)
             slow, free_shapes = _waves(place, 20)
             yield "slope in time", (name, clock), slow * (x - x.mean())[:, None], free_shapes
-    if len(found) >= 2:
+    if len(letters) >= 2:
         units = []
-        for axis in found[:3]:
+        for axis in letters[:3]:
             x = recording.array(position_name(recording, axis))[rows]
             units.append(np.polynomial.chebyshev.chebvander((2 * x - x.min() - x.max()) / (np.ptp(x) or 1.0), 4))
         columns, free = [], []
@@ -150,5 +150,5 @@ def _every(recording: Recording, component: str, rows: np.ndarray) -> Iterator[t
             if 0 < sum(degrees) <= 4:
                 columns.append(np.prod([u[:, k] for u, k in zip(units, degrees, strict=True)], axis=0))
                 free.append(1.0 / sum(degrees) ** 0.5)
-        names = tuple(position_name(recording, a) for a in found[:3])
+        names = tuple(position_name(recording, a) for a in letters[:3])
         yield "surface", names, np.column_stack(columns), np.array(free)

@@ -1,12 +1,13 @@
-"""Could chance alone have brought the search this far? The whole search is repeated on surrogates that hold nothing.
+"""Surrogate test: the whole search is repeated on surrogate signals without any effect.
 
-A surrogate is what the other findings and the recalibration leave, its rows moved and turned so that no input can
-explain them any more, while neighbours stay together: half of the surrogates by random signs (of whole runs where
+A surrogate is the residual of the other findings and the recalibration, resampled so that no input can explain it,
+while neighbouring rows stay together: half of the surrogates by random signs (of whole runs where
 there are enough, else of blocks), half by blocks drawn again from anywhere (moving-block bootstrap). Each is searched
 with every hypothesis at every point of its grid of non-linear parameters, and the best gain is kept: the p value
-pays for all that was tried. Only products with the surrogates are new; those among the columns are the search's own.
+is thereby corrected for multiple comparisons. Only products with the surrogates are new; those among the columns are
+the search's own.
 
-The p value stands beside the confidence and does not enter it.
+The p value is reported beside the confidence and does not enter it.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.evidence import SIZES, Scene, correlation_time
 
 SURROGATES = 99
-ENOUGH_RUNS = 10  # fewer could be turned in too few ways
-LEAST_BLOCK = 8  # rows: the memory of the noise
+ENOUGH_RUNS = 10  # fewer runs give too few combinations of signs
+LEAST_BLOCK = 8  # rows: correlation length of the noise
 FEWEST_BLOCKS = 12
 
 
@@ -39,22 +40,22 @@ class Chance:
 
 
 def effective_rows(case: Case) -> float:
-    """Rows less those that only repeat their neighbours, by the autocorrelation of what is left."""
-    left = case.search.scene(case.chosen()).residual()
-    return float(case.run.size / correlation_time(left, case.run))
+    """Effective number of rows, by the autocorrelation of the residual."""
+    residual = case.search.scene(case.chosen()).residual()
+    return float(case.run.size / correlation_time(residual, case.run))
 
 
 def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES) -> Chance:
     """Significance of finding k beside the others; without k, of the best gain that the search saw at all."""
-    found = case.explanation.accepted
-    others = [(f.index, f.size) for j, f in enumerate(found) if j != k] if k is not None else []
+    accepted = case.explanation.accepted
+    others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k] if k is not None else []
     scene = case.search.scene(others)
     rows = effective_rows(case)
     block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
     turned, scheme = surrogate_signals(scene.residual(), case.run, block, surrogates)
     best = best_gains(case, scene, turned)
     if k is not None:
-        gain = found[k].gain
+        gain = accepted[k].gain
     else:
         gain = float(best_gains(case, scene, scene.data.y[:, None])[0])
     p = (1 + int(np.sum(best >= gain))) / (1 + surrogates)
@@ -104,7 +105,7 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
         if width == 0:
             unit = np.array([library.scales[i][0] for i in members])
             sd = library.gain_sd[members] * unit
-            gain = _as_known(S[:, 0, 0], s[:, 0], unit, sd, spare, scene, case.search.rows)
+            gain = _with_known_size(S[:, 0, 0], s[:, 0], unit, sd, spare, scene, case.search.rows)
         else:
             freedom = np.stack([library.freedoms[i] for i in members])
             S = S * freedom[:, :, None] * freedom[:, None, :]
@@ -119,15 +120,15 @@ def _over_sizes(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) ->
     lam = np.maximum(lam, 0.0)
     z = (U.transpose(0, 2, 1) @ s) ** 2
     weight = SIZES[:, None] ** 2 / (1.0 + SIZES[:, None] ** 2 * lam[:, None, :])  # (m, sizes, k)
-    took = weight @ z  # (m, sizes, c)
-    left = np.maximum(1.0 - took / spare, 1e-9)
+    explained = weight @ z  # (m, sizes, c)
+    residual_share = np.maximum(1.0 - explained / spare, 1e-9)
     price = np.log1p(SIZES[:, None] ** 2 * lam[:, None, :]).sum(axis=2)
-    log_bf = -0.5 * price[:, :, None] - 0.5 * rows * np.log(left)
+    log_bf = -0.5 * price[:, :, None] - 0.5 * rows * np.log(residual_share)
     peak = log_bf.max(axis=1)
     return peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
 
 
-def _as_known(S, s, unit, sd, spare, scene: Scene, rows: float | None) -> np.ndarray:
+def _with_known_size(S, s, unit, sd, spare, scene: Scene, rows: float | None) -> np.ndarray:
     """As Scene.exactly for many signals: S (m,), s (m, c), unit and sd (m,); gains (m, c)."""
     S, unit, sd = S[:, None], unit[:, None], sd[:, None]
     Q = spare - 2 * unit * s + unit**2 * S - (s - unit * S) ** 2 / (S + scene.sigma**2 / sd**2)

@@ -9,7 +9,7 @@ Rows between stretches stay as context: one at a random place in each block and 
 response, so that lags, sides and distances run on. Temperatures are block means.
 
 Rare events are looked for in every row of the mismatch (`events`), and fast lines in the spectrum of all rows
-(`lines`); both are said, not judged.
+(`lines`); both are reported, not judged.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from errpipe.kernels import responses
 MOST_ROWS = 100_000  # a log up to this long is judged as it is
 FAST = 0.1  # s; rows closer than this are a trace of motion
 JUDGED_FAST, JUDGED_SLOW = 20_000, 4_000  # rows judged, as many as of a shorter recording (`prepare`)
-STRETCH = 250  # neighbouring rows of a fast log: some 30 memories of the noise
+STRETCH = 250  # neighbouring rows of a fast log: about 30 correlation lengths of the noise
 CONTEXT = 5_000  # blocks between stretches
 MOST_TURNS = 8_000  # rows kept because an axis turns there
-TURN = 1e-3  # of an axis' range: a shorter way back is no turn
+TURN = 1e-3  # of an axis' range: a shorter return is no reversal
 SLOW_ROLES = ("temperature", "pressure", "humidity")
 WIDTHS = (1, 4, 16, 64, 256, 1024)  # rows over which means are looked at for events
 EVENT = 7.0  # robust standard deviations: below one false event in 10^9 means of Gaussian noise
-AT_ONCE = 100_000  # rows whose neighbours are held at once
-RARE = 0.005  # share of the means that stand out, up to which they are events and no part of the noise
+AT_ONCE = 100_000  # rows whose neighbours are in memory at once
+RARE = 0.005  # largest share of outlying means that count as events instead of noise
 LINE = 30.0  # times the level around it; the largest of a million noise powers stays below 14 times their mean
-MIN_LINE = 0.05  # amplitude of a line, in robust standard deviations of the mismatch; below it is not worth saying
+MIN_LINE = 0.05  # amplitude of a line, in robust standard deviations of the mismatch; smaller ones are not reported
 MOST_LINES, SLOWEST = 3, 50
 PLACES = 64  # over each axis, whose means by direction are taken off before lines are looked for
 
@@ -79,7 +79,7 @@ def thinned(recording: Recording, seed: int = 0) -> Thinned:
 
 
 def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Rows that are judged, as a mask: stratified over the log, and where axes turn."""
+    """Mask of the judged rows: stratified over the log, and around reversals."""
     length, count = (STRETCH, JUDGED_FAST) if fast else (1, JUDGED_SLOW)
     around = min(turns.size, count // (2 * length)) if fast else 0
     stretches = count // length - around
@@ -95,7 +95,7 @@ def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> 
 
 
 def _turns(recording: Recording) -> np.ndarray:
-    """Rows where an axis turns round, by its position alone."""
+    """Rows at reversals of an axis, from its position alone."""
     out = [np.zeros(0, dtype=int)]
     for kind in ("linear", "rotary"):
         for axis in axes(recording, kind):
@@ -107,7 +107,7 @@ def _turns(recording: Recording) -> np.ndarray:
 
 
 def _settled(recording: Recording, fast: bool) -> dict[str, np.ndarray]:
-    """Columns that are better read from all rows: slow sensors as block means, speeds as derivatives of positions."""
+    """Columns that are estimated better from all rows: slow sensors as block means, speeds from positions."""
     out: dict[str, np.ndarray] = {}
     run, n = recording.run_codes(), len(recording)
     block = np.arange(n) * CONTEXT // n + CONTEXT * run.astype(np.int64)
@@ -147,7 +147,7 @@ def _rule(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
     )
 
 
-# ---------------------------------------------------------------- what every row says
+# ---------------------------------------------------------------- checks on all rows
 
 
 def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]:
@@ -163,14 +163,14 @@ def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]
             continue
         unit = recording.manifest.columns[error].unit or "um"
         t = recording.time()
-        found = events(mismatch)
-        if found is not None:
-            out.append(f"{component}: {_of_events(found, t, turns, usual, unit)}")
+        outliers = events(mismatch)
+        if outliers is not None:
+            out.append(f"{component}: {_events_text(outliers, t, turns, usual, unit)}")
         if recording.name("time") is not None:
             still = _without_motion(recording, mismatch)
-            told = ", ".join(f"{f:.5g} Hz ({a:.3g} {unit})" for f, a in lines(still, usual))
-            if told:
-                out.append(f"{component}: beside what goes with motion the spectrum of all rows holds lines at {told}")
+            peaks = ", ".join(f"{f:.5g} Hz ({a:.3g} {unit})" for f, a in lines(still, usual))
+            if peaks:
+                out.append(f"{component}: beside what goes with motion the spectrum of all rows holds lines at {peaks}")
     return out
 
 
@@ -184,9 +184,9 @@ class Events:
 
 
 def events(mismatch: np.ndarray) -> Events | None:
-    """Rare means over 1 to 1024 rows that stand out of their neighbours, which agree: a step is no event.
+    """Outlying means over 1 to 1024 rows whose neighbours agree: a step is no event.
 
-    Of all widths the one at which they stand out most.
+    The width with the largest ratio to the robust spread is reported.
     """
     best: tuple[float, Events] | None = None
     for width in WIDTHS:
@@ -194,15 +194,15 @@ def events(mismatch: np.ndarray) -> Events | None:
         if count < 200:
             break
         means = mismatch[: count * width].reshape(count, width).mean(axis=1)
-        far, gap, scale = _outlying(means)
-        if 0 < far.size <= RARE * count:
-            size = float(np.median(np.abs(gap[far]))) / scale
+        places, gap, scale = _outlying_means(means)
+        if 0 < places.size <= RARE * count:
+            size = float(np.median(np.abs(gap[places]))) / scale
             if best is None or size > best[0]:
-                best = size, Events(far * width + width // 2, float(np.median(gap[far])), width)
+                best = size, Events(places * width + width // 2, float(np.median(gap[places])), width)
     return None if best is None else best[1]
 
 
-def _outlying(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _outlying_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Places far from the median of their six neighbours, the distances from it, (n,), and their robust spread."""
     padded = np.pad(values, 3, mode="reflect")
     gap, spread = np.empty_like(values), np.empty_like(values)
@@ -217,13 +217,13 @@ def _outlying(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return np.flatnonzero(np.abs(gap) > EVENT * np.maximum(scale, 2.0 * spread)), gap, scale
 
 
-def _of_events(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, unit: str) -> str:
+def _events_text(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, unit: str) -> str:
     """Events in words: how many, how high, how often, and whether where axes turn."""
     at = t[found.rows]
-    apart = np.diff(at)
+    intervals = np.diff(at)
     often = ""
-    if apart.size:
-        middle, spread = float(np.median(apart)), float(np.median(np.abs(apart - np.median(apart))))
+    if intervals.size:
+        middle, spread = float(np.median(intervals)), float(np.median(np.abs(intervals - np.median(intervals))))
         often = f", {'every' if spread < 0.05 * middle else 'on average one in'} {middle:.3g} s"
     near = 0.0
     if turns.size:
@@ -233,16 +233,16 @@ def _of_events(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, un
     many = "s" if found.rows.size > 1 else ""
     length = f"row{many}" if found.width == 1 else f"stretch{'e' * len(many)}{many} of about {found.width} rows"
     first = f"the first at {at[0]:.6g} s" if many else f"at {at[0]:.6g} s"
-    what = f"{found.rows.size} {'single ' * (found.width == 1)}{length}"
+    text = f"{found.rows.size} {'single ' * (found.width == 1)}{length}"
     return (
-        f"{what} standing out by {found.height:.3g} {unit}{often}{where} ({first}); too rare to weigh in what is judged"
+        f"{text} standing out by {found.height:.3g} {unit}{often}{where} ({first}); too rare to weigh in what is judged"
     )
 
 
 def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
     """The mismatch less its means by place and direction, and less what goes with speed.
 
-    Motion to and fro has lines of its own.
+    Reciprocating motion has spectral lines of its own.
     """
     known = np.isfinite(mismatch)
     places, speeds = [], []
@@ -256,17 +256,17 @@ def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
 
     def within(values: np.ndarray) -> np.ndarray:
         """Less its mean, and the means of each place."""
-        left = values - np.mean(values[known])
+        residual = values - np.mean(values[known])
         for place in places * (1 if len(places) == 1 else 3):
             count = np.maximum(np.bincount(place[known], minlength=2 * PLACES), 1)
-            left = left - (np.bincount(place[known], left[known], 2 * PLACES) / count)[place]
-        return left
+            residual = residual - (np.bincount(place[known], residual[known], 2 * PLACES) / count)[place]
+        return residual
 
-    left = within(mismatch)
+    residual = within(mismatch)
     if speeds:
         columns = np.column_stack([within(v) for v in speeds])
-        left = left - columns @ np.linalg.lstsq(columns[known], left[known], rcond=None)[0]
-    return left
+        residual = residual - columns @ np.linalg.lstsq(columns[known], residual[known], rcond=None)[0]
+    return residual
 
 
 def lines(mismatch: np.ndarray, usual: float) -> list[tuple[float, float]]:

@@ -1,7 +1,7 @@
 """Units of a finding's parameters: terms state um over mm; responses may be angles or forces, axes may turn.
 
 A term's unit is read as text: its numerator `um` stands for the response's unit, a length below the line for the
-unit of the axis. No unit that means nothing on an axis (um/m on a rotary one) leaves here.
+unit of the axis. A unit that is impossible on an axis (um/m on a rotary one) is never returned.
 """
 
 from __future__ import annotations

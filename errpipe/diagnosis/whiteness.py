@@ -1,9 +1,9 @@
-"""Is what the best explanation leaves noise? Tested against every input, run by run, by direction, and in its order.
+"""Whiteness tests of the residual: against every input, by run, by direction, and in its order.
 
-Each test adds columns to the explanation and asks whether they find more than noise would give them (a score test:
-the columns freed of everything fitted already, F distribution). The noise is white with a share that forgets
-slowly, as public recordings have it; the share is estimated from what is left, so that ordinary noise raises no
-alarm. Many tests are made: the smallest p is multiplied by their number (Bonferroni) before it counts.
+Each test adds columns to the explanation and compares what they explain with noise (a score test: the columns are
+orthogonalised to everything fitted already; F distribution). The noise is white plus a slowly varying share, as in
+public recordings; the share is estimated from the residual, so that ordinary noise raises no alarm. The smallest p is
+multiplied by the number of tests (Bonferroni).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from errpipe.drivers.motion import axes, direction
 BINS = 6  # levels of an input between which the residual's mean may differ
 LAGS = 20  # rows apart up to which the order is tested (Ljung-Box)
 SHARES = np.linspace(0.0, 0.15, 16)  # slow shares of the noise tried (public blind trials: 0 to 0.12)
-ALARM = 0.01  # of a perfect explanation, this share is called structured (measured: see the tests)
+ALARM = 0.01  # false-alarm rate: share of perfect explanations called structured (measured: see the tests)
 LEAST_IN_RUN = 12
 ORDER = "order of the rows"
 ROLES = (
@@ -44,9 +44,9 @@ ROLES = (
 
 
 def whiteness(case: Case) -> Whiteness:
-    """All tests of what is left of a response, and the sentence that sums them up."""
-    left = residual(case)
-    share = slow_share(left, case.run)
+    """All tests of a response's residual, and the sentence that sums them up."""
+    unexplained = residual(case)
+    share = slow_share(unexplained, case.run)
     fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
     used = whiten(np.column_stack([case.recal, *fitted]), case.run, share)
     frame = Frame(whiten(case.y, case.run, share), used, case.run, share)
@@ -58,7 +58,7 @@ def whiteness(case: Case) -> Whiteness:
 
 
 def slow_share(left: np.ndarray, run: np.ndarray) -> float:
-    """The slow share of the noise that makes the residual likeliest."""
+    """Maximum-likelihood slow share of the noise in the residual."""
     return float(SHARES[np.argmin([np.mean(whiten(left, run, float(s)) ** 2) * _gain(float(s)) for s in SHARES])])
 
 
@@ -69,7 +69,7 @@ def _gain(share: float) -> float:
 
 
 class Frame:
-    """A whitened response beside everything fitted to it: what further columns would find, and in what order it is."""
+    """A whitened response with everything fitted to it projected out: score tests and autocorrelation test."""
 
     def __init__(self, y: np.ndarray, used: np.ndarray, run: np.ndarray, share: float):
         self.run, self.share = run, share
@@ -77,7 +77,7 @@ class Frame:
         u, s, _ = np.linalg.svd(used[:, size > 0] / size[size > 0], full_matrices=False)
         self.basis = u[:, s > 1e-6 * s[0]]
         left = self._freed(y)
-        # a few rows far out would speak for all the others
+        # clipped: outliers would dominate the sums of squares
         spread = 1.4826 * np.median(np.abs(left)) + 1e-300
         self.left = self._freed(np.clip(left, -4 * spread, 4 * spread))
         self.free = y.size - self.basis.shape[1]
@@ -86,7 +86,7 @@ class Frame:
         return columns - self.basis @ (self.basis.T @ columns)
 
     def test(self, against: str, how: str, columns: np.ndarray) -> WhitenessTest | None:
-        """Do these columns (rows, k) find more than noise? None where the explanation holds them all."""
+        """Score test of columns (rows, k); None where the explanation spans them all."""
         made = whiten(columns, self.run, self.share)
         before = np.linalg.norm(made, axis=0)
         made = self._freed(made)
@@ -99,14 +99,14 @@ class Frame:
         count = u.shape[1]
         if self.free <= count + 5:
             return None
-        found = float(np.sum((u.T @ self.left) ** 2))
-        rest = float(self.left @ self.left) - found
-        f = (found / count) / (rest / (self.free - count))
+        explained = float(np.sum((u.T @ self.left) ** 2))
+        unexplained = float(self.left @ self.left) - explained
+        f = (explained / count) / (unexplained / (self.free - count))
         p = float(fdtrc(count, self.free - count, f))
         return WhitenessTest(against=against, how=how, statistic=f, dof=count, p=p)
 
     def in_order(self) -> WhitenessTest:
-        """Ljung-Box: do neighbouring rows go together, within runs?"""
+        """Ljung-Box test of autocorrelation within runs."""
         left, n = self.left - self.left.mean(), self.left.size
         most = int(min(LAGS, max(n // 5, 1)))
         power = float(left @ left) or 1.0
@@ -173,9 +173,9 @@ def levels(u: np.ndarray) -> np.ndarray:
 
 
 def structured(found: Whiteness) -> list[WhitenessTest]:
-    """Tests that alone would raise the alarm, the strongest first; inputs before the mere order of the rows."""
+    """Tests that alone would raise the alarm, the strongest first; inputs before the order of the rows."""
     alarming = [t for t in found.tests if t.p * len(found.tests) < ALARM]
-    # inputs that say the same have the same p up to rounding: the one asked first is then named
+    # collinear inputs have the same p up to rounding: the first one is then named
     return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
 
 
@@ -184,11 +184,11 @@ def _small(p: float) -> str:
 
 
 def _says(tests: list[WhitenessTest], p: float) -> str:
-    found = Whiteness(p=p, slow_share=0.0, tests=tuple(tests), says="")
-    alarming = structured(found)
-    told = lambda t: t.against if t.how == "level" else f"{t.against}, {t.how}"  # noqa: E731
+    verdict = Whiteness(p=p, slow_share=0.0, tests=tuple(tests), says="")
+    alarming = structured(verdict)
+    description = lambda t: t.against if t.how == "level" else f"{t.against}, {t.how}"  # noqa: E731
     if not alarming:
-        worst = told(min(tests, key=lambda t: t.p))
+        worst = description(min(tests, key=lambda t: t.p))
         return f"What is left is noise: of {len(tests)} tests the strongest ({worst}) has p = {p:.2g} for all together."
-    where = told(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
+    where = description(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
     return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p {_small(p)}."

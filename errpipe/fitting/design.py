@@ -68,9 +68,9 @@ class Problem:
         term = slot.term
         values = inner_values(term, nonlinear[slot.searched])
         shared = getattr(term, "shared", None)
-        found = shared(self.recording, self.components[block]) if shared else term.basis(self.recording, *values)
+        columns = shared(self.recording, self.components[block]) if shared else term.basis(self.recording, *values)
         keep = [k for k, p in enumerate(term.linear()) if p.name not in term.fixed]
-        return found if len(keep) == found.shape[1] else found[:, keep]
+        return columns if len(keep) == columns.shape[1] else columns[:, keep]
 
     def design(self, nonlinear: np.ndarray) -> np.ndarray:
         """All columns, shape (n, width)."""
@@ -95,14 +95,14 @@ class Problem:
 
     def penalties(self) -> list[np.ndarray]:
         """Penalty matrices of the terms that have one, each (width, width)."""
-        found = []
+        matrices = []
         for slot in self.slots:
             inner = slot.term.penalty()
             if inner is not None:
                 whole = np.zeros((self.width, self.width))
                 whole[slot.columns, slot.columns] = inner
-                found.append(whole)
-        return found
+                matrices.append(whole)
+        return matrices
 
     def names(self) -> list[Named]:
         """One name per design column."""
@@ -115,8 +115,8 @@ class Problem:
 
 def inner_values(term: Term, searched: np.ndarray) -> list[float]:
     """All non-linear parameters of a term: fixed ones from the term, the others in order from `searched`."""
-    left = list(map(float, searched))
-    return [term.fixed[p.name] if p.name in term.fixed else left.pop(0) for p in term.nonlinear()]
+    remaining = list(map(float, searched))
+    return [term.fixed[p.name] if p.name in term.fixed else remaining.pop(0) for p in term.nonlinear()]
 
 
 def response_name(recording: Recording, component: str) -> str:

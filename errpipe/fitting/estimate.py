@@ -12,7 +12,7 @@ from errpipe.fitting.design import Problem
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ModelSpec
 
-ROUNDS = 3  # of search and robust weights, each with the other's last answer; the third moves nothing that shows
+ROUNDS = 3  # alternations of search and robust weights; the third changes no printed digit
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ def estimate(
     priors = _priors(problem, spec)
     penalties = problem.penalties()
     if problem.unknowns:
-        nonlinear, found = _separable(problem, spec, penalties, priors, folds)
+        nonlinear, solution = _separable(problem, spec, penalties, priors, folds)
     else:
         nonlinear = np.empty(0)
-        found = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
-    if penalties and spec.method == "linear" and found.residual.size > 3 * found.degrees:
-        found = _again_with_memory(problem, nonlinear, penalties, priors, found)
+        solution = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
+    if penalties and spec.method == "linear" and solution.residual.size > 3 * solution.degrees:
+        solution = _with_effective_rows(problem, nonlinear, penalties, priors, solution)
     design = problem.design(nonlinear)
-    penalty = _penalty(problem, spec, penalties, found, priors)
+    penalty = _penalty(problem, spec, penalties, solution, priors)
     if intervals and spec.method != "ridge":
         identifiability.check(
             design,
@@ -60,7 +60,9 @@ def estimate(
             penalty=penalty,
             most=spec.most_inflation,
         )
-    plain = Estimate(found.coefficients, nonlinear, found.residual, found.degrees + nonlinear.size, found.strength)
+    plain = Estimate(
+        solution.coefficients, nonlinear, solution.residual, solution.degrees + nonlinear.size, solution.strength
+    )
     return _with_intervals(plain, problem, spec, design, penalty) if intervals else plain
 
 
@@ -85,13 +87,13 @@ def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None
     if spec.method == "ridge":
         return solve.ridge(design, y, _shrunk(problem), folds=[_within(problem, f) for f in folds])
     if penalties:
-        found = solve.penalised(design, y, penalties, priors=priors, rows_effective=rows_effective)
+        solution = solve.penalised(design, y, penalties, priors=priors, rows_effective=rows_effective)
         if spec.method == "linear":
-            return found
-        first = solve.robust(design, y, penalty=_sum(penalties, found.strength), priors=priors, loss=spec.loss)
-        found = solve.penalised(design, y, penalties, weights=first.weights, priors=priors)
-        again = solve.robust(design, y, penalty=_sum(penalties, found.strength), priors=priors, loss=spec.loss)
-        return solve.Solution(**(again.__dict__ | {"strength": found.strength}))
+            return solution
+        first = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)
+        solution = solve.penalised(design, y, penalties, weights=first.weights, priors=priors)
+        again = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)
+        return solve.Solution(**(again.__dict__ | {"strength": solution.strength}))
     if spec.method == "robust":
         return solve.robust(design, y, priors=priors, loss=spec.loss)
     noise = _noise_guess(design, y) if priors else 1.0
@@ -99,12 +101,12 @@ def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None
 
 
 def _noise_guess(design: np.ndarray, y: np.ndarray) -> float:
-    found = solve.least_squares(design, y)
-    return float(np.sqrt(np.sum(found.residual**2) / max(y.size - found.degrees, 1.0)))
+    solution = solve.least_squares(design, y)
+    return float(np.sqrt(np.sum(solution.residual**2) / max(y.size - solution.degrees, 1.0)))
 
 
-def _again_with_memory(problem, nonlinear, penalties, priors, found) -> solve.Solution:
-    """A smooth curve chosen as if rows were independent follows noise that has a memory: choose once more."""
+def _with_effective_rows(problem, nonlinear, penalties, priors, found) -> solve.Solution:
+    """Repeat the choice of smoothing with the effective number of rows: autocorrelated noise makes it too rough."""
     design = problem.design(nonlinear)
     noise = uncertainty.noise_model(problem.sequence, design, found.residual, _sum(penalties, found.strength))
     effective = uncertainty.rows_effective(problem.sequence, noise)
@@ -121,7 +123,7 @@ def _separable(problem, spec, penalties, priors, folds):
     order = np.r_[tuple(slice(s.columns.start, s.columns.stop) for s in (*still, *moving))] if problem.width else []
     fixed = len(order) - sum(len(s.free) for s in moving)
     nothing = np.array([_middle(u) for u in unknowns])
-    weights, nonlinear, found, extra = np.ones(problem.response.size), None, None, np.empty((0, problem.width))
+    weights, nonlinear, solution, extra = np.ones(problem.response.size), None, None, np.empty((0, problem.width))
     for _ in range(ROUNDS if spec.method == "robust" or penalties else 1):
         root = np.sqrt(weights)[:, None]
         below = extra[:, order]
@@ -134,12 +136,12 @@ def _separable(problem, spec, penalties, priors, folds):
         response = np.r_[problem.response * root[:, 0], np.zeros(below.shape[0])]
         before = nonlinear
         nonlinear = separable.search(columns, held, response, unknowns, begin=nonlinear)
-        found = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
-        weights = found.weights if spec.method == "robust" else weights
-        extra = solve.penalty_rows(_sum(penalties, found.strength)) if penalties else extra
+        solution = _linear(problem.design(nonlinear), problem, spec, penalties, priors, folds)
+        weights = solution.weights if spec.method == "robust" else weights
+        extra = solve.penalty_rows(_sum(penalties, solution.strength)) if penalties else extra
         if before is not None and np.allclose(before, nonlinear, rtol=1e-5):
             break
-    return nonlinear, found
+    return nonlinear, solution
 
 
 def _bounds(parameter) -> tuple[float, float]:
@@ -150,7 +152,7 @@ def _bounds(parameter) -> tuple[float, float]:
 
 
 def _starts(slot, parameter) -> tuple[float, ...]:
-    """Where to begin: the term's own list, else spread over what is typical, with the bounds' sides beyond it."""
+    """Start values: the term's own list, else spread over the typical range and towards the bounds."""
     own = slot.term.starts(parameter.name)
     if own:
         return own
@@ -185,7 +187,7 @@ def _within(problem: Problem, fold) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _penalty(problem, spec, penalties, found, priors) -> np.ndarray | None:
-    """What the solve added to the normal matrix, shape (width, width)."""
+    """Regularisation that the solve added to the normal matrix, shape (width, width)."""
     total = np.zeros((problem.width, problem.width))
     if spec.method == "ridge":
         return None
@@ -199,15 +201,15 @@ def _penalty(problem, spec, penalties, found, priors) -> np.ndarray | None:
 
 
 def _priors(problem: Problem, spec: ModelSpec) -> list[solve.Prior]:
-    found = []
+    priors = []
     for component in spec.components:
         b = problem.components.index(component.component) if component.component in problem.components else None
         for prior in component.priors:
             for slot in problem.slots:
                 for k, p in enumerate(slot.free):
                     if slot.block == b and slot.term.term == prior.term and p.name == prior.parameter:
-                        found.append(solve.Prior(slot.columns.start + k, prior.value, prior.spread))
-    return found
+                        priors.append(solve.Prior(slot.columns.start + k, prior.value, prior.spread))
+    return priors
 
 
 def _with_intervals(plain: Estimate, problem: Problem, spec: ModelSpec, design, penalty) -> Estimate:

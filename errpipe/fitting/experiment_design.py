@@ -1,7 +1,7 @@
-"""The next duty cycle: which speeds, durations and stops would teach a thermal model most, within a machine's limits.
+"""Optimal experiment design: speeds, durations and stops of the next duty cycle, within a machine's limits.
 
 The model is the usual one of spindle heat: growth = sum of gains x lag_tau(speed^power) over a few time constants and
-powers, gains unknown with a prior. What a duty cycle would teach is known before it is run, for the information does
+powers, gains unknown with a prior. The Fisher information of a duty cycle is known before it is run, because it does
 not depend on the readings:
 
     D  largest determinant of the information: all gains at once
@@ -68,7 +68,7 @@ class Plan:
 
 
 def basis(plan: Plan, options: DesignOptions) -> np.ndarray:
-    """What each reading of a day sees of each gain, shape (readings, powers * taus); the day starts cold."""
+    """Design matrix of a day, shape (readings, powers * taus); the day starts cold."""
     t = np.arange(0.0, options.hours * 3600.0 + 1e-9, options.every)
     which = np.minimum((t / options.segment).astype(int), len(plan.speeds) - 1)
     speed = np.asarray(plan.speeds)[which]
@@ -121,26 +121,26 @@ def propose(
     sweeps: int = 3,
     seed: int = 0,
 ) -> Plan:
-    """The next day that teaches most after the days already done. Raises DataError where no plan keeps the limits."""
+    """The best next day by the criterion, after the days done. Raises DataError where no plan keeps the limits."""
     options = options or DesignOptions()
     used = list(reference) if reference is not None else usage(options, seed=seed)
     rows = np.vstack([basis(p, options) for p in used])
     weight = rows.T @ rows / len(rows)
     known = information(done, options)
-    rest = round(options.standing * options.segments)
-    if rest > options.segments or (rest and 0.0 not in options.levels):
+    standing_segments = round(options.standing * options.segments)
+    if standing_segments > options.segments or (standing_segments and 0.0 not in options.levels):
         raise DataError("experiment design: the spindle must stand, but standing still is not among the levels")
     rng = np.random.default_rng(seed)
     best: tuple[float, tuple[float, ...]] = (np.inf, ())
     for _ in range(starts):
         speeds = list(map(float, rng.choice(options.levels, options.segments)))
-        for k in range(rest - speeds.count(0.0)):
+        for k in range(standing_segments - speeds.count(0.0)):
             speeds[k] = 0.0
         value = _cost(known, speeds, options, weight)
         for _ in range(sweeps):
             before = value
             for place in range(options.segments):
-                value = _exchange(known, speeds, place, rest, value, options, weight)
+                value = _exchange(known, speeds, place, standing_segments, value, options, weight)
             if value >= before - 1e-9:
                 break
         if value < best[0]:

@@ -1,4 +1,4 @@
-"""Who sits out: the ways to split a recording into rows that fit and rows that judge.
+"""Hold-out schemes: splits of a recording into rows that fit and rows that judge.
 
 Whole runs, days or seasons are left out, never single rows: neighbouring rows share their noise and
 their thermal state, so a random split flatters every model. Blocks of one long run keep a `gap`
@@ -19,11 +19,11 @@ from errpipe.domain.recording import Column, Frozen, Recording
 from errpipe.errors import DataError, did_you_mean
 
 CALENDAR = {"day": 10, "month": 7, "year": 4}  # characters of an ISO 8601 date that name it
-MOST_RUNS = 30  # more fits than that tell no more about the error, and take their time
+MOST_RUNS = 30  # more folds cost time and do not improve the error estimate
 
 
 class Fold(NamedTuple):
-    """One split: the label of what sits out, rows that fit, rows that judge (boolean masks, shape (rows,))."""
+    """One split: label of the held-out group, rows that fit, rows that judge (boolean masks, shape (rows,))."""
 
     label: str
     train: np.ndarray
@@ -33,8 +33,8 @@ class Fold(NamedTuple):
 class HoldOut(Frozen):
     """How a recording is split.
 
-    `auto`: each run sits out by itself where there are 3 to 30, in ten batches where there are more; blocks of time
-    where there are fewer.
+    `auto`: leave-one-run-out with 3 to 30 runs, ten batches of runs with more, blocks of time
+    with fewer.
     """
 
     scheme: Literal["auto", "leave-one-run-out", "leave-one-group-out", "batches", "blocks", "forward"] = Field(
@@ -93,7 +93,7 @@ def resolved(recording: Recording, scheme: HoldOut | str = "auto") -> HoldOut:
 
 
 def check(fold: Fold) -> None:
-    """Raise DataError where rows both fit and judge, or where one side is empty."""
+    """Raise DataError where a row both fits and judges, or where one side is empty."""
     both = int(np.count_nonzero(fold.train & fold.test))
     if both:
         raise DataError(f"hold-out {fold.label}: {both} rows both fit and judge")
@@ -169,13 +169,13 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         codes = block_numbers(recording, scheme.blocks)
         order = [(f"block {k + 1} of {scheme.blocks}", k) for k in range(scheme.blocks)]
     else:
-        found = labels(recording, scheme.of)
-        unique = list(dict.fromkeys(found))
-        codes = _codes(found, unique)
+        group_labels = labels(recording, scheme.of)
+        unique = list(dict.fromkeys(group_labels))
+        codes = _codes(group_labels, unique)
         order = [(str(label), k) for k, label in enumerate(unique)]
         if scheme.scheme == "batches":
             codes = codes * min(scheme.blocks, len(unique)) // len(unique)
-            order = [(_batch(unique, codes, found, k), k) for k in range(int(codes.max()) + 1)]
+            order = [(_batch(unique, codes, group_labels, k), k) for k in range(int(codes.max()) + 1)]
     if len(order) < 2:
         return
     for label, k in order:

@@ -1,4 +1,4 @@
-"""Can these rows tell these parameters apart? If not: which two, why, and what to do about it."""
+"""Identifiability on given rows: variance inflation, the collinear pair, its cause and a remedy."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ def check(
 ) -> np.ndarray:
     """Variance inflation of each column, shape (p,), about the level where the design has one.
 
-    Raises NotIdentifiable naming the columns that stand in for each other, and a remedy. A column that never
-    moves is refused too.
+    Raises NotIdentifiable naming the collinear columns, and a remedy. A constant column is refused
+    too.
     """
     length = np.sqrt(np.sum(design**2, axis=0))
     for k in np.flatnonzero(length == 0):
-        raise NotIdentifiable(_never_moves(names[int(k)], component))
+        raise NotIdentifiable(_is_constant(names[int(k)], component))
     scaled = design / length
     gram = scaled.T @ scaled
     if penalty is not None:
         gram = gram + penalty / np.outer(length, length)
     level = [k for k, n in enumerate(names) if n.term in TERMS.tags and TERMS[n.term].is_level]
-    size = np.sqrt(np.diag(gram))  # a strong penalty would make the rest look like rounding
+    size = np.sqrt(np.diag(gram))  # scaled: a strong penalty would make other columns look like rounding errors
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     spread = _spread(scaled) if level else np.ones(design.shape[1])
     if values[0] <= 1e-13 * values[-1]:
@@ -73,12 +73,12 @@ def _spread(scaled: np.ndarray) -> np.ndarray:
 
 
 def _without_level(direction: np.ndarray, level: list[int], scaled: np.ndarray) -> np.ndarray:
-    """The same direction about the level, where two other columns already stand in for each other there."""
+    """The same direction about the level, where two other columns are already collinear there."""
     about = direction.copy()
     about[level] = 0.0
     one, two = np.argsort(-np.abs(about), kind="stable")[:2] if direction.size > 1 else (0, 0)
-    alike = one != two and abs(about[two]) > 0.0 and abs(_correlation(scaled[:, one], scaled[:, two])) > 0.95
-    return about if alike else direction
+    collinear = one != two and abs(about[two]) > 0.0 and abs(_correlation(scaled[:, one], scaled[:, two])) > 0.95
+    return about if collinear else direction
 
 
 def _words(direction, scaled, names, recording, component) -> str:
@@ -100,7 +100,7 @@ def _words(direction, scaled, names, recording, component) -> str:
     )
 
 
-def _never_moves(name: Named, component: str) -> str:
+def _is_constant(name: Named, component: str) -> str:
     what = " and ".join(name.drivers) or "its driver"
     return (
         f"fit: {name} of {component} cannot be found: {what} never moves it away from zero on these rows."
@@ -124,8 +124,8 @@ def _why(one: Named, two: Named, recording: Recording) -> str:
 
 
 def _remedy(one: Named, two: Named, recording: Recording) -> str:
-    warm = set(recording.names("temperature"))
-    first, second = set(one.drivers) & warm, set(two.drivers) & warm
+    temperatures = set(recording.names("temperature"))
+    first, second = set(one.drivers) & temperatures, set(two.drivers) & temperatures
     if not set(one.drivers) ^ set(two.drivers):
         return "Leave one of them out, or fix its value."
     if first and second and first != second:

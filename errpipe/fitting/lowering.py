@@ -1,6 +1,6 @@
-"""From an error model to pairs of profile and driver, as few of them as say the same.
+"""From an error model to the smallest equivalent set of pairs of profile and driver.
 
-Nouns only: what is made of the pairs (grids, integers, files) is the business of the compiler of tables.
+Grids, integers and files are made by the compiler of tables.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def common_nodes(pairs: Sequence[Lowered]) -> tuple[float, ...]:
 
 
 def _unit(driver: d.Driver) -> tuple[d.Driver, float]:
-    """A driver as a unit driver times a gain, so that equal drivers with different gains meet."""
+    """A driver as a unit driver times a gain, so that equal drivers with different gains are merged."""
     if isinstance(driver, d.Constant):
         return d.ONE, driver.value
     if isinstance(driver, d.Affine) and driver.offset == 0.0 and len(driver.of) == 1 and driver.weights[0] != 0.0:

@@ -1,4 +1,4 @@
-"""The noise floor: what no model can take away, estimated without believing one."""
+"""The noise floor, which no model can remove, estimated without a model."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from errpipe.domain.recording import Recording
 
 MAD = 1.4826
-FEWEST = 20  # pairs; fewer do not make a figure
+FEWEST = 20  # pairs; fewer give no estimate
 RELATIVE_STEP = 1e-4  # positions closer than this share of their range are the same target
 
 
 def noise_floor(recording: Recording, rows: np.ndarray, values: np.ndarray) -> float | None:
-    """Standard deviation of the noise in `values`, in their unit; None where too few rows tell.
+    """Standard deviation of the noise in `values`, in their unit; None with too few pairs.
 
     rows: row numbers, (n,); values: the response there or a residual of it, (n,). From repeats of one target (same
     run, direction and positions) where a recording has them, one after the other, so that a slow drift stays out;
@@ -52,12 +52,12 @@ def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray, *, with
     same = np.ones(rows.size - 1, dtype=bool)
     for key in keys:
         same &= key[order][1:] == key[order][:-1]
-    apart = np.abs(np.diff(rows[order])) > 1  # a log standing still at one place is no repeated approach
-    found = np.diff(values[order])[same & apart]
-    return found[np.isfinite(found)]
+    separate = np.abs(np.diff(rows[order])) > 1  # a log standing still at one place is no repeated approach
+    differences = np.diff(values[order])[same & separate]
+    return differences[np.isfinite(differences)]
 
 
 def _spread(differences: np.ndarray, root: float) -> float:
     robust = MAD * float(np.median(np.abs(differences)))
-    # A quantised display gives differences of exactly zero: then the root mean square speaks.
+    # A quantised display gives differences of exactly zero: then the root mean square is used.
     return float((robust if robust > 0 else np.sqrt(np.mean(differences**2))) / root)

@@ -1,4 +1,4 @@
-"""Where one temperature sensor tells the error best: the place at which it is most nearly proportional to it.
+"""Sensor placement: the place at which a temperature is most nearly proportional to the error.
 
 Any field will do (a bar, a column, a finite-element model): readings at candidate places and the error at the same
 times. The heat equation is linear in its sources, so "one curve for every heat flux" (Ni 1997, Fig. 8) means that the
@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from errpipe.errors import DataError
 
 TINY_RIDGE = 1e-9  # relative: keeps two equal columns from dividing by zero
-ENOUGH = 1.05  # a smaller set within 5 % of the best is as good: held-out figures are that uncertain (taste)
+ENOUGH = 1.05  # the smallest set within 5 % of the best held-out rms is taken (chosen, not measured)
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Placement:
 
 
 def linearity(readings: np.ndarray, error: np.ndarray, criterion: Literal["rms", "max"] = "rms") -> Placement:
-    """How far the error is from gain x reading at each place. readings: (times, places); error: (times,).
+    """Residual of error = gain x reading at each place. readings: (times, places); error: (times,).
 
     The gain is the least-squares slope through the origin. Raises DataError where the error never moves.
     """
@@ -39,8 +39,8 @@ def linearity(readings: np.ndarray, error: np.ndarray, criterion: Literal["rms",
         raise DataError("placement: the error never moves, so no place tells it")
     power = np.sum(readings**2, axis=0)
     gain = np.where(power > 0, readings.T @ error / np.where(power > 0, power, 1.0), 0.0)
-    left = error[:, None] - readings * gain
-    size = np.sqrt(np.mean(left**2, axis=0)) if criterion == "rms" else np.abs(left).max(axis=0)
+    residual = error[:, None] - readings * gain
+    size = np.sqrt(np.mean(residual**2, axis=0)) if criterion == "rms" else np.abs(residual).max(axis=0)
     return Placement(size / span, gain, int(np.argmin(size)))
 
 
@@ -65,8 +65,8 @@ def lag_free_place(loss: float) -> float:
     mu = np.sqrt(loss)
     if mu < 1e-3:
         return float(1.0 - 1.0 / np.sqrt(3.0))
-    wanted = 1.0 / np.tanh(mu) - 1.0 / mu
-    return float(brentq(lambda x: (1.0 - x) * np.tanh(mu * (1.0 - x)) - wanted, 0.0, 1.0))
+    relative_lag = 1.0 / np.tanh(mu) - 1.0 / mu
+    return float(brentq(lambda x: (1.0 - x) * np.tanh(mu * (1.0 - x)) - relative_lag, 0.0, 1.0))
 
 
 def extrapolation(
@@ -79,13 +79,13 @@ def extrapolation(
     powers = np.arange(1, degree + 1)
     scale = float(np.abs(reading).max()) or 1.0
     weights = np.linalg.lstsq((reading[:, None] / scale) ** powers, error, rcond=None)[0]
-    left = new_error - (new_reading[:, None] / scale) ** powers @ weights
-    return float(np.sqrt(np.mean(left**2)) / np.ptp(new_error))
+    residual = new_error - (new_reading[:, None] / scale) ** powers @ weights
+    return float(np.sqrt(np.mean(residual**2)) / np.ptp(new_error))
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """Places for so many sensors, chosen on all groups; rms on groups that had no say in it, in the error's unit."""
+    """Places for so many sensors, chosen on all groups; rms on held-out groups, in the error's unit."""
 
     places: tuple[int, ...]
     rms_left_out: float
@@ -108,8 +108,8 @@ def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
     for label in labels:
         out = group == label
         for size, places in enumerate(_forward(readings[~out], error[~out], group[~out], most)):
-            left = error[out] - readings[out][:, places] @ _weights(readings[~out][:, places], error[~out])
-            squares[size][str(label)] = float(np.mean(left**2))
+            residual = error[out] - readings[out][:, places] @ _weights(readings[~out][:, places], error[~out])
+            squares[size][str(label)] = float(np.mean(residual**2))
     rows = {str(label): np.count_nonzero(group == label) for label in labels}
     chosen = []
     for places, by in zip(whole, squares, strict=True):
@@ -119,16 +119,16 @@ def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
 
 
 def _forward(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> list[list[int]]:
-    """Places of each size: at every step the one that leaves least of groups left out (of all rows for one group)."""
+    """Places of each size: at every step the one with the least held-out error (of all rows for one group)."""
     labels = np.unique(group)
     places: list[int] = []
     out: list[list[int]] = []
     for _ in range(most):
-        left = {}
+        errors = {}
         for k in range(readings.shape[1]):
             if k not in places:
-                left[k] = _left_out(readings[:, [*places, k]], error, group, labels)
-        places.append(min(left, key=lambda k: left[k]))
+                errors[k] = _left_out(readings[:, [*places, k]], error, group, labels)
+        places.append(min(errors, key=lambda k: errors[k]))
         out.append(list(places))
     return out
 
@@ -152,7 +152,7 @@ def _weights(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 def by_degree(readings: np.ndarray, error: np.ndarray, group: np.ndarray, degrees: tuple[int, ...] = (1, 2, 3)):
     """Per place and degree, the rms on groups left out of a polynomial through the origin, (places, degrees).
 
-    Line and parabola at the same place and on the same groups: like beside like.
+    Line and parabola are compared at the same place on the same groups.
     """
     labels = np.unique(group)
     out = np.empty((readings.shape[1], len(degrees)))

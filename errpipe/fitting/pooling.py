@@ -1,4 +1,4 @@
-"""Parameters of alike machines pooled: each machine's estimate drawn towards its type's, by how well both are known.
+"""Parameters of similar machines pooled: each machine's estimate shrunk towards its type's mean.
 
     estimate_i ~ N(parameter_i, S_i),   parameter_i ~ N(mean, T)        (Lindley and Smith 1972)
 
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 STEPS = 200  # of EM, which converges slowly where machines hardly differ
-CONVERGED = 1e-5  # share of the spread by which a step may still change it
-LEAST_MACHINES = 4  # from which a spread between machines is known at all
+CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
+LEAST_MACHINES = 4  # fewer give no estimate of the spread between machines
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def distance(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
-    """Groups of machines whose parameters the data do not tell apart (complete linkage: every pair of a group)."""
+    """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
     from scipy.cluster.hierarchy import fcluster, linkage
     from scipy.stats import chi2
 

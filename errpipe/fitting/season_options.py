@@ -1,4 +1,4 @@
-"""What a thermal model for all seasons is asked for; light, because every pipeline file is checked against it."""
+"""Options of a thermal model for all seasons; light imports, because every pipeline file is checked against it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Variable projection: the linear parameters are solved for exactly, only the few non-linear ones are searched.
 
-The search starts from every combination that a coarse sweep finds promising, so it does not end in the first
-valley it meets: a lag's or a period's error has many.
+The search starts from every combination that a coarse sweep finds promising, because the sum of squares
+over a lag or a period has many local minima.
 """
 
 from __future__ import annotations
@@ -61,15 +61,15 @@ def search(
     """
     with one_thread():
         basis = _orthonormal(still)
-        left = _without(basis, response[:, None])[:, 0]
+        unexplained = _without(basis, response[:, None])[:, 0]
 
         def residual(inner: np.ndarray) -> np.ndarray:
             outer = np.array([u.outward(v) for u, v in zip(unknowns, inner, strict=True)])
             columns = moving(outer)
-            if not np.isfinite(columns).all():  # outside of what the term can say on these rows
-                return left
+            if not np.isfinite(columns).all():  # the term is undefined here on these rows
+                return unexplained
             columns = _without(basis, columns)
-            return left - columns @ _coefficients(columns, left)
+            return unexplained - columns @ _coefficients(columns, unexplained)
 
         starts = _sweep(residual, unknowns) if begin is None else [begin]
         lower = np.array([u.inward(u.low) for u in unknowns])
@@ -79,14 +79,14 @@ def search(
             inside = np.clip([u.inward(v) for u, v in zip(unknowns, start, strict=True)], lower, upper)
             step = 1e-6 * np.maximum(upper - lower, 1e-9)
             inside = np.clip(inside, lower + step, upper - step)
-            found = least_squares(residual, inside, bounds=(lower, upper), x_scale="jac", xtol=1e-10, ftol=1e-12)
-            if found.cost < least:
-                best, least = found.x, found.cost
+            optimum = least_squares(residual, inside, bounds=(lower, upper), x_scale="jac", xtol=1e-10, ftol=1e-12)
+            if optimum.cost < least:
+                best, least = optimum.x, optimum.cost
     return np.array([u.outward(v) for u, v in zip(unknowns, best, strict=True)])
 
 
 def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
-    """Good starting points: one parameter at a time over its trial values, others held, from several middles."""
+    """Starting points: one parameter at a time over its trial values, the others fixed, from several middles."""
 
     def cost(outer: np.ndarray) -> float:
         e = residual(np.array([u.inward(v) for u, v in zip(unknowns, outer, strict=True)]))
@@ -98,12 +98,12 @@ def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
         return [np.array([trials[0][k]]) for k in np.argsort(costs, kind="stable")[:KEPT]]
     ends: dict[tuple[float, ...], float] = {}
     for quantile in (0.25, 0.5, 0.75):
-        here = np.array([v[int(quantile * (v.size - 1))] for v in trials])
+        current = np.array([v[int(quantile * (v.size - 1))] for v in trials])
         for _ in range(SWEEPS):
             for j, values in enumerate(trials):
-                costs = [cost(np.r_[here[:j], v, here[j + 1 :]]) for v in values]
-                here[j] = values[int(np.argmin(costs))]
-        ends[tuple(here)] = cost(here)
+                costs = [cost(np.r_[current[:j], v, current[j + 1 :]]) for v in values]
+                current[j] = values[int(np.argmin(costs))]
+        ends[tuple(current)] = cost(current)
     return [np.array(k) for k in sorted(ends, key=lambda k: ends[k])[:KEPT]]
 
 

@@ -1,4 +1,4 @@
-"""What a fit is asked for, as it stands in a pipeline file."""
+"""Specification of a fit, as written in a pipeline file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ else:
 
 
 class PriorSpec(Frozen):
-    """What is known of a parameter before the fit: about `value`, give or take `spread`."""
+    """What is known of a parameter before the fit: Gaussian with mean `value` and standard deviation `spread`."""
 
     term: str = Field(description="Id of the term.")
     parameter: str = Field(description="Name of one of its linear parameters.")
@@ -59,9 +59,9 @@ class ModelSpec(Frozen):
     @model_validator(mode="after")
     def _each_once(self) -> ModelSpec:
         names = [c.component for c in self.components]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"component {twice[0]} is listed twice")
+        repeated = sorted({n for n in names if names.count(n) > 1})
+        if repeated:
+            raise ValueError(f"component {repeated[0]} is listed twice")
         for term in self.nuisance:
             if term.compensable:
                 raise ValueError(f"{term.term} cannot be nuisance: it is the machine's (allowed: run_offset, run_pose)")

@@ -10,20 +10,20 @@ from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
 
 # A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
-# judged from either. Half-way loses least: 3.5 um on runs of a turning centre left out, by both ways of counting;
+# judged from either. Half-way is best: 3.5 um on runs of a turning centre left out, by both ways of counting;
 # 3.3 and 4.0 or 4.3 and 3.3 at the ends.
 DATUM_SHARE = 0.5
 BLOCKS = 5  # inner groups where there are fewer than three runs
-SPAN_BEYOND = 0.25  # of the deviations seen: the sum is never further outside (a stated limit, from taste)
+SPAN_BEYOND = 0.25  # of the span of deviations seen: limit of the sum beyond it (chosen, not measured)
 
 
 def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Values less the mean of each run's first `rows` finite rows, and that mean; shapes (n,), (n,)."""
     zero = np.full(values.size, np.nan)
     for code in np.unique(run):
-        mine = np.flatnonzero(run == code)
-        finite = mine[np.isfinite(values[mine])][:rows]
-        zero[mine] = values[finite].mean() if finite.size else np.nan
+        own_rows = np.flatnonzero(run == code)
+        finite = own_rows[np.isfinite(values[own_rows])][:rows]
+        zero[own_rows] = values[finite].mean() if finite.size else np.nan
     return values - zero, zero
 
 
@@ -38,9 +38,9 @@ def conformal_half_width(
     """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
 
     Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
-    exchangeable groups (split conformal prediction over groups), but by no more than half of what is left:
-    with a handful of groups the full level would be the worst row ever seen. What a handful cannot know is
-    allowed for as Student does: the width grows by the ratio of his quantile to the normal one.
+    exchangeable groups (split conformal prediction over groups), but by no more than half of the remaining probability:
+    with a handful of groups the full level would be the worst row ever seen. For the small sample
+    the width is multiplied by the ratio of Student's quantile to the normal one.
     raised: whether the level is raised; without, the stated coverage is met on average instead of guaranteed.
     witnesses: independent groups where it is fewer than there are labels (blocks of one run count once).
     """
@@ -49,8 +49,8 @@ def conformal_half_width(
     order = np.argsort(error)
     weight = np.zeros(error.size)
     for label in labels:
-        mine = group == label
-        weight[mine] = 1.0 / np.count_nonzero(mine)
+        own_rows = group == label
+        weight[own_rows] = 1.0 / np.count_nonzero(own_rows)
     reached = np.cumsum(weight[order]) / labels.size
     freedom = max((labels.size if witnesses is None else witnesses) - 1, 1)
     few = float(stats.t.ppf((1.0 + coverage) / 2, freedom) / stats.norm.ppf((1.0 + coverage) / 2))
@@ -61,8 +61,8 @@ def centred(columns: np.ndarray, run: np.ndarray, rows: int, share: float = DATU
     """Columns (n, p) less a share of the mean of each run's first `rows` rows (see `DATUM_SHARE`)."""
     out = columns.copy()
     for code in np.unique(run):
-        mine = np.flatnonzero(run == code)
-        out[mine] -= share * columns[mine[:rows]].mean(axis=0)
+        own_rows = np.flatnonzero(run == code)
+        out[own_rows] -= share * columns[own_rows[:rows]].mean(axis=0)
     return out
 
 
@@ -72,8 +72,8 @@ def inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
         return run.copy()
     group = run * BLOCKS
     for code in np.unique(run[rows]):
-        mine = np.flatnonzero(rows & (run == code))
-        group[mine] += np.arange(mine.size) * BLOCKS // mine.size
+        own_rows = np.flatnonzero(rows & (run == code))
+        group[own_rows] += np.arange(own_rows.size) * BLOCKS // own_rows.size
     return group
 
 
@@ -85,8 +85,8 @@ def ridge_gains(triangle: np.ndarray, response: np.ndarray, rows: float, strengt
     size[size == 0] = 1.0
     system = np.vstack([triangle / size, np.sqrt(strength * rows) * np.eye(size.size)])
     with one_thread():
-        found = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
-    return found / size
+        scaled_gains = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
+    return scaled_gains / size
 
 
 def slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high: float = 1.0) -> float:

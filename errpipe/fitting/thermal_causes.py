@@ -1,14 +1,14 @@
-"""What moves a machine when it warms up, as drivers with a known sign.
+"""Causes of thermal deviation, as drivers with a known sign.
 
 Three kinds of cause, each in K, so that a gain is an expansion in um/K and its size can be judged:
 
-    body      the rise of a measured part over the start of the run: it pushes (+)
-    running   the same rise, counted only while the spindle runs and arriving late: heat that no sensor sees,
+    body      the rise of a measured part over the start of the run: its sign is (+)
+    running   the same rise, counted only while the spindle runs and arriving late: unmeasured heat
               of bearings and nuts, comes and goes with the stop at midday (+). It is friction of oil, and oil
               is thinner in a warm shop: it counts less by the oil's own law where the machine starts warmer
     follower  a part without a sensor that begins the run as warm as the machine, or some of the way to the room's
               temperature, and then follows the room through a slow lag: it carries the other side of the
-              tool-point loop, so it pulls (-)
+              tool-point loop, so its sign is (-)
 
 Where the room is warm before the machine is (the heating starts early, the machine stood all night), the
 follower moves at once although nothing was switched on; that is what separates the seasons.
@@ -38,13 +38,11 @@ COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at a stands
 THINNING = 0.05  # 1/K: a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
 OIL_REFERENCE = 20.0  # degC at which the share of running is one
 OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
-HEATED = (3.0, 2.7)  # K/h: on above, off below, where the readings do not tell; a turning centre stood at -5..2.0
-HYSTERESIS = 0.15  # of half the way between standing and running, on either side of the middle
-STANDING = 0.5  # of the heat of running at most: more is a slower speed, not a standstill
-VALLEY = (
-    0.35  # of the lower of two peaks, how often heats between two kinds may be seen; of one kind evenly spread, 0.5
-)
-NEIGHBOURS = (0.03, 30)  # of the rows, and at least, by whose spacing it is told how often a heat is seen
+HEATED = (3.0, 2.7)  # K/h: default thresholds, on above, off below; a turning centre at rest showed -5..2.0
+HYSTERESIS = 0.15  # hysteresis of the threshold, as share of half the distance between standing and running
+STANDING = 0.5  # largest heat of a standstill as share of that of running: above it, a slower speed
+VALLEY = 0.35  # largest density between two modes over that of the lower peak; a uniform distribution gives 0.5
+NEIGHBOURS = (0.03, 30)  # nearest neighbours for the density estimate: share of the rows, and least number
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class Cause:
     name: str
     kind: Literal["body", "running", "follower"]
     driver: d.Driver
-    start: str = ""  # follower: what tells how warm it begins; causes of one start belong together
+    start: str = ""  # follower: sensor of its initial temperature; causes with one start form a group
 
     @property
     def sign(self) -> float:
@@ -64,7 +62,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Sensors:
-    """Which temperature speaks for what. room, spindles and bed may be absent."""
+    """The temperature columns by place. room, spindles and bed may be absent."""
 
     room: str | None
     bodies: tuple[str, ...]
@@ -116,7 +114,7 @@ def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern) -> s
 
 
 def running(recording: Recording, found: Sensors, rows: np.ndarray | None = None) -> d.Driver | None:
-    """1 while the spindle runs, 0 while it stands, or None where nothing tells.
+    """1 while the spindle runs, 0 while it stands, or None where no column shows it.
 
     From the spindle speed where it is recorded; else from the heat that its bearings must be taking up to warm as
     they do, through a switch between the two kinds of heat seen in the rows of a mask (all where not given). The mean
@@ -126,12 +124,12 @@ def running(recording: Recording, found: Sensors, rows: np.ndarray | None = None
     if speed is not None:
         squared = d.Product(of=(d.Input(name=speed), d.Input(name=speed)))  # either sense of rotation
         return d.Switch(of=squared, on=100.0, off=1.0)
-    warm = tuple(n for n in found.spindles if n != found.bed)
-    if not warm or found.bed is None:
+    near_spindle = tuple(n for n in found.spindles if n != found.bed)
+    if not near_spindle or found.bed is None:
         return None
-    heat = _heat(warm, found.bed)
-    seen = drive(heat, recording)
-    on, off = _levels(seen if rows is None else seen[rows])
+    heat = _heat(near_spindle, found.bed)
+    heat_values = drive(heat, recording)
+    on, off = _levels(heat_values if rows is None else heat_values[rows])
     return d.Switch(of=heat, on=on, off=off)
 
 
@@ -150,8 +148,8 @@ def _heat(warm: tuple[str, ...], bed: str) -> d.Driver:
 def _levels(heat: np.ndarray) -> tuple[float, float]:
     """Where a spindle counts as running and as standing again, K/h: about half-way between the two kinds of heat.
 
-    The kinds are those that differ least among themselves (Otsu 1979), with few heats in between; `HEATED` where there
-    is but one, or two speeds.
+    Otsu's threshold (1979) between two modes with a low density between them; `HEATED` where there is
+    one mode, or two speeds.
     """
     ordered = np.sort(heat[np.isfinite(heat)])
     near = max(int(NEIGHBOURS[0] * ordered.size), NEIGHBOURS[1])
@@ -162,20 +160,20 @@ def _levels(heat: np.ndarray) -> tuple[float, float]:
     low, high = total[:-1] / count, (total[-1] - total[:-1]) / (ordered.size - count)
     cut = int(np.argmax(count * (ordered.size - count) * (high - low) ** 2))
     one, other = float(low[cut]), float(high[cut])
-    if one > STANDING * other or _valley(ordered, cut + 1, near) > VALLEY:
+    if one > STANDING * other or _density_ratio(ordered, cut + 1, near) > VALLEY:
         return HEATED
     middle, half = (other + one) / 2.0, (other - one) / 2.0
     return middle + HYSTERESIS * half, middle - HYSTERESIS * half
 
 
-def _valley(ordered: np.ndarray, cut: int, near: int) -> float:
-    """How often values between two kinds are seen, of how often the rarer kind's most frequent ones are; 0..1.
+def _density_ratio(ordered: np.ndarray, cut: int, near: int) -> float:
+    """Lowest density between two modes over the peak density of the rarer mode, 0..1.
 
-    ordered: values (n,), rising; the first `cut` are of one kind. near: so many neighbours tell by their spacing.
+    ordered: values (n,), rising; the first `cut` are of one mode. near: number of neighbours for the density estimate.
     """
     if min(cut, ordered.size - cut) < 2 * near:
         return 1.0
-    wide = np.maximum(ordered[near:] - ordered[:-near], 1e-12)  # the wider, the rarer
+    wide = np.maximum(ordered[near:] - ordered[:-near], 1e-12)  # density is inverse to the spacing
     peaks = max(wide[: cut - near].min(), wide[cut:].min())
     return float(min(peaks / wide[cut // 2 : (cut + ordered.size) // 2 - near].max(), 1.0))
 

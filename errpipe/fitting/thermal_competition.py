@@ -1,14 +1,14 @@
-"""Thermal models of several families compete on groups left out, and the best mixture of them is fitted.
+"""Stacked regression of thermal models of several families, chosen by leave-one-group-out.
 
-Every entrant predicts each run by gains that never saw it, nor (asked once per grouping) its season, its duty cycle or
-its day. Runs left out choose: of each family the setting with the least error enters the mixture, whose weights are
+Every entrant predicts each run by gains fitted without it and, once per grouping, without its season, duty cycle or
+day. Held-out runs choose: of each family the setting with the least error enters the mixture, whose weights are
 least squares with no negative weight and a sum of at most one (stacked regression, Breiman 1996), so that doing nothing
-and partial gains compete. An entrant joins only where the mixture is better with it, run by run, by more than chance.
+and partial gains compete. An entrant joins only where the mixture is better with it, run by run, by a paired t test.
 
-The other groupings have a veto. A fit without a season learns from about half of the data, so what it leaves cannot be
-compared with runs left out, and as a vote it chooses models that are too simple; but an entrant that leaves more than
-`REGRET` times the best one's rms there, or more than nothing does, has learnt what does not carry over.
-All of this sees the fitted rows only: who judges the result has had no say in any choice.
+The other groupings have a veto. A fit without a season uses about half of the data, so its residual cannot be
+compared with held-out runs, and would choose models that are too simple; but an entrant with more than
+`REGRET` times the best one's rms there, or a larger one than no compensation, is excluded.
+All of this uses the fitted rows only, so that the result can be judged on other rows.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout
 
 MOST_FOLDS = 10  # of a grouping; more groups are left out in as many batches
-# p over runs, one-sided, above which a further entrant counts as chance; 0.15 to 0.5 do alike on seeds 1 to 3
+# p over runs, one-sided, threshold above which a further entrant is not added; 0.15 to 0.5 do alike on seeds 1 to 3
 LEVEL = 0.3
-LEAST_WEIGHT = 0.05  # a share of the prediction below which an entrant is not worth its operations in a table
+LEAST_WEIGHT = 0.05  # smallest weight of an entrant in the mixture, because each costs operations in a table
 FEWEST_RUNS = 3  # on either side of a split by the warmth of the start
 RUN = "run"
 WARMTH = "cold or warm starts"
-# Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 leaves 4 % more than 2, and 3
-# leaves 2 % less; what it keeps out leaves 2 to 4 times as much in another season (turning centre, no signs).
+# Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
+# leaves 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
 REGRET = 2.0
 WHOLE = 1e3  # weight of the row that holds the sum of weights at one, beside rows of unit mean square
 
@@ -47,8 +47,8 @@ class Entrant:
     """One setting of a family.
 
     predict: groups to learn from -> deviation since the start of the run on every row, um, (rows,).
-    parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are held to signs that physics
-    allows, so that it may be used in surroundings that no fitted run vouches for.
+    parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are constrained to physically
+    possible signs, so that it may be used in environments without a fitted run.
     """
 
     family: str
@@ -70,7 +70,7 @@ class Grouping:
 class Outcome:
     """weights: entrant -> share of the mixture; left: grouping -> entrant's name (or "mixture", "nothing") -> rms, um.
 
-    residuals: grouping -> what the mixture leaves on groups left out, um, (rows,), NaN where nothing judged.
+    residuals: grouping -> residual of the mixture on held-out groups, um, (rows,), NaN where nothing is judged.
     """
 
     weights: tuple[tuple[Entrant, float], ...]
@@ -80,7 +80,7 @@ class Outcome:
 
 def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int]) -> tuple[Grouping, ...]:
     """Runs, and every label by which runs can be left out together: season, duty cycle, day, machine."""
-    found = [Grouping(RUN, _batches([(g,) for g in groups]))]
+    candidates = [Grouping(RUN, _batches([(g,) for g in groups]))]
     first = {g: int(np.flatnonzero(group == g)[0]) for g in groups}
     for name in recording.names("group"):
         labels = holdout.labels(recording, name)
@@ -88,14 +88,14 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int]) ->
         for g in groups:
             members.setdefault(str(labels[first[g]]), []).append(g)
         if 1 < len(members) < len(groups):
-            told = str(recording.manifest.columns[name].of or name)
-            found.append(Grouping(told, _batches([tuple(m) for m in members.values()])))
+            quantity = str(recording.manifest.columns[name].of or name)
+            candidates.append(Grouping(quantity, _batches([tuple(m) for m in members.values()])))
     warmth = _start_warmth(recording, first)
     order = sorted(groups, key=lambda g: (warmth[g], g))
     half = len(order) // 2
     if half >= FEWEST_RUNS:
-        found.append(Grouping(WARMTH, (tuple(order[:half]), tuple(order[half:]))))
-    return tuple(found)
+        candidates.append(Grouping(WARMTH, (tuple(order[:half]), tuple(order[half:]))))
+    return tuple(candidates)
 
 
 def _start_warmth(recording: Recording, first: Mapping[int, int]) -> dict[int, float]:
@@ -141,12 +141,12 @@ def compete(
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _selected([k for k in ranked if np.isfinite(score[k])], chooser)
     left = {
-        name: {"nothing": one.rms({})}
-        | {entrants[k].name: one.rms({k: 1.0}) for k in ranked}
-        | {"mixture": one.rms(weights)}
-        for name, one in judged.items()
+        name: {"nothing": judge.rms({})}
+        | {entrants[k].name: judge.rms({k: 1.0}) for k in ranked}
+        | {"mixture": judge.rms(weights)}
+        for name, judge in judged.items()
     }
-    predictions = {name: one.mixture(weights) for name, one in judged.items()}
+    predictions = {name: judge.mixture(weights) for name, judge in judged.items()}
     return Outcome(tuple((entrants[k], w) for k, w in weights.items()), left, predictions)
 
 
@@ -165,7 +165,7 @@ class _Judged:
         return self.rows & np.isfinite(self.predicted).all(axis=0)
 
     def mean_square(self) -> np.ndarray:
-        """Of what each entrant leaves, every run counting alike, um2, (entrants,)."""
+        """Mean square residual of each entrant, every run with equal weight, um2, (entrants,)."""
         return np.array([self.by_group({k: 1.0}).mean() for k in range(len(self.predicted))])
 
     def mixture(self, weights: Mapping[int, float]) -> np.ndarray:
@@ -174,46 +174,46 @@ class _Judged:
         return np.where(self.seen, total, np.nan)
 
     def by_group(self, weights: Mapping[int, float]) -> np.ndarray:
-        """Mean square left by a mixture in each run, um2."""
-        left = (self.response - self.mixture(weights))[self.seen] ** 2
+        """Mean square residual of a mixture in each run, um2."""
+        squares = (self.response - self.mixture(weights))[self.seen] ** 2
         codes = np.unique(self.group[self.seen], return_inverse=True)[1]
-        return np.bincount(codes, left) / np.bincount(codes)
+        return np.bincount(codes, squares) / np.bincount(codes)
 
     def rms(self, weights: Mapping[int, float]) -> float:
-        """Of what a mixture leaves on all judged rows, um."""
-        left = (self.response - self.mixture(weights))[self.seen]
-        return float(np.sqrt(np.mean(left**2))) if left.size else 0.0
+        """Residual rms of a mixture on all judged rows, um."""
+        residual = (self.response - self.mixture(weights))[self.seen]
+        return float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
 
 
 def _admitted(judged: Mapping[str, _Judged]) -> np.ndarray:
-    """Mask of the entrants that no grouping beside runs speaks against."""
+    """Mask of the entrants that no grouping beside runs excludes (see `REGRET`)."""
     admitted = np.ones(len(next(iter(judged.values())).predicted), dtype=bool)
-    for name, one in judged.items():
+    for name, judge in judged.items():
         if name != RUN and admitted.size:
-            left = one.mean_square()
-            admitted &= (left <= REGRET**2 * left.min()) & (left <= one.by_group({}).mean())
+            mean_squares = judge.mean_square()
+            admitted &= (mean_squares <= REGRET**2 * mean_squares.min()) & (mean_squares <= judge.by_group({}).mean())
     return admitted
 
 
 def _left_out(entrant: Entrant, way: Grouping, groups: Groups, rows: np.ndarray, group: np.ndarray) -> np.ndarray:
     out = np.full(rows.size, np.nan)
     for fold in way.folds:
-        rest = tuple(g for g in groups if g not in fold)
-        if rest:
-            here = rows & np.isin(group, fold)
-            out[here] = entrant.predict(rest)[here]
+        train = tuple(g for g in groups if g not in fold)
+        if train:
+            test = rows & np.isin(group, fold)
+            out[test] = entrant.predict(train)[test]
     return out
 
 
 def _selected(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
-    """Weights of the entrants that the mixture is better with, run by run; added one by one, the best first."""
+    """Forward selection: weights of the entrants that improve the mixture run by run, the best first."""
     kept: list[int] = []
     weights: dict[int, float] = {}
     for k in ranked:
-        tried = _weights([*kept, k], judged)
-        if tried[k] >= LEAST_WEIGHT and _better(judged.by_group(weights) - judged.by_group(tried)):
+        trial = _weights([*kept, k], judged)
+        if trial[k] >= LEAST_WEIGHT and _better(judged.by_group(weights) - judged.by_group(trial)):
             kept.append(k)
-            weights = tried
+            weights = trial
     return {k: w for k, w in weights.items() if w >= LEAST_WEIGHT}
 
 
@@ -224,14 +224,14 @@ def _weights(kept: Sequence[int], judged: _Judged) -> dict[int, float]:
     both = np.column_stack([judged.predicted[kept][:, judged.seen].T, right]) / size
     triangle = np.asarray(np.linalg.qr(both, mode="r"))
     design, right = triangle[:, :-1], triangle[:, -1]
-    found, _ = nnls(design, right)
-    if found.sum() > 1.0:
-        found, _ = nnls(np.vstack([design, np.full(len(kept), WHOLE)]), np.r_[right, WHOLE])
-    return dict(zip(kept, map(float, found), strict=True))
+    weights, _ = nnls(design, right)
+    if weights.sum() > 1.0:
+        weights, _ = nnls(np.vstack([design, np.full(len(kept), WHOLE)]), np.r_[right, WHOLE])
+    return dict(zip(kept, map(float, weights), strict=True))
 
 
 def _better(gained: np.ndarray) -> bool:
-    """Whether gains in mean square, one per run, are more than chance: paired t test."""
+    """Paired t test of improvements in mean square, one per run."""
     if gained.mean() <= 0.0:
         return False
     spread = gained.std(ddof=1) if gained.size > 1 else np.inf

@@ -1,14 +1,14 @@
-"""How far a season model may be wrong: conformal half widths over runs left out and over surroundings left out.
+"""Prediction intervals of a season model: conformal half widths over held-out runs and held-out environments.
 
     half width = (1 + |predicted| / 50 um) x (known share x known + (1 - known share) x unknown) / fade
                  + widening x distance
 
-known        what runs left out needed: other runs of their season took part
-unknown      what surroundings (seasons) left out whole needed
-known share  0..1, per run and from its first readings: how much the learnt correction earned on runs that started as
-             warm. It is one only where several such runs were seen and were predicted well
-1 / 50 um    a model is wrong by a share of its own movement as well as by a drift: on seasons left out both ways
-             of counting missed by the same factor, one to either side; their middle covers both
+known        half width for held-out runs, other runs of whose season took part
+unknown      half width for held-out environments (seasons)
+known share  0..1, per run and from its first readings: how much the fitted correction improved runs with a similar
+             start temperature. It is one only where several such runs were seen and were predicted well
+1 / 50 um    errors grow with the prediction and also drift: on held-out seasons a constant and a
+             proportional width missed by the same factor on either side; their mean covers both
 distance     outside the temperatures seen, in ranges summed over the sensors
 """
 
@@ -38,7 +38,7 @@ class Intervals:
         return (1.0 + GROWTH * np.abs(predicted)) * self.unknown * factor + self.widening * away
 
     def factor(self, known_share: d.Driver, fading: d.Driver) -> d.Driver:
-        """What the half width where nothing is known is multiplied by.
+        """What the half width at a prediction of zero is multiplied by.
 
         known_share: 0..1; fading: 1 or more where a run started so far outside that less than the model is used.
         """
@@ -55,15 +55,15 @@ class LeftOut:
 
     def half_width(self, group: np.ndarray, level: float, runs: int, raised: bool = True) -> float:
         """Half width of a prediction of zero that covers a row of a new group, um; 0 where nothing was judged."""
-        seen = np.isfinite(self.error)
-        if not seen.any():
+        finite = np.isfinite(self.error)
+        if not finite.any():
             return 0.0
-        scaled = np.abs(self.error[seen]) / (1.0 + GROWTH * np.abs(self.predicted[seen]))
-        return conformal_half_width(scaled, group[seen], level, runs, raised)
+        scaled = np.abs(self.error[finite]) / (1.0 + GROWTH * np.abs(self.predicted[finite]))
+        return conformal_half_width(scaled, group[finite], level, runs, raised)
 
 
 def calibrate(near: LeftOut, afar: LeftOut, group: np.ndarray, level: float, runs: int) -> Intervals:
-    """Half widths from runs left out (`near`) and surroundings left out (`afar`); the unknown is never the narrower.
+    """Half widths from runs left out (`near`) and surroundings left out (`afar`); the unknown one is never smaller.
 
     group: run of each row; runs: how many independent ones there are.
     """

@@ -4,7 +4,7 @@ Deviations count from the start of each run, so every driver is zero there and n
 once to a triangle each (QR of [drivers, deviation]); any hold-out then costs a stack of triangles.
 
 Lags are first-order responses. Their time constants are a geometric grid from a few samples to the length of a run:
-shorter ones cannot be told from none, longer ones not from a straight line (`time_constants`).
+shorter ones are indistinguishable from none, longer ones from a straight line (`time_constants`).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
 
 
 def time_constants(recording: Recording, sensors: int = 1) -> tuple[float, ...]:
-    """A geometric grid of time constants that the recording can tell from each other, s; coarser for many sensors."""
+    """A geometric grid of time constants that the recording can resolve, s; coarser for many sensors."""
     time, run = recording.time(), recording.run_codes()
     lengths = [float(np.ptp(time[run == code])) for code in np.unique(run)]
     steps = np.diff(time)[np.diff(run) == 0]
@@ -106,30 +106,30 @@ def ridge(
     size = np.where(size > 0, size, 1.0)
     system = np.vstack([design / size, np.sqrt(strength * rows) * np.eye(size.size)])
     with one_thread():
-        found = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
-    return found / size
+        scaled_gains = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
+    return scaled_gains / size
 
 
 def common_gains(parts: Sequence[tuple[np.ndarray, np.ndarray, float]], strength: float, freedom: float) -> np.ndarray:
     """Gains that groups share, each group having a deviation of its own from them (random effects), (p,), um/K.
 
     parts: triangle, response and rows of each group. freedom: variance of a group's own deviation over that of the
-    noise per row, columns of unit rms: the larger, the less a group with much data overrules the others.
+    noise per row, columns of unit rms: the larger, the less weight a group with many rows has.
     Each group's information G = X'X becomes G - G (G + m I)^-1 G, m = rows / freedom (Henderson's equations).
     """
     size = np.sqrt(sum(np.sum(x**2, axis=0) for x, _, _ in parts) / sum(n for *_, n in parts))
     size = np.where(size > 0, size, 1.0)
-    left, right = np.zeros((size.size, size.size)), np.zeros(size.size)
+    normal_matrix, right = np.zeros((size.size, size.size)), np.zeros(size.size)
     rows = float(np.mean([n for *_, n in parts]))
     own = rows / freedom * np.eye(size.size)
     with one_thread():
         for x, y, _ in parts:
             z = x / size
-            gram, pull = z.T @ z, z.T @ y
-            inner = np.linalg.solve(gram + own, np.column_stack([gram, pull]))
-            left += gram - gram @ inner[:, :-1]
-            right += pull - gram @ inner[:, -1]
-        total = left + strength * np.trace(left) / size.size * np.eye(size.size)
+            gram, cross = z.T @ z, z.T @ y
+            inner = np.linalg.solve(gram + own, np.column_stack([gram, cross]))
+            normal_matrix += gram - gram @ inner[:, :-1]
+            right += cross - gram @ inner[:, -1]
+        total = normal_matrix + strength * np.trace(normal_matrix) / size.size * np.eye(size.size)
         return np.linalg.solve(total, right) / size
 
 

@@ -1,6 +1,6 @@
-"""A correction that knows its surroundings: one ridge per knot of start warmth, blended between knots.
+"""A correction by start temperature: one ridge regression per knot, interpolated between knots.
 
-Runs that began about as warm as a knot teach its gains most (Gaussian weights); a run in between two knots gets
+Runs are weighted by the distance of their start temperature from the knot (Gaussian); a run in between two knots gets
 both in proportion. Nothing is extrapolated in warmth: beyond the ends the last knot is held.
 """
 
@@ -56,18 +56,18 @@ def fit(
     deviation of the weights and distance of the knots; strength: of the ridge.
     """
     groups = sorted(parts)
-    warm = np.array([warmth[g] for g in groups])
-    count = int(np.clip(np.ceil((warm.max() - warm.min()) / width) + 1, 2, MOST_KNOTS))
-    knots = np.linspace(warm.min(), max(warm.max(), warm.min() + 1e-3), count)
+    temperatures = np.array([warmth[g] for g in groups])
+    count = int(np.clip(np.ceil((temperatures.max() - temperatures.min()) / width) + 1, 2, MOST_KNOTS))
+    knots = np.linspace(temperatures.min(), max(temperatures.max(), temperatures.min() + 1e-3), count)
     gains = []
     for knot in knots:
-        weight = np.exp(-0.5 * ((warm - knot) / max(width, knots[1] - knots[0])) ** 2)
+        weight = np.exp(-0.5 * ((temperatures - knot) / max(width, knots[1] - knots[0])) ** 2)
         near = {g: np.sqrt(w) * parts[g] for g, w in zip(groups, weight, strict=True) if w > 1e-9}
-        if not near:  # no run started about as warm: nothing was learnt here
+        if not near:  # no run with a similar start temperature: gains stay zero
             gains.append(np.zeros(next(iter(parts.values())).shape[1] - 1 - core.size))
             continue
         triangle = thermal_network.stack(near, sorted(near))
-        left = triangle[:, -1] - triangle[:, : core.size] @ core
+        residual = triangle[:, -1] - triangle[:, : core.size] @ core
         effective = sum(float(w) * rows[g] for g, w in zip(groups, weight, strict=True))
-        gains.append(ridge_gains(triangle[:, core.size : -1], left, effective, strength))
+        gains.append(ridge_gains(triangle[:, core.size : -1], residual, effective, strength))
     return Local(knots, np.array(gains))

@@ -26,7 +26,7 @@ Part = tuple[str, float, d.Driver]  # a cause: its name, its gain in um/K, its d
 
 @dataclass(frozen=True)
 class Prediction:
-    """Per row, um: deviation since the start of the run, interval; outside is True where nothing like it was seen."""
+    """Per row, um: deviation since the start of the run, interval; outside is True outside of the fitted range."""
 
     predicted: np.ndarray
     lower: np.ndarray

@@ -1,9 +1,9 @@
-"""Gains of physical causes: least squares in which every gain keeps the sign of its cause, averaged over networks.
+"""Gains of physical causes: non-negative least squares by the sign of each cause, averaged over networks.
 
-A gain that physics allows is positive (or negative) and a few um/K; a gain of the wrong sign is how a model
-buys two micrometres in its own season and loses fifty in the next. The sign alone removes most of that freedom
+A gain that physics allows is positive (or negative) and a few um/K; a gain of the wrong sign fits its own
+season 2 um better and the next 50 um worse. The sign alone removes most of that freedom
 (non-negative least squares chooses few causes by itself), a small penalty in um/K the rest. Several networks
-that differ in what nobody measured are averaged instead of chosen: choice among look-alikes is noise.
+that differ in unmeasured states are averaged, because a choice among collinear ones is noise.
 
 Groups of rows (runs) are reduced once to a triangle each; any hold-out then costs a stack of triangles.
 """
@@ -54,8 +54,8 @@ def signed_gains(
         size = member.size
         system = np.vstack([triangle[:, member] * signs[member], root * np.eye(size)])
         right = np.r_[triangle[:, -1], np.zeros(size)]
-        found, _ = nnls(system, right)
-        total[member] += found * signs[member]
+        magnitudes, _ = nnls(system, right)
+        total[member] += magnitudes * signs[member]
     return total / max(len(members), 1)
 
 
@@ -64,14 +64,14 @@ def reweighted(
 ) -> dict[int, float]:
     """Weights of groups times the root of how badly each fits, mean square over rows one: half-way to the worst day.
 
-    A mean over days is ruled by the many that are alike; the next season is more like the odd ones.
+    A mean over days is dominated by the many similar ones; the next season resembles the outlying ones.
     parts: group -> triangle of [columns of the gains, ..., response]; rows: group -> rows it stands for.
     """
     width = gains.size
     new = {}
     for g, w in weight.items():
-        left = parts[g][:, -1] - parts[g][:, :width] @ gains
-        new[g] = w * max(float(np.sqrt(left @ left / rows[g])), LEAST_MISFIT) ** 0.5
+        residual = parts[g][:, -1] - parts[g][:, :width] @ gains
+        new[g] = w * max(float(np.sqrt(residual @ residual / rows[g])), LEAST_MISFIT) ** 0.5
     total = sum(rows[g] for g in new)
     scale = np.sqrt(sum(rows[g] * w**2 for g, w in new.items()) / total)
     return {g: w / scale for g, w in new.items()}
@@ -80,8 +80,8 @@ def reweighted(
 def networks(kinds: Sequence[str], starts: Sequence[str]) -> list[np.ndarray]:
     """Index sets of the networks: all bodies, one way for the heat while running, one start of the hidden part.
 
-    Which part takes up the heat of running and how warm the hidden part begins are not measured; each network
-    answers once, and the answers are averaged.
+    Which part takes up the heat of running and how warm the hidden part begins are not measured: one network
+    for each combination, and their gains are averaged.
     """
     kinds_, starts_ = np.asarray(kinds), np.asarray(starts)
     bodies = np.flatnonzero(kinds_ == "body")

@@ -1,16 +1,15 @@
-"""A thermal model meant to survive the season: physics that carries, a correction that knows where it was learnt.
+"""A thermal model for all seasons: a core of physical causes, and a correction limited to similar starts.
 
     deviation since the start of the run = clip( share x fade x core + gate x correction )
 
 core         causes of known sign (`thermal_causes`), gains by averaged signed networks (`thermal_network`)
-correction   ridge on lagged differences to the room, fitted to what the core leaves, most by runs that started about
-             as warm (`thermal_local`). It is worth micrometres
-             where it was learnt and ruins a season that it never saw, so `gate` scales it by what it earned on
-             runs left out that started about as warm, and takes it back to nothing where a run starts outside
-             the temperatures seen
+correction   ridge on lagged differences to the room, fitted to the residual of the core, weighted to runs with a
+             similar start temperature (`thermal_local`). It improves such runs by micrometres and makes an
+             unseen season worse, so `gate` scales it by its improvement on held-out runs with a similar start,
+             down to zero where a run starts outside the temperatures seen
 share        1 inside; outside it fades to the slope that the core had on environments left out (at most 1)
-fade         1 as far outside as seasons left out have been judged, then down to 0.6: where the model is as wrong as
-             nothing is, six tenths of it still do better than nothing, and where it is right they cost little
+fade         1 as far outside as seasons left out have been judged, then down to 0.6: where the residual is as large as
+             the deviation, 0.6 of the prediction still reduces it, and costs little where the model is right
 clip         causes stay within twice the span seen, the sum within a quarter span beyond the deviations seen
 
 Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
@@ -41,11 +40,11 @@ from errpipe.fitting.thermal_model import Part, ThermalModel
 from errpipe.fitting.validity import box
 
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
-WORTH_WIDTH = 0.5  # K: runs whose starts differ by less vouch for each other's correction
-WORTH_PRIOR = 1.0  # um2: a correction that moved less than 1 um on the runs left out has proved nothing
-WITNESSES = 2.0  # runs that started as warm and earned nothing, believed before any is seen: one run proves little
+WORTH_WIDTH = 0.5  # K: width of the kernel over start temperatures in `worth`
+WORTH_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
+WITNESSES = 2.0  # prior of that ratio, in runs with no improvement: one run is little evidence
 WORTH_STEPS = 16
-FULL_WITHIN = 3.0  # K, mean over sensors: starts of two seasons left out in turn lay so far apart, and held
+FULL_WITHIN = 3.0  # K, mean over sensors: distance between the starts of two held-out seasons that were predicted well
 FADED_AT = 9.0  # K: from here on only FAR_SHARE of the core is used
 FAR_SHARE = 0.6
 INNER_FOLDS = 6  # of runs, where many models are fitted for a competition; a fold per run costs three times as much
@@ -68,7 +67,7 @@ def fit(
 
 @dataclass(frozen=True)
 class _Gains:
-    """What one set of groups teaches: gains, correction, the box of starts it saw, and the balance of its days."""
+    """Fit to one set of groups: gains, correction, the box of starts it saw, and the balance of its days."""
 
     core: np.ndarray
     correction: thermal_local.Local | None
@@ -111,7 +110,7 @@ class Problem:
         design = np.column_stack([core, extra])[good]
         self.triangles = thermal_network.triangles(design, self.response[good], self.group[good])
         self.signs = np.array([c.sign for c in self.causes])
-        self.rounds = 0  # the signs show without
+        self.rounds = 0  # while gain signs are chosen the weights stay uniform
         self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
         self.core_centred, self.extra_centred = core, extra
 
@@ -127,14 +126,14 @@ class Problem:
         return centred(self.core, self.recording.run_codes(), self.options.datum_rows, 1.0)
 
     def orient(self) -> None:
-        """Turn all signs round where runs left out say so: a response may count the other way."""
+        """Reverse all signs where held-out runs are predicted better so: a response may count the other way."""
         turned = -self.signs
         errors = []
         for signs in (self.signs, turned):
             self.signs = signs
             core = self.left_out([[g] for g in self.groups], corrected=False)["core"]
-            seen = self.rows & np.isfinite(core)
-            errors.append(rms((self.response - core)[seen]))
+            judged = self.rows & np.isfinite(core)
+            errors.append(rms((self.response - core)[judged]))
         self.signs = turned if errors[1] < errors[0] else -turned
         self.rounds = self.options.rounds
 
@@ -160,10 +159,10 @@ class Problem:
 
     def _local(self, groups: Sequence[int], core: np.ndarray) -> thermal_local.Local:
         warmth = self.warmth()
-        warm = {g: float(warmth[self.rows & (self.group == g)][0]) for g in groups}
+        warmth_of = {g: float(warmth[self.rows & (self.group == g)][0]) for g in groups}
         parts = {g: self.triangles[g] for g in groups}
         return thermal_local.fit(
-            parts, self.count, warm, core, self.options.correction_width, self.options.correction_penalty
+            parts, self.count, warmth_of, core, self.options.correction_width, self.options.correction_penalty
         )
 
     def start_distance(self, gains: _Gains) -> np.ndarray:
@@ -176,10 +175,10 @@ class Problem:
         out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction")}
         warmth = self.warmth()
         for fold in folds:
-            rest = [g for g in self.groups if g not in fold]
-            if not rest:
+            train = [g for g in self.groups if g not in fold]
+            if not train:
                 continue
-            gains = self.solve(rest, corrected)
+            gains = self.solve(train, corrected)
             rows = self.rows & np.isin(self.group, list(fold))
             away = self.start_distance(gains)[rows]
             out["core"][rows] = self.core_centred[rows] @ gains.core
@@ -205,10 +204,10 @@ class Problem:
             labels = np.full(self.rows.size, "")
         per_group = {g: labels[np.flatnonzero(self.rows & (self.group == g))[0]] for g in self.groups}
         kinds = list(dict.fromkeys(per_group.values()))
-        apart = [[g for g in self.groups if per_group[g] == k] for k in kinds]
-        fewest = min(len(self.groups) - len(one) for one in apart)
+        by_kind = [[g for g in self.groups if per_group[g] == k] for k in kinds]
+        fewest = min(len(self.groups) - len(one) for one in by_kind)
         if len(kinds) > 1 and fewest >= min(FEWEST_RUNS, len(self.groups) - 1):
-            return apart
+            return by_kind
         warmth = {g: float(np.nanmean(self.starts[self.rows & (self.group == g)])) for g in self.groups}
         order = sorted(self.groups, key=lambda g: (warmth[g], g))
         half = len(order) // 2
@@ -219,18 +218,18 @@ class Problem:
         return self.starts.mean(axis=1)
 
     def worth(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Warmth of a start (grid, degC) -> the share of the correction that earned its keep on runs left out."""
-        warm = np.array([self.warmth()[self.group == g][0] for g in self.groups])
-        grid = np.linspace(warm.min(), max(warm.max(), warm.min() + 1e-3), WORTH_STEPS + 1)
+        """Start temperature (grid, degC) -> regularised slope of the residual on the correction over held-out runs."""
+        starts = np.array([self.warmth()[self.group == g][0] for g in self.groups])
+        grid = np.linspace(starts.min(), max(starts.max(), starts.min() + 1e-3), WORTH_STEPS + 1)
         if not self.further:
             return grid, np.zeros(grid.size)
-        left, gain = self.response - runs["core"], runs["correction"]
-        above, below = np.zeros(warm.size), np.zeros(warm.size)
+        residual, gain = self.response - runs["core"], runs["correction"]
+        above, below = np.zeros(starts.size), np.zeros(starts.size)
         for k, g in enumerate(self.groups):
-            mine = self.rows & (self.group == g) & np.isfinite(gain)
-            if mine.any():
-                above[k], below[k] = np.mean(left[mine] * gain[mine]), np.mean(gain[mine] ** 2) + WORTH_PRIOR
-        near = np.exp(-0.5 * ((grid[:, None] - warm) / WORTH_WIDTH) ** 2)
+            own = self.rows & (self.group == g) & np.isfinite(gain)
+            if own.any():
+                above[k], below[k] = np.mean(residual[own] * gain[own]), np.mean(gain[own] ** 2) + WORTH_PRIOR
+        near = np.exp(-0.5 * ((grid[:, None] - starts) / WORTH_WIDTH) ** 2)
         return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)
 
     def model(self, reported: bool = True) -> ThermalModel:
@@ -240,11 +239,11 @@ class Problem:
         seen = self.rows & np.isfinite(runs["core"])
         worth = self.worth(runs)
         runs["correction"] *= np.interp(self.warmth(), *worth)
-        afar = self.left_out(self.environments(), corrected=False)
-        far = self.rows & np.isfinite(afar["core"])
-        share = self._share(afar["core"], far) if far.any() else 1.0
+        unseen = self.left_out(self.environments(), corrected=False)
+        judged = self.rows & np.isfinite(unseen["core"])
+        share = self._share(unseen["core"], judged) if judged.any() else 1.0
         gains = self.solve(self.groups)
-        intervals = self._intervals(runs["core"] + runs["correction"], afar["core"])
+        intervals = self._intervals(runs["core"] + runs["correction"], unseen["core"])
         limit = limits(y[self.rows])
         core, correction, known = self._parts(gains, worth)
         held = d.Clip(of=_sum(core), low=limit[0], high=limit[1])
@@ -278,14 +277,14 @@ class Problem:
             "rms_after": rms(after[self.rows]),
             "rms_runs_left_out": rms((y - runs["core"] - runs["correction"])[seen]) if seen.any() else None,
             "rms_core_runs_left_out": rms((y - runs["core"])[seen]) if seen.any() else None,
-            "rms_core_environments_left_out": rms((y - afar["core"])[far]) if far.any() else None,
+            "rms_core_environments_left_out": rms((y - unseen["core"])[judged]) if judged.any() else None,
         }
         return ThermalModel(**(model.__dict__ | {"report": report}))
 
     def _share(self, core: np.ndarray, rows: np.ndarray) -> float:
         """Slope of the deviation on the core over environments left out, one standard error in its favour, 0..1.
 
-        The standard error is a jackknife over groups: rows of one run are one witness.
+        The standard error is a jackknife over groups: rows of one run are not independent.
         """
         whole = slope(self.response, core, rows, 0.0, np.inf)
         each = [slope(self.response, core, rows & (self.group != g), 0.0, np.inf) for g in self.groups]
@@ -314,18 +313,18 @@ class Problem:
         inside = d.Affine(offset=1.0, weights=(-1.0,), of=(self._outside(gains),))
         names = self.found.all()
         warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
-        earned = d.Lookup(
+        worth_driver = d.Lookup(
             of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
         )
-        known = d.Product(of=(inside, earned))
+        known = d.Product(of=(inside, worth_driver))
         return core, d.Product(of=(known, gains.correction.driver(warmth, self.further))), known
 
     def _fading(self, gains: _Gains, share: float) -> d.Driver:
         """What the core is multiplied by: by how far outside of what was seen the run started and the day moves."""
-        far = self._ramp(gains, FAR_SHARE)
+        faded = self._ramp(gains, FAR_SHARE)
         if share >= 1.0:
-            return far
-        return d.Product(of=(far, d.Affine(offset=1.0, weights=(share - 1.0,), of=(self._outside(gains),))))
+            return faded
+        return d.Product(of=(faded, d.Affine(offset=1.0, weights=(share - 1.0,), of=(self._outside(gains),))))
 
     def _outside(self, gains: _Gains) -> d.Driver:
         """0 where the run started inside what was seen, 1 from `fade` outside on."""
@@ -333,11 +332,11 @@ class Problem:
         return d.Clip(of=d.Affine(weights=(1.0 / self.options.fade,), of=(away,)), low=0.0, high=1.0)
 
     def _ramp(self, gains: _Gains, end: float) -> d.Lookup:
-        """1 as far outside as was tried, `end` from FADED_AT on; starts and balance of the day count alike, K."""
+        """1 as far outside as was tried, `end` from FADED_AT on; starts and balance of the day have equal weight, K."""
         low, high = gains.balance
         day = _balance(self.found)
-        beyond = d.Affine(weights=(1.0, -1.0), of=(day, d.Clip(of=day, low=low, high=high)))
-        size = d.Power(of=d.Product(of=(beyond, beyond)), exponent=0.5)
+        excess = d.Affine(weights=(1.0, -1.0), of=(day, d.Clip(of=day, low=low, high=high)))
+        size = d.Power(of=d.Product(of=(excess, excess)), exponent=0.5)
         away = d.Affine(weights=(1.0, 1.0), of=(self._distance_driver(gains), size))
         return d.Lookup(of=away, start=FULL_WITHIN, step=FADED_AT - FULL_WITHIN, values=(1.0, end))
 
@@ -357,7 +356,7 @@ class Problem:
 
 
 def _balance(found: thermal_causes.Sensors) -> d.Driver:
-    """Rise of the machine, mean over its sensors, less the rise of the room, K: what pushes less what pulls."""
+    """Rise of the machine, mean over its sensors, minus the rise of the room, K."""
     rises = tuple(d.rise(n) for n in found.bodies)
     weights = (1.0 / len(rises),) * len(rises)
     if found.room is None:

@@ -1,7 +1,7 @@
 """The validity box: the ranges of what drove the fit, and how far outside of it a row lies.
 
 The box is where the recording has rows enough, not where its extremes lie: a few rows beyond a gap (three readings of
-60 degC among 1,770 below 25) do not widen it. They stay in the fit, and a note says so, since they bend it.
+60 degC among 1,770 below 25) do not widen it. They stay in the fit, and a note says so.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 
-MARGIN = 0.5  # of a range, the distance over which a table fades out: half of what was seen (from taste)
+MARGIN = 0.5  # of a range: distance over which a table fades out (chosen, not measured)
 LEAST_MARGIN = {"temperature": 2.0}  # K
-FEW = 0.01  # of the rows: so few beyond a gap are no coverage; chosen on: a thermal state of a day fills more
+FEW = 0.01  # of the rows: at most so many beyond a gap are ignored; chosen on: a thermal state of a day fills more
 GAP = 0.25  # of the range of the other rows; chosen on: the targets of a test after ISO 230-2 (five or more) lie closer
 UNBOXED = ("run", "group", "time", "direction", "coolant", "ignore", "error", "simulated")
 
@@ -46,24 +46,24 @@ def covered(values: np.ndarray) -> tuple[float, float]:
 def _without_tail(ordered: np.ndarray, few: int) -> int:
     """How many of the lowest values lie beyond a gap; at most `few`."""
     for count in range(few, 0, -1):
-        rest = ordered[count : ordered.size - few]
-        if rest.size and rest[0] - ordered[count - 1] > GAP * max(float(rest[-1] - rest[0]), 1e-300):
+        main = ordered[count : ordered.size - few]
+        if main.size and main[0] - ordered[count - 1] > GAP * max(float(main[-1] - main[0]), 1e-300):
             return count
     return 0
 
 
 def few_rows_outside(recording: Recording, validity: Validity, rows: np.ndarray) -> list[str]:
-    """A sentence per column on rows of the fit that lie outside the box: they bend the fit and do not widen it."""
+    """A sentence per column on rows of the fit outside the box: they influence the fit and do not widen the box."""
     notes = []
     for name, (low, high) in validity.ranges.items():
         values = recording.array(name)[rows]
-        beyond = values[(values < low) | (values > high)]
-        if beyond.size:
+        outside = values[(values < low) | (values > high)]
+        if outside.size:
             unit = recording.manifest.columns[name].unit or ""
-            share = _leverage(values, beyond)
+            share = _leverage(values, outside)
             notes.append(
-                f"{name}: {beyond.size} of {int(np.isfinite(values).sum())} rows ({beyond.min():.4g} to "
-                f"{beyond.max():.4g} {unit}) lie beyond a gap; the model is not valid there ({low:.4g} to {high:.4g} "
+                f"{name}: {outside.size} of {int(np.isfinite(values).sum())} rows ({outside.min():.4g} to "
+                f"{outside.max():.4g} {unit}) lie beyond a gap; the model is not valid there ({low:.4g} to {high:.4g} "
                 f"{unit}), and these rows hold {100 * share:.0f} % of the leverage on a slope over {name}"
             )
     return notes
@@ -84,6 +84,6 @@ def distance(validity: Validity, recording: Recording) -> np.ndarray:
     for name, (low, high) in validity.ranges.items():
         width = max(high - low, validity.margins.get(name, 0.0), 1e-12)
         values = recording.array(name) if name in recording.frame.columns else np.full(len(recording), np.nan)
-        beyond = np.maximum(np.maximum(low - values, values - high), 0.0) / width
-        total += np.where(np.isnan(values), 1.0, beyond)
+        excess = np.maximum(np.maximum(low - values, values - high), 0.0) / width
+        total += np.where(np.isnan(values), 1.0, excess)
     return total

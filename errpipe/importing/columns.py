@@ -64,7 +64,7 @@ _AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achs
 _AXIS_ABOVE = re.compile(
     r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
 )
-# Words of a cell or header -> from which side a target was approached; umlauts are written out before the comparison.
+# Words of a cell or header -> from which side a target was approached; umlauts are transcribed before the comparison.
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller"
@@ -74,7 +74,7 @@ DOWN = re.compile(
     r"|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben"
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
-FARTHEST_UM = 1e4  # um: no axis is wrong by a centimetre
+FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 DATES = (
     "%d.%m.%Y %H:%M:%S.%f",
     "%d.%m.%Y %H:%M:%S",
@@ -115,11 +115,11 @@ def guess(column: RawColumn) -> ColumnGuess:
 
 
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
-    """A kind that the column's unit and values contradict gives way to what they say."""
+    """The kind corrected where the column's unit and values contradict it."""
     unit = column.unit
-    if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _far(column):
+    if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
-    if kind == "command" and unit in ("um", "nm") and not _far(column):
+    if kind == "command" and unit in ("um", "nm") and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
@@ -134,7 +134,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     return kind, ""
 
 
-def _far(column: RawColumn) -> bool:
+def _too_large_for_a_deviation(column: RawColumn) -> bool:
     """Whether values in um span more than any deviation does: positions that were logged in um."""
     known = column.values[np.isfinite(column.values)]
     return column.unit == "um" and known.size > 0 and float(np.ptp(known)) > FARTHEST_UM
@@ -142,8 +142,8 @@ def _far(column: RawColumn) -> bool:
 
 def axis_in(text: str) -> str | None:
     """The axis letter that a text names, or None."""
-    found = _AXIS.search(text)
-    return found.group(1).upper() if found else None
+    match = _AXIS.search(text)
+    return match.group(1).upper() if match else None
 
 
 # Angular errors of a horizontal axis by their usual names (ISO 230-1): the axis they turn about.
@@ -178,9 +178,9 @@ def other_component(text: str, moved: str) -> str | None:
 def axis_above(lines: list[str]) -> str | None:
     """The axis that the lines above the table name."""
     for line in lines:
-        found = _AXIS_ABOVE.search(line)
-        if found:
-            return (found.group(1) or found.group(2)).upper()
+        match = _AXIS_ABOVE.search(line)
+        if match:
+            return (match.group(1) or match.group(2)).upper()
     return None
 
 
@@ -195,8 +195,8 @@ def plain(text: object) -> str:
 def side(text: object) -> float | None:
     """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
     word = plain(text).removesuffix(".0").rstrip(".:")
-    left = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
-    word = left[0] if len(left) == 1 else word
+    words = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
+    word = words[0] if len(words) == 1 else word
     return 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
 
 
@@ -209,8 +209,8 @@ def _side(column: RawColumn) -> np.ndarray | None:
 
 def sides(column: RawColumn) -> np.ndarray:
     """The column as +1 and -1; empty cells are NaN."""
-    found = [side(c) if c not in (None, "") else None for c in column.cells]
-    return np.array([np.nan if s is None else s for s in found])
+    signs = [side(c) if c not in (None, "") else None for c in column.cells]
+    return np.array([np.nan if s is None else s for s in signs])
 
 
 def seconds(column: RawColumn) -> tuple[np.ndarray, str | None] | None:

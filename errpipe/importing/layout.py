@@ -1,4 +1,4 @@
-"""From cells to columns: which rows are the header, which the units, which the data, and what stands above them."""
+"""From cells to columns: the rows of header, units and data, and the lines above them."""
 
 from __future__ import annotations
 
@@ -158,16 +158,18 @@ def _is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bo
 
 
 def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
-    """Up to three rows right above the data that are a header: words, at least two, or what `_is_header` says."""
-    found: list[int] = []
+    """Up to three rows right above the data that are a header: words, at least two, or as `_is_header` decides."""
+    header_rows: list[int] = []
     for r in range(start - 1, max(start - 4, -1), -1):
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
-        if (len(words) >= 2 and figures == 0) or (len(words) >= 1 and _is_header(rows[r], numbers, r) and not found):
-            found.insert(0, r)
+        if (len(words) >= 2 and figures == 0) or (
+            len(words) >= 1 and _is_header(rows[r], numbers, r) and not header_rows
+        ):
+            header_rows.insert(0, r)
         else:
             break
-    return found
+    return header_rows
 
 
 def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
@@ -214,13 +216,13 @@ def _layout(
     width = max([len(names), *map(len, rows)])
     names = names + [f"column {i + 1}" for i in range(len(names), width)]
     columns = []
-    seen: Counter[str] = Counter()
+    count_of: Counter[str] = Counter()
     for i, text in enumerate(names):
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
-        seen[header] += 1
-        if seen[header] > 1:
-            header = f"{header} ({seen[header]})"
+        count_of[header] += 1
+        if count_of[header] > 1:
+            header = f"{header} ({count_of[header]})"
         cells = [row[i] if i < len(row) else None for row in rows]
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
         if any(c not in (None, "") for c in cells):

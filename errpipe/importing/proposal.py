@@ -1,6 +1,6 @@
 """From guesses to a proposed recording: rows in one order, a manifest, and every guess in words.
 
-Nothing is computed here that the manifest does not state or a note tell.
+Everything computed here is stated in the manifest or in a note.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     proposal = Proposal(notes=list(layout.notes))
     if not layout.columns:
         raise DataError("no column has a value")
-    guesses = {c.header: _said(c, options) or guessing.guess(c) for c in layout.columns}
+    guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     proposal.facts.update(_facts(layout.above))
-    found = wide.find(layout, guesses)
-    axis = options.axis or _axis(layout, guesses, found)
+    wide_layout = wide.find(layout, guesses)
+    axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
         axis = "X"
         proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
-    if found is not None:
-        _wide(layout, guesses, found, axis, options, proposal)
+    if wide_layout is not None:
+        _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:
         _long(layout, guesses, axis, options, proposal)
     return proposal
@@ -57,18 +57,18 @@ FACTS = {
 
 
 def _facts(above: list[str]) -> dict[str, str]:
-    """What the lines above a table say of the set-up: `Maschine: VMC 3`."""
-    found = {}
+    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
+    facts = {}
     for line in above:
         for name, words in FACTS.items():
             match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
-            if match and name not in found:
-                found[name] = match.group(1).strip()
-    return found
+            if match and name not in facts:
+                facts[name] = match.group(1).strip()
+    return facts
 
 
 def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
-    """Rows of one axis where a column names the axis of each row. Raises DataError where it is not said which one."""
+    """Rows of one axis where a column names the axis of each row. Raises DataError where the axis is ambiguous."""
     for c in layout.columns:
         filled = {str(cell).strip() for cell in c.cells if cell not in (None, "")}
         letters = {text.upper() for text in filled}
@@ -93,16 +93,16 @@ def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
     return layout
 
 
-def _said(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
-    """What `--set COLUMN.role=...` says of a column."""
-    said = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
-    role = said.get("role")
+def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
+    """A column's guess from `--set COLUMN.role=...`."""
+    stated = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
+    role = stated.get("role")
     if role is None:
         return None
     known = (*ROLE_UNITS, "counts")
     if role not in known:
         raise UsageError(f"--set {column.header}.role: no role {role!r}.{did_you_mean(role, known)}")
-    return guessing.ColumnGuess(role, said.get("axis") or guessing.axis_in(column.header), "")
+    return guessing.ColumnGuess(role, stated.get("axis") or guessing.axis_in(column.header), "")
 
 
 def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], found: wide.Wide | None) -> str | None:
@@ -197,23 +197,23 @@ def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
 
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
     """One column of the file with the role that was guessed."""
-    said = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
-    unit = said.get("unit") or c.unit
-    own = said.get("axis") or g.axis or axis
-    why = "" if said.get("role") else f"{g.kind} by {g.why}"
+    stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
+    unit = stated.get("unit") or c.unit
+    own = stated.get("axis") or g.axis or axis
+    why = "" if stated.get("role") else f"{g.kind} by {g.why}"
     if g.kind == "time":
         _time(c, unit, why, p)
     elif g.kind == "direction":
         p.put(c.header, guessing.sides(c), why, role="direction", axis=own)
     elif g.kind in ("run", "group"):
-        p.put(c.header, [label(x) for x in c.cells], why, role=g.kind, of=said.get("of"))
+        p.put(c.header, [label(x) for x in c.cells], why, role=g.kind, of=stated.get("of"))
     elif g.kind in ("command", "position", "actual"):
         unit, why = _unit_or(unit, "deg" if own[0] in "ABC" else "mm", why)
         p.put(c.header, c.values, why, role=g.kind, axis=own, unit=unit)
     elif g.kind == "counts":
         _counts(c, own, why, options, p)
     elif g.kind in ("error", "simulated"):
-        component = said.get("component") or options.component or component_in(c.header)
+        component = stated.get("component") or options.component or component_in(c.header)
         _response(c, g.kind, own, options.unit or unit, why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
@@ -226,7 +226,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         if allowed:
             unit, why = _unit_or(unit if unit in allowed else None, allowed[0], why)
         moving = g.kind in ("velocity", "acceleration", "force", "torque")
-        place = said.get("location") or (c.header if g.kind == "temperature" else None)
+        place = stated.get("location") or (c.header if g.kind == "temperature" else None)
         p.put(c.header, c.values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)
     else:
         p.put(c.header, c.values if c.numeric else [label(x) for x in c.cells], g.why, role="ignore")
@@ -278,12 +278,12 @@ def _response(
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
     values = c.values
-    wanted = components.unit(component)
+    standard = components.unit(component)
     if unit in PLAIN_UNITS:
         plain, factor = PLAIN_UNITS[unit]
         values, why, unit = values * factor, f"{why}; {unit} written as {plain}", plain
     if unit is None:
-        unit = wanted if wanted != "um" else unit_by_size(values)
+        unit = standard if standard != "um" else unit_by_size(values)
         odd = re.search(r"[\[(]([^\[\]()]{1,14})[\])]", c.header)
         why += f"; {odd.group(1)!r} is no known unit" if odd else ""
         why += f"; no unit is stated, taken as {unit} by the size of the readings"

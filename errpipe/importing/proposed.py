@@ -1,4 +1,4 @@
-"""A proposed recording: its columns, what the manifest says of each, and every guess in words."""
+"""A proposed recording: its columns, their manifest entries, and every guess in words."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What a person says on the command line instead of leaving it to a guess.
+    """Options of the command line that replace guesses.
 
     resolution: mm (deg) of one encoder count; torque_constant: N m per A; sets: column -> key -> value.
     """
@@ -44,15 +44,15 @@ class Proposal:
     def put(self, name: str, values: Any, why: str = "", **entry: Any) -> str:
         """Add a column under a name that is free; returns that name."""
         base, n = slug(name), 2
-        found = base
-        while found in self.entries:
-            found, n = f"{base}_{n}", n + 1
-        self.entries[found] = {k: v for k, v in entry.items() if v is not None}
+        unique = base
+        while unique in self.entries:
+            unique, n = f"{base}_{n}", n + 1
+        self.entries[unique] = {k: v for k, v in entry.items() if v is not None}
         if values is not None:
-            self.data[found] = values
+            self.data[unique] = values
         if why:
-            self.guesses[found] = why
-        return found
+            self.guesses[unique] = why
+        return unique
 
     def first(self, role: str, axis: str | None = None) -> str | None:
         """The first column of a role (and axis)."""

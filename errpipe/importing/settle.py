@@ -1,8 +1,8 @@
-"""What the columns of a proposed recording are to each other: actual and commanded, sign, direction, runs, a log.
+"""Relations between the columns of a proposed recording: actual and commanded, sign, direction, runs, a log.
 
 Deviation is actual minus commanded. Where a file holds both positions, the error is derived from them at the door of
-the recording (`derived: {minus: [actual, commanded]}`); where it holds deviations of the other sign, they are turned
-there, and the manifest says so.
+the recording (`derived: {minus: [actual, commanded]}`); where it holds deviations of the other sign, their sign is
+reversed there, and the manifest states it.
 """
 
 from __future__ import annotations
@@ -77,27 +77,27 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
 
 
 def turn_signs(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Every error column as actual minus commanded, by what the person, the two positions or the file say of it."""
+    """Every error column as actual minus commanded, by the options, the two positions or the file's header."""
     for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
         texts = " ".join([name.replace("_", " "), *(c.header for c in layout.columns), *layout.above]).lower()
         reversed_, straight = _REVERSED.search(texts), _STRAIGHT.search(texts)
-        sign, said = options.sign, ""
+        sign, reason = options.sign, ""
         shown = _sign_shown(p, name) if sign is None else None
         if shown is not None:
             turn, difference = shown
             sign = "commanded-minus-actual" if turn else "actual-minus-commanded"
-            said = f"it is minus {difference}: the sign is turned" if turn else f"its sign is that of {difference}"
+            reason = f"it is minus {difference}: the sign is turned" if turn else f"its sign is that of {difference}"
         elif sign is None and re.search(guessing.CORRECTION, name.replace("_", " ").lower()):
-            sign, said = "commanded-minus-actual", "a correction is minus the deviation: the sign is turned"
+            sign, reason = "commanded-minus-actual", "a correction is minus the deviation: the sign is turned"
         elif sign is None and reversed_ and not straight:
             sign = "commanded-minus-actual"
-            said = f"the file says {reversed_.group(0)!r}: the sign is turned"
+            reason = f"the file says {reversed_.group(0)!r}: the sign is turned"
         elif sign is None and straight:
-            sign, said = "actual-minus-commanded", f"the file says {straight.group(0)!r}"
+            sign, reason = "actual-minus-commanded", f"the file says {straight.group(0)!r}"
         elif sign is None:
-            said = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
-        if said:
-            p.guesses[name] = f"{p.guesses.get(name, '')}; {said}".strip("; ")
+            reason = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
+        if reason:
+            p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}".strip("; ")
         if sign == "commanded-minus-actual":
             entry = p.entries[name]
             raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")

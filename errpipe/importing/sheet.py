@@ -1,4 +1,4 @@
-"""The cells of a measurement file, before anything is known of them."""
+"""The cells of a measurement file, before they are interpreted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
 @dataclass(frozen=True)
 class DoorOptions:
-    """What a person may say about a file. names: of the columns where it has no header; period: s between rows."""
+    """Options of a file. names: of the columns where it has no header; period: s between rows."""
 
     sheet: str | None = None
     names: tuple[str, ...] = ()
@@ -28,7 +28,7 @@ class DoorOptions:
 
 @dataclass
 class Sheet:
-    """One table of cells. header: its column names where the file states them apart; notes: what the door says."""
+    """One table of cells. header: its column names where the file states them apart; notes: remarks of the door."""
 
     name: str
     rows: list[list[Cell]]
@@ -36,7 +36,7 @@ class Sheet:
     notes: list[str] = field(default_factory=list)
 
     def limited(self) -> Sheet:
-        """The sheet itself. Raises DataError where it holds more cells than memory should be spent on."""
+        """The sheet itself. Raises DataError where it holds more cells than MOST_CELLS."""
         affordable(sum(len(row) for row in self.rows), self.name)
         return self
 

@@ -148,8 +148,8 @@ def turned(layout: Layout) -> Layout:
 
 def _place(header: str) -> float | None:
     """A header that is nothing but a position: '50', '50,0', '-12.5'."""
-    found = number(header, comma=False)
-    return found if found is not None else number(header, comma=True)
+    value = number(header, comma=False)
+    return value if value is not None else number(header, comma=True)
 
 
 def unit_above(lines: list[str]) -> str | None:

@@ -19,11 +19,11 @@ FULL_TURN = 359.0  # deg of travel from which a rotary axis is taken to close on
 @lru_cache(maxsize=64)
 def wave_numbers(modes: int) -> tuple[float, ...]:
     """Bending wave numbers of a free-free beam of length 1: cos(b) cosh(b) = 1 (4.730, 7.853, ...)."""
-    found = []
+    roots = []
     for j in range(1, modes + 1):
         middle = (j + 0.5) * np.pi
-        found.append(brentq(lambda b: np.cos(b) - 1.0 / np.cosh(b), middle - 0.3, middle + 0.3))
-    return tuple(found)
+        roots.append(brentq(lambda b: np.cos(b) - 1.0 / np.cosh(b), middle - 0.3, middle + 0.3))
+    return tuple(roots)
 
 
 def beam_modes(t: np.ndarray, modes: int) -> np.ndarray:

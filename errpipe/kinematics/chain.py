@@ -161,11 +161,11 @@ def _axis(b: _Builder, machine: Machine, name: str, column: int) -> None:
     work = machine.moved_by(name) == "workpiece"
     inverse = work and axis.errors_of == "carriage"
     linear = axis.kind == "linear"
-    own = _own_letter(name, vec, linear)
-    motions = [(f"E{d}{name}", vec if d == own and not linear else _UNIT[d]) for d in _ALL]
-    location = _location(machine, name, vec, own)
+    axis_letter = _own_letter(name, vec, linear)
+    motions = [(f"E{d}{name}", vec if d == axis_letter and not linear else _UNIT[d]) for d in _ALL]
+    location = _location(machine, name, vec, axis_letter)
     drift = [(f"{d}0{name}", _UNIT[d]) for d in "XYZ"] if axis.drifts and linear else []
-    zero = [] if linear else [(f"{own}0{name}", vec)]
+    zero = [] if linear else [(f"{axis_letter}0{name}", vec)]
 
     def moving() -> None:
         b.error(point, location)

@@ -1,7 +1,7 @@
 """A machine's errors in the form a controller runs: component profiles and a synthesis, or a lattice of points.
 
 The synthesis costs the same every cycle whatever the curves look like, and tool length and offset stay inputs.
-The lattice is for controllers that know nothing else; its error bound holds everywhere inside.
+The lattice is for controllers that read nothing else; its error bound holds everywhere inside.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ def outputs(
     file counts in, tool length and offset from the spindle nose, mm.
     """
     names = dict(inputs or {})
-    found: dict[str, list[SynthesisTerm]] = {}
+    terms_by_output: dict[str, list[SynthesisTerm]] = {}
     for (output, component), letters in polynomials.jacobian(chain, "axes").items():
         if (used is not None and component not in used) or (not orientation and output.startswith("E_")):
             continue
-        found.setdefault(output, []).append(_term(chain, component, letters, names))
+        terms_by_output.setdefault(output, []).append(_term(chain, component, letters, names))
     return tuple(
         SynthesisOutput(
             name=n if n.startswith("E_") else f"E_{n}",
@@ -48,7 +48,7 @@ def outputs(
             terms=tuple(t),
             unit="urad" if n.startswith("E_") else "um",
         )
-        for n, t in found.items()
+        for n, t in terms_by_output.items()
     )
 
 
@@ -96,7 +96,7 @@ def lowered(
         if chain.drives[c] < 0:
             size = float(errors.constants[c])
             if size != 0.0:
-                out[name] = (Lowered(d.ONE, None, partial(_everywhere, size)),)
+                out[name] = (Lowered(d.ONE, None, partial(_constant_profile, size)),)
             continue
         grid, values = errors.curve(name)
         if values.any():
@@ -111,7 +111,7 @@ def lowered(
     return out
 
 
-def _everywhere(size: float, x: np.ndarray) -> np.ndarray:
+def _constant_profile(size: float, x: np.ndarray) -> np.ndarray:
     return np.full(np.shape(x), size)
 
 
@@ -140,7 +140,7 @@ class Lattice:
 
 
 def profile_bound(chain: Chain, gridding: Mapping[str, float], tip: np.ndarray | None = None) -> float:
-    """No deviation of the tool point from profiles is further off than this, um.
+    """Upper bound of the gridding error of the tool-point deviation from profiles, um.
 
     gridding: component -> how far its profile may be off (um, urad). Each counts with its largest arm in the volume;
     arms are linear in each linear coordinate, so the corners hold the largest. Rotary axes are gone through in steps.

@@ -1,6 +1,6 @@
-"""Direct identification: laser and level records of one axis to its curves EXX ... ECX, both directions apart.
+"""Direct identification: laser and level records of one axis to its curves EXX ... ECX, one for each direction.
 
-What stands between a reading and the axis is taken out first, each with its own sign in words:
+Errors of the beam are removed first; each one's sign in words:
 
 * air       displayed - true = displacement x (n / n_used - 1): warmer air, shorter reading.
 * dead path displayed - true = dead path x (n / n_reset - 1): an offset that drifts with the weather, also where
@@ -121,8 +121,8 @@ class Curve:
     @property
     def reversal_mean(self) -> float:
         """Mean of `reversal`; 0 where the record has one direction."""
-        gap = self.reversal[np.isfinite(self.reversal)]
-        return float(gap.mean()) if gap.size else 0.0
+        values = self.reversal[np.isfinite(self.reversal)]
+        return float(values.mean()) if values.size else 0.0
 
 
 @dataclass(frozen=True)
@@ -261,14 +261,14 @@ def _abbe(turn: np.ndarray, laser: Laser, direction: np.ndarray) -> np.ndarray:
 
 def _air_columns(recording: Recording) -> list[str | None]:
     """Names of the air's temperature, pressure and humidity: where the location says air, or none is said."""
-    found = []
+    chosen = []
     for role in ("temperature", "pressure", "humidity"):
         names = recording.names(role)
         in_air = [n for n in names if "air" in (recording.manifest.columns[n].location or "").lower()]
         if role != "temperature" and not in_air:
             in_air = [n for n in names if recording.manifest.columns[n].location is None]
-        found.append(in_air[0] if in_air else None)
-    return found
+        chosen.append(in_air[0] if in_air else None)
+    return chosen
 
 
 def _air(recording: Recording, rows: np.ndarray, since: tuple[float, float, float] | None = None) -> np.ndarray | float:
@@ -296,14 +296,14 @@ def side_of(recording: Recording, axis: str, p: np.ndarray, rows: np.ndarray) ->
     position, run = p[rows], recording.run_codes()[rows]
     out = np.ones(len(position))
     for code in np.unique(run):
-        here = np.flatnonzero(run == code)
-        if len(here) < 2:
+        rows_of_run = np.flatnonzero(run == code)
+        if len(rows_of_run) < 2:
             continue
-        step = np.diff(position[here], prepend=position[here][0])
+        step = np.diff(position[rows_of_run], prepend=position[rows_of_run][0])
         step[0] = step[1]
         for i in range(1, len(step)):
             step[i] = step[i - 1] if step[i] == 0 else step[i]
-        out[here] = np.where(step < 0, -1.0, 1.0)
+        out[rows_of_run] = np.where(step < 0, -1.0, 1.0)
     return out
 
 
@@ -318,8 +318,8 @@ def targets_of(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _means(number: np.ndarray, value: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
     total = np.bincount(number[rows], weights=value[rows], minlength=count)
-    found = np.bincount(number[rows], minlength=count)
-    return np.where(found > 0, total / np.maximum(found, 1), np.nan)
+    counts = np.bincount(number[rows], minlength=count)
+    return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
 
 
 def _scatter(number: np.ndarray, value: np.ndarray, side: np.ndarray, count: int) -> np.ndarray:
@@ -357,11 +357,11 @@ def straight_part(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarr
     """Least-squares line of a straightness (um over mm): its values, slope in urad, and standard error of the slope."""
     p = np.asarray(position, dtype=float)
     design = np.column_stack([np.ones(len(p)), p - p.mean()])
-    found, *_ = np.linalg.lstsq(design, deviation, rcond=None)
-    left = deviation - design @ found
+    coefficients, *_ = np.linalg.lstsq(design, deviation, rcond=None)
+    residual = deviation - design @ coefficients
     free = max(1, len(p) - 2)
-    error = np.sqrt(left @ left / free / np.sum((p - p.mean()) ** 2))
-    return design @ found, float(found[1] * 1e3), float(error * 1e3)
+    error = np.sqrt(residual @ residual / free / np.sum((p - p.mean()) ** 2))
+    return design @ coefficients, float(coefficients[1] * 1e3), float(error * 1e3)
 
 
 # Which slopes make a squareness: (component, sign) of the second axis, then of the datum axis. A turn t of the

@@ -1,4 +1,4 @@
-"""Directly measured components as an error model: a curve over its axis each, and what the axis does when it turns."""
+"""Directly measured components as an error model: a curve over its axis each, and its reversal."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from errpipe.terms.offset import Offset
 from errpipe.terms.profile_driver import ProfileDriver
 from errpipe.terms.smooth_curve import SmoothCurve
 
-SEGMENTS = 48  # of the spline that takes a curve up; more where the curve has more than 65 points
-CLOSE = 0.02  # um, urad: how near the spline must come to the identified curve
+SEGMENTS = 48  # of the spline that represents a curve; more where the curve has more than 65 points
+CLOSE = 0.02  # um, urad: largest difference allowed between the spline and the identified curve
 
 
 def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[str, float]) -> ErrorModel:
     """The components of a recording, from the document of an identification. noise: of a reading, by component.
 
-    Raises VerifyError where a curve is too rough to be taken up.
+    Raises VerifyError where a curve is too rough for the spline.
     """
     columns: dict[str, dict[str, Any]] = {}
     ranges: dict[str, tuple[float, float]] = {}
@@ -43,7 +43,7 @@ def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[s
         if side is not None and name in found.get("reversal", {}):
             columns[side] = recording.manifest.columns[side].model_dump(mode="json", exclude_none=True)
             terms += _reversal(axis, found["reversal"][name])
-        own, half = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
+        reading_noise, curve_error = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
         parts.append(
             ComponentModel(
                 component=name,
@@ -52,8 +52,8 @@ def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[s
                 rows=int(seen.size),
                 rows_effective=float(seen.size),
                 rms_before=float(np.sqrt(np.mean(np.square(curve["value"])))),
-                rms_after=own,
-                half_width90=float(1.645 * np.sqrt(own**2 + np.mean(half**2))),
+                rms_after=reading_noise,
+                half_width90=float(1.645 * np.sqrt(reading_noise**2 + np.mean(curve_error**2))),
             )
         )
     constants = {n: c for n, c in recording.manifest.constants.items() if c.role == "axis"}
@@ -69,18 +69,18 @@ def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[s
 
 
 def _curve(name: str, axis: str, curve: Mapping[str, Any]) -> list[FittedTerm]:
-    """A level and a spline that give an identified curve back."""
+    """An offset and a spline that reproduce an identified curve."""
     value = np.asarray(curve["value"], dtype=float)
     at = curve["start"] + curve["step"] * np.arange(len(value))
     segments = max(SEGMENTS, len(at) * 3 // 4)
     term = SmoothCurve(axis=axis, segments=segments, span=(float(at[0]), float(at[-1])))
     basis = np.column_stack([np.ones(len(at)), term._profile().basis(at)])
-    found, *_ = np.linalg.lstsq(basis, value, rcond=None)
-    worst = float(np.abs(basis @ found - value).max())
+    coefficients, *_ = np.linalg.lstsq(basis, value, rcond=None)
+    worst = float(np.abs(basis @ coefficients - value).max())
     if worst > CLOSE + 1e-3 * float(np.ptp(value)):
         raise VerifyError(f"{name}: a spline of {segments} stretches misses the identified curve by {worst:.3g}")
     unit = curve["unit"]
-    return [_fitted(Offset(), [found[0]], unit), _fitted(term, found[1:], unit)]
+    return [_fitted(Offset(), [coefficients[0]], unit), _fitted(term, coefficients[1:], unit)]
 
 
 def _reversal(axis: str, reversal: Mapping[str, Any]) -> list[FittedTerm]:

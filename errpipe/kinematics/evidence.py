@@ -1,8 +1,8 @@
-"""Linear models whose spreads are learnt from the readings: ridge regression with its penalties by marginal likelihood.
+"""Bayesian linear regression: ridge penalties (prior variances) estimated from the readings by marginal likelihood.
 
 Readings y = A theta + noise. Parameter i is a priori N(0, s_i^2) with s_i = size[family_i] * rough_i^-power, or of a
-fixed spread (family -1: set-up). Sizes, power and noise are those that make the readings likeliest, with mild
-priors of their own (log-normal about typical values), so that a family the readings hardly show stays ordinary.
+fixed spread (family -1: set-up). Sizes, power and noise maximise the marginal likelihood times weak log-normal
+priors about typical values, so that a family that the readings hardly constrain stays near its typical value.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
-ROUGHER, ROUGH_POWER = 2.0, 1.5  # second start of the search: logarithm of sizes over typical ones; smoothness
+ROUGHER, ROUGH_POWER = 2.0, 1.5  # second start of the search: log of sizes over typical ones; smoothness power
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Spreads:
     certainty: np.ndarray
 
     def of(self, hyper: np.ndarray) -> np.ndarray:
-        """Spread of each parameter."""
+        """Prior standard deviation of each parameter, (p,)."""
         sizes, power = hyper[:-2], hyper[-2]
         return np.where(self.family < 0, self.fixed, sizes[np.maximum(self.family, 0)] * self.rough**-power)
 
@@ -41,7 +41,7 @@ class Spreads:
 
 @dataclass(frozen=True)
 class Moments:
-    """All that the readings enter by: A'A, A'y, y'y, number of readings."""
+    """Sufficient statistics of the readings: A'A, A'y, y'y and their number."""
 
     gram: np.ndarray
     cross: np.ndarray
@@ -55,7 +55,7 @@ class Moments:
 
 
 def _whitened(spreads: Spreads, moments: Moments, hyper: np.ndarray):
-    """Spread, factor of the whitened normal matrix (unit prior), whitened solution."""
+    """Prior standard deviation, Cholesky factor of the whitened normal matrix (unit prior), whitened solution."""
     spread = spreads.of(hyper)
     noise2 = hyper[-1] ** 2
     m = moments.gram * (spread[:, None] * spread / noise2)
@@ -65,16 +65,16 @@ def _whitened(spreads: Spreads, moments: Moments, hyper: np.ndarray):
 
 
 def solve(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of the parameters."""
+    """Posterior mean and covariance of the parameters."""
     spread, factor, u = _whitened(spreads, moments, hyper)
     half = solve_triangular(factor, np.diag(spread), lower=True, check_finite=False)
     return spread * u, half.T @ half
 
 
 def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Sizes by family, power and noise. known: NaN where the readings decide. start: where to search from.
+    """Sizes by family, power and noise. known: NaN where they are estimated. start: initial values of the search.
 
-    With u the whitened solution and M its normal matrix, the slope of the cost by log(spread_i) is
+    With u the whitened solution and M its normal matrix, the gradient of the cost by log(spread_i) is
     1 - u_i^2 - (M^-1)_ii, and by log(noise) the count minus the expected residual sum over noise^2.
     """
     free = np.isnan(known)
@@ -92,26 +92,31 @@ def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarr
     def cost(v: np.ndarray) -> tuple[float, np.ndarray]:
         hyper = unpack(v)
         noise2 = hyper[-1] ** 2
-        away = (v - centre[free]) / spreads.certainty[free]
+        standardised = (v - centre[free]) / spreads.certainty[free]
         try:
             spread, factor, u = _whitened(spreads, moments, hyper)
         except LinAlgError:
-            return 1e30, away
-        left = np.diag(cho_solve((factor, True), np.eye(len(u)), check_finite=False))
+            return 1e30, standardised
+        posterior_variance = np.diag(cho_solve((factor, True), np.eye(len(u)), check_finite=False))
         fit = (moments.square - u @ (moments.cross * spread)) / noise2
-        value = 0.5 * fit + np.log(np.diag(factor)).sum() + moments.count * np.log(hyper[-1]) + 0.5 * away @ away
-        by_spread = np.where(spreads.family < 0, 0.0, 1.0 - u**2 - left)
+        value = (
+            0.5 * fit
+            + np.log(np.diag(factor)).sum()
+            + moments.count * np.log(hyper[-1])
+            + 0.5 * standardised @ standardised
+        )
+        by_spread = np.where(spreads.family < 0, 0.0, 1.0 - u**2 - posterior_variance)
         slope = np.zeros(len(centre))
         slope[:families] = np.bincount(np.maximum(spreads.family, 0), weights=by_spread, minlength=families)
         slope[-2] = -hyper[-2] * (by_spread @ rough)
-        slope[-1] = moments.count - (fit - u @ u) - (len(u) - left.sum())
-        return value, slope[free] + away / spreads.certainty[free]
+        slope[-1] = moments.count - (fit - u @ u) - (len(u) - posterior_variance.sum())
+        return value, slope[free] + standardised / spreads.certainty[free]
 
     def search(first: np.ndarray) -> tuple[float, np.ndarray]:
         limits = [(c - 6, c + 6) for c in centre[:-2]] + [(np.log(1.2), np.log(6.0)), (first[-1] - 4, first[-1] + 4)]
         bounds = [limit for limit, f in zip(limits, free, strict=True) if f]
-        found = minimize(cost, first[free], jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
-        return float(found.fun), found.x
+        result = minimize(cost, first[free], jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
+        return float(result.fun), result.x
 
     if start is not None:
         return unpack(search(np.log(start))[1])
@@ -121,13 +126,15 @@ def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarr
     for first in (smooth, rough_curve):
         first[-1] = np.log(_residual(spreads, moments, unpack(first[free])))
     best = search(smooth)
-    if cost(rough_curve[free])[0] < best[0]:  # a wave too short for the smooth start to feel
+    if (
+        cost(rough_curve[free])[0] < best[0]
+    ):  # a short wave: the search from the smooth start has no gradient towards it
         best = min(best, search(rough_curve), key=lambda one: one[0])
     return unpack(best[1])
 
 
 def _residual(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> float:
-    """Rms of what typical sizes leave: where the search for the noise starts."""
+    """Rms residual with typical sizes: initial value of the noise."""
     mean, _ = solve(spreads, moments, hyper)
-    left = moments.square - 2 * mean @ moments.cross + mean @ moments.gram @ mean
-    return float(np.sqrt(max(left, 1e-12 * moments.square + 1e-18) / moments.count))
+    residual_square = moments.square - 2 * mean @ moments.cross + mean @ moments.gram @ mean
+    return float(np.sqrt(max(residual_square, 1e-12 * moments.square + 1e-18) / moments.count))

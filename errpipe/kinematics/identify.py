@@ -1,9 +1,9 @@
-"""Components from indirect tests: a smooth prior for every curve, set-up parameters beside them, honest intervals.
+"""Error components from indirect tests: a smoothness prior for every curve, set-up as nuisance parameters, intervals.
 
-Every error motion is a sum of smooth functions (`basis`) whose coefficients a priori fall with wave number;
-how large and how smooth is estimated from the readings themselves by their marginal likelihood, with the
-noise. So a wiggle that the basis was not made for widens the interval instead of bending the answer, and what
-a test cannot see keeps its prior width and is named (`observability`).
+Every error motion is a sum of smooth functions (`basis`); the prior standard deviation of their coefficients falls with
+wave number. Size, smoothness and noise are estimated from the readings by marginal likelihood (`evidence`). A shape
+that the basis cannot follow therefore widens the interval instead of biasing the estimate, and a component that a test
+does not observe keeps its prior width and is named (`observability`).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.observations import Observations, reading
 
 FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle", "offset", "squareness", "radial slope")
-# Spread before measuring, rms over the travel: the bending part of three families, the straight part of two (um,
+# Prior standard deviation, rms over the travel: the bending part of three families, the straight part of two (um,
 # urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
-# turn. Sizes of ordinary machines; the readings move them.
+# turn. Sizes of ordinary machines; they are estimated anew from the readings.
 TYPICAL = (4.0, 3.0, 12.0, 12.0, 24.0, 30.0, 55.0, 4.0)
-SMOOTHNESS = 3.0  # coefficients fall with this power of the wave number, unless the readings say otherwise
-CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 0.3, 3.0)  # spread of log(size by family, smoothness, noise)
+SMOOTHNESS = 3.0  # prior: coefficients fall with this power of the wave number; estimated anew from the readings
+CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 0.3, 3.0)  # prior sd of log(size by family, smoothness, noise)
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,10 @@ class Parametrisation:
     def zeroed(self) -> np.ndarray:
         """True for functions of a positioning deviation, which is zero at its axis' datum."""
         kinds = [parse(self.chain.components[c]).kind for c in self.prior.component]
-        own = np.array([k in ("positioning", "angular positioning") for k in kinds])
-        return own & np.array([c < 0 or not self.bases[c].closed for c in self.chain.drives[self.prior.component]])
+        positioning = np.array([k in ("positioning", "angular positioning") for k in kinds])
+        return positioning & np.array(
+            [c < 0 or not self.bases[c].closed for c in self.chain.drives[self.prior.component]]
+        )
 
     def functions(self, q: np.ndarray) -> np.ndarray:
         """Value of each parameter's function at q, shape (n, parameters): d(component)/d(parameter)."""
@@ -103,8 +105,8 @@ class Parametrisation:
             if j < 0:
                 continue
             a = self.chain.drives[c]
-            own = self.zeroed[i]
-            out[:, i] = values[a][:, j + (self.bases[a].size if own else 0)]
+            is_zeroed = self.zeroed[i]
+            out[:, i] = values[a][:, j + (self.bases[a].size if is_zeroed else 0)]
         return out
 
     def design(self, obs: Observations) -> np.ndarray:
@@ -116,7 +118,7 @@ class Parametrisation:
 
 
 def family_of(component: str) -> str:
-    """positioning, straightness or angular: how large and smooth an error motion may be expected to be."""
+    """Family of an error motion, whose size and smoothness share one prior: positioning, straightness or angular."""
     c = parse(component)
     if c.unit == "urad":
         return "angular"
@@ -125,10 +127,10 @@ def family_of(component: str) -> str:
 
 @dataclass(frozen=True)
 class Identified:
-    """What a set of readings says about a machine.
+    """Posterior of the components of a machine, given a set of readings.
 
     mean, covariance: of the parameters of `model` (um, urad), set-up eliminated; setup: its values by name (um,
-    urad) with standard errors; noise: um; sizes: spread before measuring by family; power: smoothness.
+    urad) with standard errors; noise: um; sizes: prior standard deviation by family; power: smoothness.
     """
 
     model: Parametrisation
@@ -149,10 +151,10 @@ class Identified:
         position = np.zeros(1) if chain.drives[c] < 0 else np.atleast_1d(np.asarray(position, dtype=float))
         q = np.zeros((len(position), len(chain.axes)))
         q[:, max(chain.drives[c], 0)] = position
-        mine = np.flatnonzero(self.model.prior.component == c)
-        rows = self.model.functions(q)[:, mine]
-        own = self.covariance[np.ix_(mine, mine)]
-        return rows @ self.mean[mine], np.sqrt(np.sum((rows @ own) * rows, axis=1))
+        columns = np.flatnonzero(self.model.prior.component == c)
+        rows = self.model.functions(q)[:, columns]
+        covariance = self.covariance[np.ix_(columns, columns)]
+        return rows @ self.mean[columns], np.sqrt(np.sum((rows @ covariance) * rows, axis=1))
 
     def interval(self, name: str, position: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """95 % interval of a component."""
@@ -187,7 +189,7 @@ class Identified:
         return MachineErrors.of(chain, values, nodes)
 
     def table(self) -> list[dict[str, Any]]:
-        """One row per constant: name, value, 95 % interval, unit, and how much of its spread the readings removed."""
+        """One row per constant: name, value, 95 % interval, unit, and the share of its prior variance removed."""
         out = []
         for i, name in enumerate(self.model.prior.names):
             if self.model.prior.function[i] < 0:
@@ -218,8 +220,8 @@ def identify(
 ) -> Identified:
     """Solve for all components and set-up parameters.
 
-    noise (um), sizes (spread before measuring by family, um or urad) and power are estimated where not given.
-    Raises DataError where readings are missing or fewer than a handful.
+    noise (um), sizes (prior standard deviation by family, um or urad) and power are estimated where not given.
+    Raises DataError where readings are missing or fewer than 8.
     """
     if len(obs) < 8 or not np.isfinite(obs.value).all():
         raise DataError(f"identification needs at least 8 readings, all of them numbers (found {len(obs)} rows)")
@@ -227,22 +229,22 @@ def identify(
     plain = np.hstack([model.design(obs), obs.nuisance])
     design = plain / obs.noise[:, None]
     spreads = model.prior.spreads(obs.nuisance_spread)
-    told = np.flatnonzero(design.any(axis=0))  # what no reading knows of keeps its prior: it needs no solving
-    offset, hyper = np.zeros(len(obs)), np.empty(0)  # no sizes learnt yet
+    seen = np.flatnonzero(design.any(axis=0))  # a column that no reading depends on keeps its prior
+    offset, hyper = np.zeros(len(obs)), np.empty(0)  # no prior sizes estimated yet
     for _ in range(max(1, iterations)):
-        moments = evidence.Moments.of(design[:, told], (obs.value - offset) / obs.noise)
+        moments = evidence.Moments.of(design[:, seen], (obs.value - offset) / obs.noise)
         start = hyper if hyper.size else None
-        hyper = evidence.learn(spreads.take(told), moments, _known(sizes, power, noise), start)
+        hyper = evidence.learn(spreads.take(seen), moments, _known(sizes, power, noise), start)
         mean, cov = np.zeros(design.shape[1]), np.diag(spreads.of(hyper) ** 2)
-        mean[told], cov[np.ix_(told, told)] = evidence.solve(spreads.take(told), moments, hyper)
-        bent = bending_of_lengths(chain, model, obs, plain, mean)
-        if np.abs(bent - offset).max() < 1e-3 * hyper[-1]:
+        mean[seen], cov[np.ix_(seen, seen)] = evidence.solve(spreads.take(seen), moments, hyper)
+        curvature = bending_of_lengths(chain, model, obs, plain, mean)
+        if np.abs(curvature - offset).max() < 1e-3 * hyper[-1]:
             break
-        offset = bent
+        offset = curvature
     p = len(model.prior.names)
     error = np.sqrt(np.diag(cov))
     setup = {n: (float(mean[p + i]), float(error[p + i])) for i, n in enumerate(obs.nuisance_names)}
-    found = dict(zip(FAMILIES, map(float, hyper[:-2]), strict=True))
+    learnt_sizes = dict(zip(FAMILIES, map(float, hyper[:-2]), strict=True))
     return Identified(
         model,
         mean[:p],
@@ -250,7 +252,7 @@ def identify(
         spreads.of(hyper)[:p],
         setup,
         float(hyper[-1]),
-        found,
+        learnt_sizes,
         float(hyper[-2]),
         len(obs),
         obs.value - offset - plain @ mean,
@@ -270,6 +272,6 @@ def bending_of_lengths(chain: Chain, model: Parametrisation, obs: Observations, 
 
 
 def _known(sizes: Mapping[str, float] | None, power: float | None, noise: float | None) -> np.ndarray:
-    """What the caller fixes, NaN where the readings decide."""
+    """Hyperparameters that the caller fixes; NaN where they are estimated."""
     given = [(sizes or {}).get(f) for f in FAMILIES] + [power, noise]
     return np.array([np.nan if v is None else v for v in given], dtype=float)

@@ -1,7 +1,7 @@
-"""What a test cannot see, in names, and the smallest extra measurement that would make it visible.
+"""Observability of a machine's components by a test, and the smallest extra measurement that would complete it.
 
-Parameters are scaled by how large they usually are and readings by their noise. In these units a direction of
-the parameter space that keeps more than half its spread after the test is not seen: its components are named.
+Parameters are scaled by their prior standard deviation and readings by their noise. An eigenvector of the posterior
+covariance that keeps more than half of its prior variance is unobserved ("unseen"): its components are named.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.observations import Observations
 
-UNSEEN = 0.5  # share of the prior variance that is left
-NAMED = 0.3  # a component belongs to an unseen direction from this weight on
-NEARLY, HELPS = 1e-3, 0.05  # weight of what stays unseen but less so; least of which a measurement is worth naming
+UNSEEN = 0.5  # eigenvalue of the scaled posterior covariance (share of the prior variance) of an unobserved combination
+NAMED = 0.3  # weight in an unobserved eigenvector from which a component is named
+NEARLY, HELPS = 1e-3, 0.05  # weight of variance removed short of UNSEEN; least gain of a proposed measurement
 SHORTEST_BAR = 1.0  # mm: below it a bar has no direction; real ones are 50 mm and longer
-BENDS = 2  # straight part and first bend stand for a curve: finer detail is a matter of more points
+BENDS = 2  # modes per curve: line and first bends; finer detail only needs more points
 
 
 @dataclass(frozen=True)
 class Unseen:
-    """A combination of components that a test leaves open. left: share of its prior variance that remains."""
+    """A combination of components that a test does not observe. left: share of its prior variance that remains."""
 
     components: tuple[str, ...]
     weights: tuple[float, ...]
@@ -63,7 +63,7 @@ class Extra:
 
 
 def coarse(chain: Chain, without: tuple[str, ...] = ()) -> ident.Parametrisation:
-    """Few functions per curve: what can be told apart at all."""
+    """Parametrisation with few functions per curve: enough to ask which components are identifiable."""
     return ident.Parametrisation.of(chain, modes=BENDS, without=without)
 
 
@@ -71,8 +71,8 @@ def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tup
     """Rank and unseen combinations of a test (readings may be missing; poses and set-up decide). noise: um."""
     model = coarse(chain, without)
     known, spread = information(model, obs, noise)
-    left = np.linalg.inv(known + np.eye(len(spread)))
-    values, vectors = np.linalg.eigh(left)
+    posterior = np.linalg.inv(known + np.eye(len(spread)))
+    values, vectors = np.linalg.eigh(posterior)
     singular = np.sqrt(np.maximum(np.linalg.eigvalsh(known)[::-1], 0.0))
     rank = int((singular**2 > 1.0).sum())
     unseen = tuple(_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)[::-1])
@@ -80,12 +80,12 @@ def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tup
     for c, name in enumerate(chain.components):
         rows = model.prior.component == c
         if rows.any():
-            seen[name] = float(1.0 - np.mean(np.diag(left)[rows]))
+            seen[name] = float(1.0 - np.mean(np.diag(posterior)[rows]))
     return Observability(rank, len(spread), singular, seen, _merged(unseen))
 
 
 def information(model: ident.Parametrisation, obs: Observations, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Information on the scaled components with set-up eliminated."""
+    """Fisher information of the scaled components, set-up eliminated (Schur complement), and their prior sd."""
     spread = model.prior.spreads(np.zeros(0)).of(np.r_[ident.TYPICAL, ident.SMOOTHNESS, 1.0])
     scale = (obs.noise * noise)[:, None]
     a = model.design(obs) * spread / scale
@@ -107,10 +107,10 @@ def _name(chain: Chain, model: ident.Parametrisation, vector: np.ndarray, left: 
 
 def _merged(unseen: tuple[Unseen, ...]) -> tuple[Unseen, ...]:
     """One line for each set of components."""
-    found: dict[tuple[str, ...], Unseen] = {}
+    by_components: dict[tuple[str, ...], Unseen] = {}
     for u in unseen:
-        found.setdefault(tuple(sorted(u.components)), u)
-    return tuple(found.values())
+        by_components.setdefault(tuple(sorted(u.components)), u)
+    return tuple(by_components.values())
 
 
 def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
@@ -121,24 +121,24 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
     machine = chain.machine
     tool = np.asarray(machine.tool.direction)
     side = np.linalg.svd(tool[None])[2][1]
-    found: dict[str, Observations] = {}
+    by_name: dict[str, Observations] = {}
     for a, axis in enumerate(chain.axes):
         q = np.tile(middle, (9, 1))
         q[:, a] = np.linspace(low[a], high[a], 9)
         for i, about in enumerate("ABC"):
             unit = np.eye(3)[i]
-            found[f"level or autocollimator along {axis}, about {about} (9 readings)"] = o.angle(
+            by_name[f"level or autocollimator along {axis}, about {about} (9 readings)"] = o.angle(
                 chain, q, tip, unit, label=f"{axis}{about}", seconds=300
             )
         if machine.axes[axis].kind == "linear":
-            found[f"laser along {axis} (9 readings)"] = o.along(
+            by_name[f"laser along {axis} (9 readings)"] = o.along(
                 chain, q, tip, machine.direction(axis), label=f"laser {axis}", seconds=900
             )
     for name, shift in (("a tool 100 mm longer", 100.0 * tool), ("a ball 80 mm beside the spindle axis", 80.0 * side)):
         rows = np.linspace(0, len(obs) - 1, min(len(obs), 60)).astype(int)
         again = obs.take(rows)
         moved = o.Observations(**{**again.__dict__, "tip": again.tip + shift})
-        found[f"the same test with {name} ({len(rows)} readings)"] = _refresh(chain, moved)
+        by_name[f"the same test with {name} ({len(rows)} readings)"] = _with_tool_moved(chain, moved)
     for i, first in enumerate(chain.axes):
         for j, second in enumerate(chain.axes):
             both = {machine.axes[first].kind, machine.axes[second].kind} == {"linear"}
@@ -150,14 +150,14 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
             q[:, i] += radius * np.cos(angle)
             q[:, j] += radius * np.sin(angle)
             socket = synthesis.ideal_pose(chain, middle, tip)[0, 0]
-            found[f"ball-bar circle {first}{second} (24 readings)"] = o.distance(
+            by_name[f"ball-bar circle {first}{second} (24 readings)"] = o.distance(
                 chain, q, tip, socket, label=f"circle {first}{second}", seconds=240
             )
-    return found
+    return by_name
 
 
-def _refresh(chain: Chain, obs: Observations) -> Observations:
-    """The same readings from another tool: bar directions follow the tool's place; a bar of no length reads nothing."""
+def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
+    """The same readings from another tool: bar directions are computed anew, bars below SHORTEST_BAR are left out."""
     ray = synthesis.ideal_pose(chain, obs.q, obs.tip)[:, 0] - obs.socket
     length = np.linalg.norm(ray, axis=1)
     possible = ~(length < SHORTEST_BAR)  # NaN where a reading is no bar's
@@ -194,9 +194,9 @@ def smallest_extra(
             break
         best, score = "", 0.0
         for name, gain in gains.items():
-            left = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (known + gain) @ open_ + np.eye(open_.shape[1])))
-            # combinations made visible; among those that make none, the one that comes nearest
-            resolved = float((left <= UNSEEN).sum()) + NEARLY * float(open_.shape[1] - left.sum())
+            remaining = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (known + gain) @ open_ + np.eye(open_.shape[1])))
+            # combinations that become observed; where none does, the variance removed
+            resolved = float((remaining <= UNSEEN).sum()) + NEARLY * float(open_.shape[1] - remaining.sum())
             rate = resolved / max(offered[name].seconds, 60.0)
             if resolved > HELPS and rate > score:
                 best, score = name, rate
@@ -212,5 +212,5 @@ def smallest_extra(
 
 def _unseen_names(chain: Chain, model: ident.Parametrisation, known: np.ndarray) -> set[str]:
     values, vectors = np.linalg.eigh(np.linalg.inv(known + np.eye(len(known))))
-    found: Sequence[Unseen] = [_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)]
-    return {c for u in found for c in u.components}
+    unseen: Sequence[Unseen] = [_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)]
+    return {c for u in unseen for c in u.components}

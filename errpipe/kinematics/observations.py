@@ -1,10 +1,10 @@
-"""What every test of a machine comes down to: rows of poses, a weight on the deviation there, and a reading.
+"""Every test of a machine in one form: rows of poses, weights on the deviation there, and a reading.
 
     reading = weights . deviation(q, tip) + nuisance @ setup + noise            [um; urad for angular readings]
 
 A distance row reads the change of length between a socket and the tool, |tool - socket|, whose weight is the
 unit vector from one to the other; it is solved with the true length, not with its slope. Set-up errors (where
-the socket or artefact stands, bar length, pose of a plate) are nuisance columns with generous spreads.
+the socket or artefact stands, bar length, pose of a plate) are nuisance columns with wide priors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 
-SHIFT = 1000.0  # um: a socket or artefact is placed within a few millimetres at worst
+SHIFT = 1000.0  # um, prior sd as of all below: a socket or artefact is placed within a few millimetres at worst
 TURN = 3000.0  # urad
 SCALE = 200.0  # um/m: an artefact some degrees away from 20 degC
 LENGTH = 200.0  # um
@@ -222,32 +222,32 @@ def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) 
     """
     if not any(a.kind == "rotary" for a in chain.machine.axes.values()):
         return []
-    found = []
+    columns = []
     for i, d in enumerate("XYZ"):
         column = np.einsum("nj,nj->n", pose[:, 1 + i], unit[:, 0])
-        found.append((f"{label}: ball {d}", BALL, column))
-    return found
+        columns.append((f"{label}: ball {d}", BALL, column))
+    return columns
 
 
 def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observations:
     """Rows of several tests together. shared: set-up parameters of one name are one parameter, else always apart."""
     names: list[str] = []
     spread: list[float] = []
-    place = []
+    column_numbers = []
     for number, part in enumerate(parts):
-        own = []
+        numbers = []
         for name, size in zip(part.nuisance_names, part.nuisance_spread, strict=True):
             if not shared and name in names:
                 name = f"{name} ({number + 1})"
             if name not in names:
                 names.append(name)
                 spread.append(float(size))
-            own.append(names.index(name))
-        place.append(own)
+            numbers.append(names.index(name))
+        column_numbers.append(numbers)
     nuisance = np.zeros((sum(map(len, parts)), len(names)))
     row = 0
-    for part, own in zip(parts, place, strict=True):
-        nuisance[row : row + len(part), own] = part.nuisance
+    for part, numbers in zip(parts, column_numbers, strict=True):
+        nuisance[row : row + len(part), numbers] = part.nuisance
         row += len(part)
     joined = {
         n: np.concatenate([getattr(p, n) for p in parts])

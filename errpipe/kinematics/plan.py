@@ -1,8 +1,8 @@
 """Test design: bar sockets, tools and positions that show every component in the least time, as an NC program.
 
 Blocks of measurement (one socket and one tool, a short path of ball positions) are added one after the other,
-each the one that brings most knowledge per minute, set-up times counted, until every combination of components
-is seen. What no block can show is left in the plan's `open`.
+each the one with the largest information gain per minute, set-up times counted, until every combination of
+components is observed. What no block observes is left in the plan's `open`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from errpipe.kinematics import observability, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 
-SHOWN = 20.0  # a combination made visible counts like this many nats of knowledge: seeing all comes before seeing well
+SHOWN = 20.0  # nats that a newly observed combination counts for: observing all comes before observing precisely
 LEAST_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
@@ -101,8 +101,8 @@ def propose(
     picked = tuple(blocks[i] for i in order)
     minutes = _seconds(picked, means) / 60.0
     test = o.concatenate([b.observations for b in picked])
-    found = observability.examine(chain, test, noise=means.noise, without=without)
-    return Plan(chain, picked, minutes, found.unseen, means)
+    result = observability.examine(chain, test, noise=means.noise, without=without)
+    return Plan(chain, picked, minutes, result.unseen, means)
 
 
 def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
@@ -138,14 +138,14 @@ def _box(chain: Chain) -> np.ndarray:
 
 
 def _blocks(chain, socket, length, offset, means: Means, positions: int, rng) -> list[Block]:
-    """Blocks within the bar's reach of one socket with one tool: two independent scatters over the volume."""
+    """Blocks within the bar's reach of one socket with one tool: two independent random samples of the volume."""
     box, tip = _box(chain), chain.tip(length, offset)
     q = rng.uniform(box[:, 0], box[:, 1], (positions * 60, len(chain.axes)))
     edge = rng.random(q.shape) < 0.25
     q = np.where(edge, np.where(rng.random(q.shape) < 0.5, box[:, 0], box[:, 1]), q)
     span = np.linalg.norm(synthesis.ideal_pose(chain, q, tip)[:, 0] - socket, axis=1)
     q = q[(span >= means.reach[0]) & (span <= means.reach[1])]
-    found = []
+    blocks = []
     for _ in range(2):
         if len(q) < positions:
             break
@@ -153,43 +153,43 @@ def _blocks(chain, socket, length, offset, means: Means, positions: int, rng) ->
         q = q[positions:]
         name = f"socket {'/'.join(f'{v:.0f}' for v in socket)} tool {length:g}"
         test = o.distance(chain, path, tip, socket, label=name)
-        found.append(Block(_triple(socket), length, _triple(offset), path, test))
-    return found
+        blocks.append(Block(_triple(socket), length, _triple(offset), path, test))
+    return blocks
 
 
 def _short_path(q: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Nearest neighbour next, from the lowest corner."""
+    """Nearest-neighbour tour from the lowest corner, distances scaled by the travel."""
     scaled = (q - box[:, 0]) / np.ptp(box, axis=1)
-    left, order = set(range(len(q))), [int(np.argmin(scaled.sum(axis=1)))]
-    left.discard(order[0])
-    while left:
-        rest = sorted(left)
-        away = np.linalg.norm(scaled[rest] - scaled[order[-1]], axis=1)
-        order.append(rest[int(np.argmin(away))])
-        left.discard(order[-1])
+    unvisited, order = set(range(len(q))), [int(np.argmin(scaled.sum(axis=1)))]
+    unvisited.discard(order[0])
+    while unvisited:
+        candidates = sorted(unvisited)
+        distance = np.linalg.norm(scaled[candidates] - scaled[order[-1]], axis=1)
+        order.append(candidates[int(np.argmin(distance))])
+        unvisited.discard(order[-1])
     return q[order]
 
 
 def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: int) -> list[int]:
-    """Blocks by knowledge per second until nothing is unseen or nothing helps."""
+    """Greedy selection by information gain per second until all is observed or no block reaches LEAST_GAIN."""
     p = len(gains[0])
     known = np.eye(p)
     chosen: list[int] = []
     while len(chosen) < most:
-        left = np.linalg.eigvalsh(np.linalg.inv(known))
-        if left.max() <= observability.UNSEEN:
+        variances = np.linalg.eigvalsh(np.linalg.inv(known))
+        if variances.max() <= observability.UNSEEN:
             break
         before = np.linalg.slogdet(known)[1]
-        best, rate = -1, LEAST_GAIN
+        best, best_rate = -1, LEAST_GAIN
         for i, gain in enumerate(gains):
             if i in chosen:
                 continue
             after = np.linalg.eigvalsh(np.linalg.inv(known + gain))
-            shown = int((left > observability.UNSEEN).sum() - (after > observability.UNSEEN).sum())
-            won = np.linalg.slogdet(known + gain)[1] - before + SHOWN * shown
-            per = won / _more_seconds(blocks, chosen, i, means)
-            if per > rate:
-                best, rate = i, per
+            shown = int((variances > observability.UNSEEN).sum() - (after > observability.UNSEEN).sum())
+            score = np.linalg.slogdet(known + gain)[1] - before + SHOWN * shown
+            score_per_second = score / _more_seconds(blocks, chosen, i, means)
+            if score_per_second > best_rate:
+                best, best_rate = i, score_per_second
         if best < 0:
             break
         chosen.append(best)
@@ -198,17 +198,17 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: in
 
 
 def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
-    """Without the blocks that later ones made superfluous, the slowest of them first."""
+    """The selection without redundant blocks (no more combinations unseen without them), the slowest dropped first."""
 
     def unseen(rows: list[int]) -> int:
         known = np.eye(len(gains[0])) + sum(gains[i] for i in rows)
         return int((np.linalg.eigvalsh(np.linalg.inv(known)) > observability.UNSEEN).sum())
 
-    kept, wanted = list(chosen), unseen(chosen) if chosen else 0
+    kept, unseen_with_all = list(chosen), unseen(chosen) if chosen else 0
     for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], means)):
-        rest = [j for j in kept if j != i]
-        if rest and unseen(rest) <= wanted:
-            kept = rest
+        others = [j for j in kept if j != i]
+        if others and unseen(others) <= unseen_with_all:
+            kept = others
     return kept
 
 

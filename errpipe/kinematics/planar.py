@@ -1,13 +1,13 @@
-"""Planar error map from a pattern of holes or balls: what a machine does over X and Y, set-up taken out.
+"""Planar error map from a pattern of holes or balls: the deviation over X and Y with the set-up removed.
 
     E_X = kx x - s y + EXX(x) + EXY(y) + map_X(x, y)
     E_Y = ky y       + EYX(x) + EYY(y) + map_Y(x, y)          um, x and y in mm from the middle of the pattern
 
-Per run a shift and a rotation are set-up and nuisance. kx, ky are scale (um/m), s is the squareness C0Y (urad,
+A shift and a rotation per run are nuisance parameters (set-up). kx, ky are scale (um/m), s is the squareness C0Y (urad,
 X the datum axis: +1 urad leans +Y motion towards -X). The curves are bending modes of a free beam (no slope),
-the map their products (what angular motions do at an arm, and all else that is smooth). How large and how
-smooth each is comes from the readings (`evidence`). With several runs each may differ from the common map by a
-smooth map of its own, so that one plate's peculiarity does not pass for the machine's.
+the map their products (angular motions at a lever arm, and any other smooth part). Size and smoothness of each
+are estimated from the readings (`evidence`). With several runs each may differ from the common map by a smooth
+map of its own, so that an error of one plate is not attributed to the machine.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from errpipe.kinematics import evidence
 from errpipe.kinematics.basis import beam_modes, wave_numbers
 
 FAMILIES = ("scale and squareness", "curves", "map", "own map")
-TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # um rms; power; noise um
-CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])
+TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # prior: um rms by family; power; noise um
+CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])  # prior sd of the logarithm of each
 SHIFT, TURN = 2000.0, 2000.0  # um, urad: CMM datum against the machine's
 OWN_ROUGH = 3.0  # a run's own map holds bends up to this wave number: set-up and temperature are smooth
-MISTAKE = 6.0  # beyond this many robust standard deviations about a straight map a hole is no hole of the pattern
-HUBER = 2.5  # beyond this many standard deviations a hole counts less (a chip, a mispicked hole)
+MISTAKE = 6.0  # robust standard deviations (1.48 MAD) about an affine map beyond which a hole is left out as an outlier
+HUBER = 2.5  # Huber threshold, standard deviations, beyond which a hole is down-weighted (a chip, a mispicked hole)
 
 
 @dataclass(frozen=True)
 class Box:
-    """Where the map was seen: x and y ranges, mm."""
+    """Ranges of the measured x and y, mm."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -216,7 +216,7 @@ def fit_plate(
 ) -> PlanarModel:
     """Fit the map to components E_X and E_Y over positions X and Y; every run has its own shift and rotation.
 
-    rows: mask or indices of the holes to use (all where left out). robust: let stray holes count less.
+    rows: mask or indices of the holes to use (all where left out). robust: down-weight outlying holes.
     Raises DataError where columns are missing, there are fewer than 12 holes, or they lie on one line.
     """
     x, y, run, ex, ey = _columns(recording, rows)
@@ -230,16 +230,16 @@ def fit_plate(
     known = np.full(6, np.nan)
     if len(used) < 2:
         known[3] = 1e-6
-    weight, hyper = np.ones(len(readings)), np.empty(0)  # no sizes learnt yet
+    weight, hyper = np.ones(len(readings)), np.empty(0)  # no prior sizes estimated yet
     if robust:
         weight = np.tile(_plausible(x, y, run, used, np.column_stack([ex, ey])), 2)
-    sound = weight > 0
+    plausible = weight > 0
     for _ in range(4 if robust else 1):
         moments = evidence.Moments.of(design * weight[:, None], readings * weight)
         hyper = evidence.learn(spreads, moments, known, hyper if hyper.size else None)
         mean, cov = evidence.solve(spreads, moments, hyper)
-        away = np.abs(readings - design @ mean) / hyper[-1]
-        weight = sound * np.sqrt(np.minimum(1.0, HUBER / np.maximum(away, 1e-12))) if robust else weight
+        standardised = np.abs(readings - design @ mean) / hyper[-1]
+        weight = plausible * np.sqrt(np.minimum(1.0, HUBER / np.maximum(standardised, 1e-12))) if robust else weight
     p = 3 + len(functions.output)
     labels = recording.run_labels()
     poses = mean[p : p + 3 * len(used)].reshape(-1, 3)
@@ -267,7 +267,7 @@ def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.n
 
 
 def repeated(recording: Recording, first: str, second: str) -> dict[str, float]:
-    """Two measurements of one plate, hole by hole: what any model of that plate is up against.
+    """Two measurements of one plate, hole by hole: the noise floor of any model of that plate.
 
     first, second: run labels. `difference` (um): rms of second minus first after a shift and rotation;
     `floor`: that over sqrt 2, one measurement's share. `smooth`: the floor once a smooth drift is taken out too.
@@ -278,20 +278,20 @@ def repeated(recording: Recording, first: str, second: str) -> dict[str, float]:
         if label not in labels:
             raise DataError(f"the recording has no run {label!r} (runs: {', '.join(labels)})")
     x, y, run, ex, ey = _columns(recording, None)
-    one, two = (
+    at_first, at_second = (
         {(a, b): (c, d) for a, b, c, d, r in zip(x, y, ex, ey, run, strict=True) if r == labels.index(k)}
         for k in (first, second)
     )
-    holes = sorted(one.keys() & two.keys())
+    holes = sorted(at_first.keys() & at_second.keys())
     if len(holes) < 12:
         raise DataError(f"runs {first} and {second} have only {len(holes)} holes in common")
     place = np.array(holes)
-    gap = np.array([np.subtract(two[h], one[h]) for h in holes])
-    left = without_setup(place[:, 0], place[:, 1], gap)
+    difference = np.array([np.subtract(at_second[h], at_first[h]) for h in holes])
+    residual = without_setup(place[:, 0], place[:, 1], difference)
     terms = [place[:, 0] ** i * place[:, 1] ** j for i in range(4) for j in range(4 - i)]
     basis = np.column_stack([t / np.abs(t).max() for t in terms])
-    flat = gap - basis @ np.linalg.lstsq(basis, gap, rcond=None)[0]
-    size = [float(np.sqrt(np.mean(v**2))) for v in (left, flat)]
+    detrended = difference - basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
+    size = [float(np.sqrt(np.mean(v**2))) for v in (residual, detrended)]
     return {"holes": len(holes), "difference": size[0], "floor": size[0] / 2**0.5, "smooth": size[1] / 2**0.5}
 
 
@@ -312,7 +312,7 @@ def _columns(recording: Recording, rows: np.ndarray | None):
 
 
 def _plausible(x, y, run, used, deviation: np.ndarray) -> np.ndarray:
-    """1.0 for holes that lie within a plate's usual scatter about its best straight map, 0.0 for mistakes."""
+    """1.0 for holes within MISTAKE robust standard deviations of their plate's affine map, 0.0 for outliers."""
     out = np.ones(len(x))
     for r in used:
         rows = np.flatnonzero(run == r)
@@ -321,13 +321,13 @@ def _plausible(x, y, run, used, deviation: np.ndarray) -> np.ndarray:
         for _ in range(5):
             if keep.sum() < 6:
                 break
-            left = deviation[rows] - base @ np.linalg.lstsq(base[keep], deviation[rows][keep], rcond=None)[0]
-            away = np.abs(left).max(axis=1)
-            limit = MISTAKE * 1.48 * float(np.median(away[keep]))
-            new = away <= max(limit, 1e-6)
-            if (new == keep).all():
+            residual = deviation[rows] - base @ np.linalg.lstsq(base[keep], deviation[rows][keep], rcond=None)[0]
+            size = np.abs(residual).max(axis=1)
+            limit = MISTAKE * 1.48 * float(np.median(size[keep]))
+            within = size <= max(limit, 1e-6)
+            if (within == keep).all():
                 break
-            keep = new
+            keep = within
         out[rows] = keep
     return out
 
@@ -349,20 +349,20 @@ def _design(functions: Functions, x, y, run, used) -> tuple[np.ndarray, evidence
     dx, dy = (x - functions.box.middle[0]) * 1e-3, (y - functions.box.middle[1]) * 1e-3
     one, nil = np.ones_like(dx), np.zeros_like(dx)
     pose = np.vstack([np.column_stack([one, nil, -dy]), np.column_stack([nil, one, dx])])
-    both = np.vstack([mask, mask])
-    blocks = [common] + [pose * both[:, [i]] for i in range(len(used))]
+    in_run = np.vstack([mask, mask])
+    blocks = [common] + [pose * in_run[:, [i]] for i in range(len(used))]
     family = [np.r_[0, 0, 0, functions.family], np.full(3 * len(used), -1)]
     # scale and squareness are per metre of half the pattern: a 10 um edge is 10 / half-width um/m
     half = 1e3 / (0.5 * max(np.ptp(x), np.ptp(y)))
     fixed = [np.ones(p), np.tile([SHIFT, SHIFT, TURN], len(used))]
     rough = [np.r_[1.0, 1.0, 1.0, functions.rough], np.ones(3 * len(used))]
     if len(used) > 1:
-        own = np.r_[True, True, True, functions.rough <= OWN_ROUGH]
+        smooth_enough = np.r_[True, True, True, functions.rough <= OWN_ROUGH]
         for i in range(len(used)):
-            blocks.append(common[:, own] * both[:, [i]])
-            family.append(np.full(own.sum(), 3))
-            fixed.append(np.ones(own.sum()))
-            rough.append(np.r_[1.0, 1.0, 1.0, functions.rough][own])
+            blocks.append(common[:, smooth_enough] * in_run[:, [i]])
+            family.append(np.full(smooth_enough.sum(), 3))
+            fixed.append(np.ones(smooth_enough.sum()))
+            rough.append(np.r_[1.0, 1.0, 1.0, functions.rough][smooth_enough])
     spreads = evidence.Spreads(
         np.concatenate(family),
         np.concatenate(rough),

@@ -1,4 +1,4 @@
-"""The Jacobian in letters: every entry as a polynomial in coordinates, sines, cosines and tool dimensions.
+"""The Jacobian in symbols: every entry as a polynomial in coordinates, sines, cosines and tool dimensions.
 
 A polynomial is a mapping from sorted tuples of variable names to coefficients; () is the constant.
 """
@@ -14,11 +14,11 @@ from errpipe.kinematics.chain import Chain
 
 Polynomial = dict[tuple[str, ...], float]
 TOOL = ("tool_length", "tool_offset_X", "tool_offset_Y", "tool_offset_Z")
-_TINY = 1e-12
+_TINY = 1e-12  # smaller coefficients are rounding of the geometry (mm, direction cosines)
 
 
 def add(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
-    """a + factor * b, without vanished terms."""
+    """a + factor * b, without terms that cancel."""
     out = dict(a)
     for key, value in b.items():
         out[key] = out.get(key, 0.0) + factor * value
@@ -80,7 +80,7 @@ def _scale(a: Polynomial, factor: float) -> Polynomial:
 
 
 def _arms(chain: Chain) -> list[list[Polynomial]]:
-    """Ideal tip behind each factor, in letters, mm."""
+    """Ideal tip behind each factor, in symbols, mm."""
     kind, axis, vec, point, *_ = chain.factors
     tool = chain.machine.tool
     tip = []
@@ -106,15 +106,15 @@ def _arms(chain: Chain) -> list[list[Polynomial]]:
 def _turns(chain: Chain, frame: str) -> list[list[list[Polynomial]]]:
     """Ideal turn from each factor's frame to the frame of the outputs."""
     kind, axis, vec, *_ = chain.factors
-    one: list[list[Polynomial]] = [[{(): 1.0} if i == j else {} for j in range(3)] for i in range(3)]
-    out = [one for _ in kind]
+    unit: list[list[Polynomial]] = [[{(): 1.0} if i == j else {} for j in range(3)] for i in range(3)]
+    out = [unit for _ in kind]
     bed = _bed(chain) if frame == "axes" else 0
-    turn = one
+    turn = unit
     for f in range(bed, len(kind)):
         out[f] = turn
         if kind[f] == k.TURN:
             turn = _product(turn, _rotation(chain.axes[axis[f]], vec[f]))
-    turn = one
+    turn = unit
     for f in range(bed - 1, -1, -1):
         if kind[f] == k.TURN:
             back = _rotation(chain.axes[axis[f]], vec[f])
@@ -142,7 +142,7 @@ def _owner(component: str) -> str:
 
 
 def _rotation(name: str, v: np.ndarray) -> list[list[Polynomial]]:
-    """Rodrigues in letters: c I + s [v]x + (1 - c) v v'."""
+    """Rodrigues' formula in symbols: c I + s [v]x + (1 - c) v v'."""
     c, s = (f"cos {name}",), (f"sin {name}",)
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     out = []

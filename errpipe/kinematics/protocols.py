@@ -49,12 +49,12 @@ class _Run:
 
     def constant(self, name: str, default: float | None) -> float:
         constants = self._recording.manifest.constants
-        found = constants.get(f"{name}@{self.label}", constants.get(name))
-        if found is None or found.value is None:
+        constant = constants.get(f"{name}@{self.label}", constants.get(name))
+        if constant is None or constant.value is None:
             if default is None:
                 raise DataError(f"run {self.label}: the manifest's constants need {name} (or {name}@{self.label})")
             return default
-        return float(found.value)
+        return float(constant.value)
 
     def _axis(self, number: int, axis: str) -> np.ndarray:
         name = self._recording.name("command", axis=axis) or self._recording.name("position", axis=axis)
@@ -77,10 +77,10 @@ class _Run:
         return None if name is None else self._recording.array(name)[self._rows]
 
     def radial(self) -> np.ndarray:
-        found = self.value("E_R")
-        if found is None:
+        reading = self.value("E_R")
+        if reading is None:
             raise DataError("the recording has no error column of component E_R (deviation along the bar or beam)")
-        return found
+        return reading
 
 
 def _bar(run: _Run) -> o.Observations:

@@ -1,11 +1,11 @@
 """Laser and level records of single components as observations of a machine, beside any other test.
 
 A row reads one component at one position, in um or urad. The beam's own errors are taken out first (`direct`);
-what is left unknown is solved for together with the components, so that every interval knows of it:
+unknown set-up is solved for together with the components, so that every interval includes it:
 
 * zero      of each record; of each run, where the laser was set to zero anew.
-* slope     of a straightness: how the straightedge lay; of two records against one square it is one turn, and
-            what the two differ by is the squareness of the machine.
+* slope     of a straightness: tilt of the straightedge. Two records against one square share one tilt, and their
+            difference is the squareness of the machine.
 * reversal  up minus down, as a line over the travel, where a record was made from both sides.
 * Abbe      a beam beside the point that a component is defined at reads the axis' angles too, at its arm. Where
             the angles were measured they are subtracted, with their own uncertainty; where not, the interval says so.
@@ -29,8 +29,8 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import LETTERS, Chain
 
 ROTATIONS = {"A": LETTERS["X"], "B": LETTERS["Y"], "C": LETTERS["Z"]}
-BACKLASH, PER_METRE = 30.0, 60.0  # um (urad), um/m (urad/m): how large a reversal and its change may ordinarily be
-LEAST_BOTH = 3  # targets
+BACKLASH, PER_METRE = 30.0, 60.0  # um (urad), um/m (urad/m): prior sd of a reversal and of its change
+LEAST_BOTH = 3  # targets approached from both sides, from which a reversal is fitted
 LEAST_NOISE = 0.02  # um, urad: no laser or level repeats better
 
 
@@ -101,12 +101,12 @@ def read(
             records += [] if record is None else [record]
     if not records:
         raise DataError("no recording has a reading of an error motion")
-    _all_used(lasers or {}, records)
+    _check_lasers_used(lasers or {}, records)
     return records
 
 
-def _all_used(lasers: Mapping[str, direct.Laser], records: list[Record]) -> None:
-    """Raises DataError for a set-up of a component that was not recorded: a slip of the pen would pass unseen."""
+def _check_lasers_used(lasers: Mapping[str, direct.Laser], records: list[Record]) -> None:
+    """Raises DataError for a set-up of a component that was not recorded: a misspelt name would be ignored."""
     names = [r.component for r in records]
     for name in lasers:
         if name not in names:
@@ -136,7 +136,7 @@ def _record(recording: Recording, component: str, laser, label: str, take) -> Re
 
 
 def _zeros(p: np.ndarray, value: np.ndarray, side: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """What each reading's zero is off by against the first one's, by least squares over targets and sides."""
+    """Offset of each reading's zero against the first zero, by least squares over targets and sides."""
     if not zero.any():
         return np.zeros(len(p))
     _, cell = np.unique(np.column_stack([direct.targets_of(p)[1], side]), axis=0, return_inverse=True)
@@ -144,33 +144,35 @@ def _zeros(p: np.ndarray, value: np.ndarray, side: np.ndarray, zero: np.ndarray)
     design = np.column_stack(
         [cell[:, None] == np.arange(cell.max() + 1), zero[:, None] == np.arange(1, zero.max() + 1)]
     )
-    found = np.linalg.lstsq(design.astype(float), value, rcond=None)[0]
-    return np.r_[0.0, found[cell.max() + 1 :]][zero]
+    coefficients = np.linalg.lstsq(design.astype(float), value, rcond=None)[0]
+    return np.r_[0.0, coefficients[cell.max() + 1 :]][zero]
 
 
 def _repeatability(p: np.ndarray, value: np.ndarray, side: np.ndarray) -> float:
-    """Scatter of repeats at one target from one side, um or urad.
+    """Standard deviation of repeats at one target from one side, um or urad.
 
-    Where nothing was repeated: of up minus down about a line, else of neighbours about a cubic.
+    Without repeats: of up minus down about a line, else from fourth differences along the targets (cubic removed).
     """
     targets, number = direct.targets_of(p)
-    square, free, means = 0.0, 0, []
+    square, freedom, means = 0.0, 0, []
     for s in (1.0, -1.0):
-        own = side == s
-        count = np.bincount(number[own], minlength=len(targets))
-        mean = np.bincount(number[own], weights=value[own], minlength=len(targets)) / np.maximum(count, 1)
-        square += float(np.sum((value[own] - mean[number[own]]) ** 2))
-        free += int(np.sum(np.maximum(count - 1, 0)))
+        from_side = side == s
+        count = np.bincount(number[from_side], minlength=len(targets))
+        mean = np.bincount(number[from_side], weights=value[from_side], minlength=len(targets)) / np.maximum(count, 1)
+        square += float(np.sum((value[from_side] - mean[number[from_side]]) ** 2))
+        freedom += int(np.sum(np.maximum(count - 1, 0)))
         means.append(np.where(count > 0, mean, np.nan))
-    if free >= 3:
-        return max(LEAST_NOISE, float(np.sqrt(square / free)))
-    gap = means[0] - means[1]
-    both = np.isfinite(gap)
-    if both.sum() >= 5:
-        left = gap[both] - np.polyval(np.polyfit(targets[both], gap[both], 1), targets[both])
-        return max(LEAST_NOISE, float(np.sqrt(left @ left / (both.sum() - 2) / 2.0)))
-    bent = np.diff(np.nanmean(means, axis=0), 4)
-    return max(LEAST_NOISE, float(np.sqrt(np.mean(bent**2) / 70.0))) if bent.size else 1.0
+    if freedom >= 3:
+        return max(LEAST_NOISE, float(np.sqrt(square / freedom)))
+    reversal = means[0] - means[1]
+    measured = np.isfinite(reversal)
+    if measured.sum() >= 5:
+        residual = reversal[measured] - np.polyval(
+            np.polyfit(targets[measured], reversal[measured], 1), targets[measured]
+        )
+        return max(LEAST_NOISE, float(np.sqrt(residual @ residual / (measured.sum() - 2) / 2.0)))
+    fourth_difference = np.diff(np.nanmean(means, axis=0), 4)
+    return max(LEAST_NOISE, float(np.sqrt(np.mean(fourth_difference**2) / 70.0))) if fourth_difference.size else 1.0
 
 
 def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -> o.Observations:
@@ -182,25 +184,25 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     if kind in ("positioning", "straightness") and (guided or (laser is not None and any(laser.offset))):
         _add_arms(chain, own, r, laser or direct.Laser(), sign)
     middle = chain.travel[chain.axes.index(r.axis)].mean()
-    away = (r.position - middle) * 1e-3
+    metres = (r.position - middle) * 1e-3
     tag = f"{r.label} {r.component}".strip()
     zeros = [(f"{tag}: zero" + (f" {k + 1}" if r.zero.any() else ""), r.zero == k) for k in np.unique(r.zero)]
     value, columns = r.value.copy(), [(name, o.SHIFT, own_rows.astype(float)) for name, own_rows in zeros]
     if kind == "straightness":
         turn = turns.get(r.component)
         if turn is None:
-            columns.append((f"{tag}: straightedge", o.TURN, away))
+            columns.append((f"{tag}: straightedge", o.TURN, metres))
         else:
             square, name = turn
-            lean = _lean(chain, square, r.component)
-            columns.append((name, o.TURN, -lean * away))
+            lean = _slope_per_squareness(chain, square, r.component)
+            columns.append((name, o.TURN, -lean * metres))
             if r.axis == square[2:]:
-                value += lean * squares[square] * away
+                value += lean * squares[square] * metres
     for square in _squares_of(chain, r.component):
-        own[:, chain.index(square)] += _lean(chain, square, r.component) * (r.position - middle) * 1e-3
-    if _both_ways(r):
+        own[:, chain.index(square)] += _slope_per_squareness(chain, square, r.component) * (r.position - middle) * 1e-3
+    if _both_directions(r):
         columns.append((f"{tag}: reversal", BACKLASH, 0.5 * r.side))
-        columns.append((f"{tag}: reversal per metre", PER_METRE, 0.5 * r.side * away))
+        columns.append((f"{tag}: reversal per metre", PER_METRE, 0.5 * r.side * metres))
     q = np.tile(chain.travel.mean(axis=1), (n, 1))
     q[:, chain.axes.index(r.axis)] = r.position
     names, spread, values = zip(*columns, strict=True)
@@ -220,8 +222,8 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     )
 
 
-def _both_ways(r: Record) -> bool:
-    """Whether enough targets were approached from both sides to tell the reversal and its change from the curve."""
+def _both_directions(r: Record) -> bool:
+    """Whether enough targets were approached from both sides to separate the reversal and its change from the curve."""
     number = direct.targets_of(r.position)[1]
     return len(set(number[r.side > 0]) & set(number[r.side < 0])) >= LEAST_BOTH
 
@@ -234,7 +236,7 @@ def sense(chain: Chain, axis: str) -> float:
 
 
 def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser, sign: float) -> None:
-    """What the beam, beside the point a component is defined at, reads of the axis' angles, um per urad."""
+    """Add to `own` the Abbe arms, um per urad: the beam is offset from the point that a component is defined at."""
     axis = chain.machine.axes[r.axis]
     along = np.asarray(chain.machine.direction(r.axis))
     arm = np.tile(-np.asarray(laser.offset, dtype=float), (len(r.position), 1))
@@ -246,8 +248,8 @@ def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser, sig
         own[:, chain.index(name)] += sign * (np.cross(about, arm) @ reads) * 1e-3
 
 
-def _lean(chain: Chain, square: str, component: str) -> float:
-    """um/m along a straightness' direction for 1 urad of a squareness of its axis; 0 where it is of another axis."""
+def _slope_per_squareness(chain: Chain, square: str, component: str) -> float:
+    """Slope of a straightness, um/m, for 1 urad of a squareness of its axis; 0 where it is of another axis."""
     turned = np.cross(ROTATIONS[square[0]], chain.machine.direction(direct.axis_of(component)))
     return float(turned @ direct.direction_of(chain, component))
 
@@ -257,8 +259,8 @@ def _squares_of(chain: Chain, component: str) -> list[str]:
     c = parse(component)
     if c.kind != "straightness":
         return []
-    own = [n for n in chain.components if n[0] in ROTATIONS and n[1:] == f"0{c.axis}"]
-    return [n for n in own if abs(_lean(chain, n, component)) > 1e-9]
+    of_axis = [n for n in chain.components if n[0] in ROTATIONS and n[1:] == f"0{c.axis}"]
+    return [n for n in of_axis if abs(_slope_per_squareness(chain, n, component)) > 1e-9]
 
 
 def _pair(chain: Chain, square: str) -> tuple[str, str] | None:
@@ -277,13 +279,13 @@ def _pair(chain: Chain, square: str) -> tuple[str, str] | None:
 def _square_columns(chain: Chain, records: list[Record], squares: Mapping[str, float]) -> dict[str, tuple[str, str]]:
     """Straightness component -> the squareness its square stands for, and the name of that square's turn."""
     out: dict[str, tuple[str, str]] = {}
-    here = {r.component for r in records}
+    recorded = {r.component for r in records}
     for square in squares:
         pair = _pair(chain, square) if square in chain.components else None
         if pair is None:
             near = did_you_mean(square, [n for n in chain.components if n[1] == "0" and n[0] in ROTATIONS])
             raise DataError(f"squares.{square}: {chain.machine.name} has no such squareness of two linear axes.{near}")
-        missing = [c for c in pair if c not in here]
+        missing = [c for c in pair if c not in recorded]
         if missing:
             raise DataError(f"squares.{square}: needs {pair[0]} and {pair[1]}, but {missing[0]} was not recorded")
         for component in pair:

@@ -1,8 +1,8 @@
-"""What is left of a machine's volumetric error once an identification is compensated.
+"""Residual volumetric error of a machine after compensation by an identification.
 
-Of a simulated machine the truth is known: the residual is true less predicted, by full transforms, at places that
-no test measured. A shift and turn of the whole workpiece is no error of the part: it is taken out before and after,
-as the workpiece's datum does. Of a real machine only the standard error of the prediction can be said.
+The true error of a simulated machine is known: the residual is true minus predicted error, by full transforms, at
+positions that no test measured. The workpiece's datum absorbs a rigid shift and rotation of the whole part, so both
+are removed before and after. Of a real machine only the standard error of the prediction is known.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.identify import Identified
 
-PLACES, SEED = 400, 77  # where a residual is looked at: no test's own places
-JUDGED = 60  # places of the whole covariance at which a compensation is judged: 3 cm apart on a machine of 0.5 m
-PIECE = 500  # places at a time where the whole covariance is needed
+PLACES, SEED = 400, 77  # random positions at which a residual is evaluated; no test draws from this seed
+JUDGED = 60  # random positions at which the posterior covariance of a compensation is evaluated
+PIECE = 500  # positions per block of the covariance, which bounds memory
 
 Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviation (n, 3) um
 
@@ -43,7 +43,7 @@ def places(chain: Chain, count: int = PLACES, seed: int = SEED) -> np.ndarray:
 
 
 def of_truth(chain: Chain, truth: MachineErrors, found: MachineErrors, tip: np.ndarray | None = None) -> Remaining:
-    """The true machine before and after compensation by what was found, each less its best shift and turn."""
+    """Error of the true machine before and after compensation by `found`, each less its best-fitting rigid pose."""
 
     def true(q: np.ndarray) -> np.ndarray:
         return synthesis.exact(chain, q, truth.at(q), tip)[:, :3]
@@ -62,7 +62,7 @@ def of_truth(chain: Chain, truth: MachineErrors, found: MachineErrors, tip: np.n
 
 
 def without_pose(chain: Chain, field: Field, q: np.ndarray, tip: np.ndarray | None = None) -> Field:
-    """A field less the shift and turn of the workpiece that fit it best at q."""
+    """A field less the rigid shift and rotation of the workpiece that fit it best at q (least squares)."""
     middle = synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0)
     pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, tip, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
     return lambda at: field(at) - _pose_columns(chain, at, tip, middle) @ pose
@@ -101,17 +101,17 @@ class Expected:
 
     def document(self) -> dict[str, Any]:
         """As JSON values."""
-        own = {"effect_rms_um": self.effect_rms_um, "left_rms_um": self.left_rms_um, "probability_worse": self.harm}
-        return own | ({"axes": {name: axis.document() for name, axis in self.axes.items()}} if self.axes else {})
+        figures = {"effect_rms_um": self.effect_rms_um, "left_rms_um": self.left_rms_um, "probability_worse": self.harm}
+        return figures | ({"axes": {name: axis.document() for name, axis in self.axes.items()}} if self.axes else {})
 
 
 def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
-    """Judge a compensation where no reading can sit out.
+    """Expected benefit of a compensation from the posterior, where no reading can be held out.
 
     With m the identified field and the true one m + e, e ~ N(0, S), compensating leaves |e| instead of |m + e|. It is
-    worse where 2 m.e < -|m|^2, so with probability Phi(-|m|^2 / (2 sqrt(m'S m))). A component that no reading knows of
-    is in S at its prior spread: what is left of the machine may outweigh what was corrected. Where positioning alone
-    was read (a screw compensation), it is judged along its own line, so the others count neither before nor after.
+    worse where 2 m.e < -|m|^2, so with probability Phi(-|m|^2 / (2 sqrt(m'S m))). A component that no reading
+    observes enters S with its prior variance, so the residual may outweigh the correction. Where positioning alone was
+    read (a screw compensation), it is judged along its own line, so the others count neither before nor after.
     """
     chain, prior = found.model.chain, found.model.prior
     q = places(chain, count)
@@ -144,10 +144,10 @@ def _expected(found: Identified, rows: np.ndarray, count: int | None = None) -> 
     count = len(rows) if count is None else count
     field = rows @ found.mean
     power = float(field @ field)
-    along = float(np.sqrt(max(field @ (rows @ (found.covariance @ (rows.T @ field))), 0.0)))
-    left = float(np.einsum("ij,jk,ik->", rows, found.covariance, rows, optimize=True))
-    harm = 0.5 * math.erfc(power / (2 * along) / math.sqrt(2.0)) if along > 0.0 else 0.0
-    return Expected(math.sqrt(power / count), math.sqrt(max(left, 0.0) / count), harm, {})
+    deviation_along = float(np.sqrt(max(field @ (rows @ (found.covariance @ (rows.T @ field))), 0.0)))
+    trace = float(np.einsum("ij,jk,ik->", rows, found.covariance, rows, optimize=True))
+    harm = 0.5 * math.erfc(power / (2 * deviation_along) / math.sqrt(2.0)) if deviation_along > 0.0 else 0.0
+    return Expected(math.sqrt(power / count), math.sqrt(max(trace, 0.0) / count), harm, {})
 
 
 def truth_document(chain: Chain, values: Mapping[str, Any], nodes: int = 401) -> dict[str, Any]:

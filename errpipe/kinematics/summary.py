@@ -1,4 +1,4 @@
-"""What an identification found, as one plain document: constants, curves with intervals, set-up, what is not seen.
+"""An identification as one JSON document: constants, curves with 95 % intervals, set-up, unobserved combinations.
 
 `document` writes it for `jsonfile`, `errors` reads it back, so that a report, a table and a later closed-loop
 check all start from the same numbers.
@@ -18,16 +18,16 @@ from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.identify import Identified
 from errpipe.kinematics.observations import Observations
 
-NODES, PER_WAVE = 65, 8  # points of a curve: at least; per wave of its basis (straight lines then miss 2 % of it)
-PLACES = 200  # of the volume at which the remainder and the predicted error are looked at
+NODES, PER_WAVE = 65, 8  # points of a curve: at least; per wave of its basis (chords then miss 2 % of it)
+PLACES = 200  # random positions at which the predicted error and its second-order part are evaluated
 
 
 def document(
     found: Identified, obs: Observations, *, extra: bool = True, missed: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """Everything found, JSON values only: um, urad, mm, deg; `extra` proposes measurements for what is not seen.
+    """The identification as JSON values in um, urad, mm, deg; `extra` proposes measurements for what is unobserved.
 
-    missed: rms of what a component's curve does not follow (um, urad): its interval holds that too.
+    missed: rms lack of fit of a component's curve (um, urad), added to its standard error in quadrature.
     """
     chain = found.model.chain
     without = tuple(n for i, n in enumerate(chain.components) if i not in set(found.model.prior.component))
@@ -86,7 +86,7 @@ def _numbers(values: np.ndarray) -> list[float]:
 
 
 def errors(chain: Chain, found: Mapping[str, Any], nodes: int = 201) -> MachineErrors:
-    """The components of a document of `document`. Raises VerifyError where it is of another machine or version."""
+    """The components that `document` wrote. Raises VerifyError where they are of another machine or version."""
     if found.get("identification") != 1:
         raise VerifyError(f"not an identification of version 1 (found {found.get('identification')!r})")
     if found["machine"] != chain.machine.name:

@@ -38,8 +38,8 @@ def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.n
 
 def remainder(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.ndarray | None = None) -> dict[str, float]:
     """What first order leaves out at these poses: largest and rms distance of the tool point, and its bound, um."""
-    gap = exact(chain, q, comps, tip)[:, :3] - first_order(chain, q, comps, tip)[:, :3]
-    size = np.linalg.norm(gap, axis=1)
+    difference = exact(chain, q, comps, tip)[:, :3] - first_order(chain, q, comps, tip)[:, :3]
+    size = np.linalg.norm(difference, axis=1)
     return {
         "largest_um": float(size.max()),
         "rms_um": float(np.sqrt(np.mean(size**2))),

@@ -30,7 +30,7 @@ Progress = Callable[[float, str], None]
 
 
 def silent(share: float, text: str) -> None:
-    """Progress that nobody watches."""
+    """Progress callback that does nothing."""
 
 
 class Table(NamedTuple):
@@ -89,7 +89,7 @@ class Family(Frozen, ABC):
     @property
     @abstractmethod
     def scheme(self) -> HoldOut:
-        """Who sits out where nothing else is asked for."""
+        """Hold-out scheme by default."""
 
     @property
     def method_name(self) -> str:
@@ -109,7 +109,7 @@ class Family(Frozen, ABC):
 
     @abstractmethod
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Fit on one side of a fold, judge on the other; component -> what was left."""
+        """Fit on the training rows of a fold, judge on its test rows; component -> held-out residuals."""
 
     def in_batches(self, source: Source) -> bool:
         """Whether a recording is too long to be fitted whole. Raises DataError where it is and cannot be otherwise."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from errpipe.kinematics.chain import Chain
     from errpipe.kinematics.direct import Laser
 
-MOST_FOLDS = 5  # parts of the targets that sit out in turn where runs cannot
+MOST_FOLDS = 5  # folds of targets where whole runs cannot be held out
 
 
 class Direct(Family):
@@ -38,7 +38,7 @@ class Direct(Family):
 
     @property
     def scheme(self) -> HoldOut:
-        """A whole run sits out."""
+        """Leave-one-run-out."""
         from errpipe.fitting.holdout import HoldOut
 
         return HoldOut(scheme="leave-one-run-out")
@@ -60,8 +60,8 @@ class Direct(Family):
 
         if scheme is not None:
             return super().folds(recording, scheme)
-        name, found = direct_folds(recording)
-        return name, [Fold(*fold) for fold in found]
+        name, splits = direct_folds(recording)
+        return name, [Fold(*fold) for fold in splits]
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other."""
@@ -71,13 +71,13 @@ class Direct(Family):
 
         lasers = {n: Laser(**beam) for n, beam in self.lasers.items()}
         chain = compile_chain(self.machine)
-        left = judge(chain, recording, fold.train, fold.test, modes=self.modes, lasers=lasers)
-        return {x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in left}
+        held = judge(chain, recording, fold.train, fold.test, modes=self.modes, lasers=lasers)
+        return {x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in held}
 
 
 @dataclass(frozen=True)
 class Left:
-    """One component on rows that sat out: before (n,), the machine's deviation; after (n,), less the model."""
+    """One component on held-out rows: before (n,), the machine's deviation; after (n,), less the model."""
 
     component: str
     rows: np.ndarray
@@ -108,17 +108,19 @@ def judge(
     without = tuple(c for c in chain.components if c[0] != "E" or c[2:] not in axes)
     model = identify.Parametrisation.of(chain, modes, without)
     own = {n: s for n, s in lasers.items() if direct.axis_of(n) in axes}
-    taken = _of(recording, train | test, axes)
-    every = records.observations(chain, {"": recording}, lasers=own, take=taken)
-    parts = records.read(chain, {"": recording}, lasers=own, take=taken)
+    used_rows = _rows_at_targets(recording, train | test, axes)
+    readings = records.observations(chain, {"": recording}, lasers=own, take=used_rows)
+    parts = records.read(chain, {"": recording}, lasers=own, take=used_rows)
     sits_out = test[np.concatenate([r.rows for r in parts])]
-    # one design for both sides: a run that goes one way has no reversal of its own, but obeys the one found
-    alone = records.observations(chain, {"": recording}, lasers=own, take=_of(recording, train, axes))
-    fitted = replace(every.take(np.flatnonzero(~sits_out)), noise=alone.noise)
-    found = identify.identify(model, fitted)
-    whole = model.design(every)
-    setup = np.array([found.setup[n][0] for n in every.nuisance_names])
-    turning = np.array([": reversal" in n for n in every.nuisance_names], dtype=bool)
+    # one design for both sides: a run in one direction takes the reversal identified from the other runs
+    train_readings = records.observations(
+        chain, {"": recording}, lasers=own, take=_rows_at_targets(recording, train, axes)
+    )
+    fitted = replace(readings.take(np.flatnonzero(~sits_out)), noise=train_readings.noise)
+    identified = identify.identify(model, fitted)
+    design = model.design(readings)
+    setup = np.array([identified.setup[n][0] for n in readings.nuisance_names])
+    turning = np.array([": reversal" in n for n in readings.nuisance_names], dtype=bool)
     out, start = [], 0
     for record in parts:
         rows = np.arange(start, start + len(record.rows))
@@ -126,10 +128,17 @@ def judge(
         rows, at = rows[sits_out[rows]], record.rows[sits_out[rows]]
         if record.component not in judged:
             continue
-        mine = model.prior.component == chain.index(record.component)
-        beside = whole[rows][:, ~mine] @ found.mean[~mine] + every.nuisance[rows][:, ~turning] @ setup[~turning]
-        before = every.value[rows] - beside
-        after = before - whole[rows][:, mine] @ found.mean[mine] - every.nuisance[rows][:, turning] @ setup[turning]
+        own_columns = model.prior.component == chain.index(record.component)
+        other_parts = (
+            design[rows][:, ~own_columns] @ identified.mean[~own_columns]
+            + readings.nuisance[rows][:, ~turning] @ setup[~turning]
+        )
+        before = readings.value[rows] - other_parts
+        after = (
+            before
+            - design[rows][:, own_columns] @ identified.mean[own_columns]
+            - readings.nuisance[rows][:, turning] @ setup[turning]
+        )
         out.append(Left(record.component, at, before, after))
     return out
 
@@ -137,27 +146,27 @@ def judge(
 def _components(recording: Recording, rows: np.ndarray) -> set[str]:
     from errpipe.kinematics import direct
 
-    found = set()
+    components = set()
     for c in recording.components():
         name = recording.name("error", component=c)
         if direct.is_motion(c) and name is not None and np.isfinite(recording.array(name)[rows]).any():
-            found.add(c)
-    return found
+            components.add(c)
+    return components
 
 
-def _of(recording: Recording, rows: np.ndarray, axes: set[str]) -> np.ndarray:
+def _rows_at_targets(recording: Recording, rows: np.ndarray, axes: set[str]) -> np.ndarray:
     """Those rows at which one of some axes stands at a target."""
     from errpipe.kinematics import direct
 
-    here = np.zeros(len(recording), dtype=bool)
+    rows_of_axis = np.zeros(len(recording), dtype=bool)
     for component in recording.components():
         if direct.is_motion(component) and direct.axis_of(component) in axes:
-            here |= np.isfinite(recording.array(direct.position_of(recording, component)))
-    return rows & here
+            rows_of_axis |= np.isfinite(recording.array(direct.position_of(recording, component)))
+    return rows & rows_of_axis
 
 
 def direct_folds(recording: Recording, most: int = MOST_FOLDS) -> tuple[str, list[tuple[str, np.ndarray, np.ndarray]]]:
-    """How direct records sit out: whole runs where every component has several, else every so many targets.
+    """Folds of direct records: whole runs where every component has several, else every so many targets.
 
     Returns the scheme in words and (label, train, test) masks.
     """

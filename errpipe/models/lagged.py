@@ -1,4 +1,4 @@
-"""Gains times the rises of all temperatures and times the same through lags, few of them or all shrunk."""
+"""Gains times the rises of all temperatures and times the same through lags, sparse (lasso) or shrunk (ridge)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from errpipe.fitting.thermal_competition import Entrant
     from errpipe.fitting.thermal_linear import LinearProblem
 
-LASSO = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # shares of the penalty that leaves no gain; the competition chooses
+# Shares of the least lasso penalty at which all gains are zero; the competition chooses.
+LASSO = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # on columns of unit rms
 
 
@@ -26,10 +27,10 @@ class Lagged(ThermalFamily):
     family: Literal["lagged"] = Field("lagged", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every setting; lasso and ridge each send their best into a mixture."""
+        """Every setting; the best of lasso and the best of ridge may join the mixture."""
         from errpipe.fitting import thermal_linear as t
 
-        width, own = len(problem.drivers), self.family_name()
+        width, family = len(problem.drivers), self.family_name()
 
         @cache
         def path(groups: tuple[int, ...]) -> np.ndarray:
@@ -37,12 +38,12 @@ class Lagged(ThermalFamily):
 
         def lasso(number: int) -> Entrant:
             name = f"lagged, lasso {LASSO[number]:g}"
-            return linear(f"{own}, lasso", name, problem, lambda groups: path(groups)[number])
+            return linear(f"{family}, lasso", name, problem, lambda groups: path(groups)[number])
 
         def ridge(strength: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.ridge(*problem.stacked(groups, width), strength)
 
-            return linear(f"{own}, ridge", f"lagged, ridge {strength:g}", problem, gains)
+            return linear(f"{family}, ridge", f"lagged, ridge {strength:g}", problem, gains)
 
         return [*map(lasso, range(len(LASSO))), *map(ridge, RIDGE)]

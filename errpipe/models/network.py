@@ -25,7 +25,7 @@ class Network(ThermalFamily):
     options: SeasonOptions = Field(SeasonOptions(), description="Causes and how they are weighed.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """One setting; nobody where no sensor sits on the machine."""
+        """One setting; none where no sensor is on the machine."""
         from errpipe.errors import DataError
         from errpipe.fitting.thermal_competition import Entrant
         from errpipe.fitting.thermal_season import Problem

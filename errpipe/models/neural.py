@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 UNITS = 4  # of the hidden layer; a network of few units extrapolates by few bends
 PENALTIES = (0.01, 1.0)  # of squared weights, on standardised columns; the competition chooses
-MOST_ROWS = 1500  # rows that train, evenly thinned: neighbours say the same
-MOST_STEPS = 150  # of L-BFGS; more fit the noise
+MOST_ROWS = 1500  # training rows, evenly thinned: neighbours are correlated
+MOST_STEPS = 150  # iterations of L-BFGS (early stopping): more fit the noise
 REACH, STEPS = 4.0, 65  # the table of tanh ends where it is 0.9993; linear between its points it is within 0.0015
 LAGS = (0.4, 0.8)  # which of the recording's time constants, as a share of their number
 
@@ -89,7 +89,7 @@ def _trained(x: np.ndarray, y: np.ndarray, penalty: float) -> tuple[np.ndarray, 
         tol=1e-5,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it is stopped early on purpose
+        warnings.simplefilter("ignore")  # reaching MOST_STEPS is intended
         net.fit(x, y / scale)
     return net.coefs_[0], net.intercepts_[0], net.coefs_[1][:, 0] * scale
 

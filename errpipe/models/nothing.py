@@ -20,5 +20,5 @@ class Nothing(ThermalFamily):
     family: Literal["nothing"] = Field("nothing", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Nobody."""
+        """No entrant."""
         return ()

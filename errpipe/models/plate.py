@@ -1,4 +1,4 @@
-"""A planar error map from measured hole patterns: scale, squareness, straightness and what is smooth besides."""
+"""A planar error map from measured hole patterns: scale, squareness, straightness and the remaining smooth part."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Plate(Family):
 
     @property
     def scheme(self) -> HoldOut:
-        """A whole plate sits out."""
+        """Whole plates are held out."""
         from errpipe.fitting.holdout import HoldOut
 
         return HoldOut(scheme="leave-one-run-out")
@@ -61,17 +61,17 @@ class Plate(Family):
 
         twice = planar.repeated(recording, *self.measured_twice) if self.measured_twice else None
         recording = chosen_plates(recording, self.plate)
-        found = planar.fit_plate(recording, modes=self.modes)
-        figures: dict[str, dict[str, Any]] = {name: _plain(f) for name, f in found.figures().items()}
-        document: dict[str, Any] = {"plate": 1, "figures": figures, "noise_um": found.noise, "setup": found.setup}
-        document["parts"] = _parts(found)
+        fitted = planar.fit_plate(recording, modes=self.modes)
+        figures: dict[str, dict[str, Any]] = {name: _plain(f) for name, f in fitted.figures().items()}
+        document: dict[str, Any] = {"plate": 1, "figures": figures, "noise_um": fitted.noise, "setup": fitted.setup}
+        document["parts"] = _parts(fitted)
         if twice is not None:
             document["measured_twice"] = {"runs": list(self.measured_twice or ()), **twice}
         summary = {name: f"{f['value']:.3g} {f['unit']}" for name, f in figures.items()}
-        return Fitted(_error_model(found, recording), {FIGURES: document}, summary)
+        return Fitted(_error_model(fitted, recording), {FIGURES: document}, summary)
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme whole plates sit out; where there is only one plate, its holes do in turn."""
+        """Without a scheme whole plates are held out; of a single plate, every so many of its holes in turn."""
         import numpy as np
 
         from errpipe.fitting.holdout import Fold
@@ -92,30 +92,30 @@ class Plate(Family):
         model = planar.fit_plate(recording, rows=fold.train & self._speaks(recording, fold.train), modes=self.modes)
         x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
         deviation = np.column_stack([recording.array(response_name(recording, c)) for c in DIRECTIONS])
-        left = deviation - model.predict(x, y)
-        before, after, taken = np.full_like(deviation, np.nan), np.full_like(deviation, np.nan), 0.0
+        residual = deviation - model.predict(x, y)
+        before, after, used = np.full_like(deviation, np.nan), np.full_like(deviation, np.nan), 0.0
         run, known = recording.run_codes(), np.isfinite(deviation).all(axis=1)
         for code in np.unique(run[fold.test]):
             rows, fitted = fold.test & known & (run == code), fold.train & known & (run == code)
-            decide = fitted if fitted.any() else rows
-            taken += 0.0 if fitted.any() else 1.5  # of three degrees of freedom a plate, half for each direction
-            both = rows | decide
-            for source, target in ((deviation, before), (left, after)):
-                target[both] = planar.without_setup(x[both], y[both], source[both], decide[both])
+            setup_rows = fitted if fitted.any() else rows
+            used += 0.0 if fitted.any() else 1.5  # of three degrees of freedom a plate, half for each direction
+            chosen = rows | setup_rows
+            for source, target in ((deviation, before), (residual, after)):
+                target[chosen] = planar.without_setup(x[chosen], y[chosen], source[chosen], setup_rows[chosen])
         box = model.functions.box
         outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
-        return {c: held_out(fold, before[:, k], after[:, k], outside, used=taken) for k, c in enumerate(DIRECTIONS)}
+        return {c: held_out(fold, before[:, k], after[:, k], outside, used=used) for k, c in enumerate(DIRECTIONS)}
 
     def _speaks(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
-        """Rows of the plate that speaks for the machine, of those in a mask; the last one where it sits out itself."""
+        """Rows of the plate that option `plate` chooses; the last one in the mask `rows` where that one is held out."""
         import numpy as np
 
         run = recording.run_codes()
         if self.plate == "all":
             return np.ones(run.size, dtype=bool)
-        labels, there = recording.run_labels(), set(np.unique(run[rows]).tolist())
+        labels, present = recording.run_labels(), set(np.unique(run[rows]).tolist())
         named = labels.index(self.plate) if self.plate in labels else -1
-        return run == (named if named in there else max(there))
+        return run == (named if named in present else max(present))
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """Scale and squareness with intervals; the residual beside what measuring a plate twice leaves."""
@@ -136,7 +136,7 @@ def _plain(figure: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def chosen_plates(recording: Recording, chosen: str) -> Recording:
-    """The holes of the chosen plate: machines move and settle, so an old plate speaks for an old machine.
+    """The holes of the chosen plate: machines are moved and settle, so an old plate is no measure of the present one.
 
     Raises DataError for a label that is not in the recording.
     """
@@ -234,11 +234,11 @@ def _rms_without_setup(recording: Recording) -> dict[str, float]:
 
     x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
     deviation = np.column_stack([recording.array(response_name(recording, c)) for c in ("E_X", "E_Y")])
-    run, left = recording.run_codes(), np.full_like(deviation, np.nan)
+    run, residual = recording.run_codes(), np.full_like(deviation, np.nan)
     for code in np.unique(run):
         rows = (run == code) & np.isfinite(deviation).all(axis=1)
-        left[rows] = planar.without_setup(x[rows], y[rows], deviation[rows])
-    rms = np.sqrt(np.nanmean(left**2, axis=0))
+        residual[rows] = planar.without_setup(x[rows], y[rows], deviation[rows])
+    rms = np.sqrt(np.nanmean(residual**2, axis=0))
     return {"E_X": float(rms[0]), "E_Y": float(rms[1])}
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from errpipe.fitting.thermal_linear import LinearProblem
 
 STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, on columns of unit rms; the competition chooses
-LEAST_RIDGE = 1e-5  # keeps sensors that move alike apart in rounding
+LEAST_RIDGE = 1e-5  # keeps the normal equations of collinear sensors well conditioned
 FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`thermal_linear.common_gains`)
 
 
@@ -29,18 +29,18 @@ class Rises(ThermalFamily):
         """Every strength of the ridge, and every freedom of the runs."""
         from errpipe.fitting import thermal_linear as t
 
-        own, width = self.family_name(), problem.plain
+        family, width = self.family_name(), problem.plain
 
         def ridge(strength: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.ridge(*problem.stacked(groups, width), strength)
 
-            return linear(own, f"rises, ridge {strength:g}", problem, gains)
+            return linear(family, f"rises, ridge {strength:g}", problem, gains)
 
         def common(freedom: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.common_gains([problem.stacked((g,), width) for g in groups], LEAST_RIDGE, freedom)
 
-            return linear(own, f"rises, common to runs {freedom:g}", problem, gains)
+            return linear(family, f"rises, common to runs {freedom:g}", problem, gains)
 
         return [*map(ridge, STRENGTHS), *map(common, FREEDOMS)]

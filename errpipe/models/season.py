@@ -41,7 +41,7 @@ class Season(Family):
 
     @property
     def scheme(self) -> HoldOut:
-        """A whole environment (season) sits out."""
+        """Leave-one-environment-out (seasons)."""
         from errpipe.fitting.holdout import HoldOut
 
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
@@ -59,7 +59,7 @@ class Season(Family):
         return cls(component=shared["component"], options=SeasonOptions(**named))
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """One setting, the network with its correction; nobody where no sensor sits on the machine."""
+        """One setting, the network with its correction; none where no sensor is on the machine."""
         import numpy as np
 
         from errpipe.errors import DataError
@@ -69,14 +69,14 @@ class Season(Family):
 
         recording, run = problem.recording, problem.recording.run_codes()
         try:
-            whole = Problem(recording, self.component, self.options, problem.rows)
+            full_problem = Problem(recording, self.component, self.options, problem.rows)
         except DataError:
             return ()
-        whole.orient()
+        full_problem.orient()
 
         @cache
         def model(groups: tuple[int, ...]) -> ThermalModel:
-            return whole.restricted(groups).model(reported=False)
+            return full_problem.restricted(groups).model(reported=False)
 
         def predict(groups: tuple[int, ...]) -> np.ndarray:
             left_out = problem.rows & ~np.isin(problem.group, groups)
@@ -93,10 +93,10 @@ class Season(Family):
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row. Raises DataError where no sensor sits on the machine."""
-        found = self.train(recording)
-        model = found.error_model(recording)
-        causes = [{"cause": name, "gain": gain} for name, gain, _ in found.parts]
-        document = {"season": 1, "causes": causes, "report": _plain(found.report)}
+        fitted = self.train(recording)
+        model = fitted.error_model(recording)
+        causes = [{"cause": name, "gain": gain} for name, gain, _ in fitted.parts]
+        document = {"season": 1, "causes": causes, "report": _plain(fitted.report)}
         return Fitted(model, {CAUSES: document}, fit_summary(model))
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
@@ -108,8 +108,8 @@ class Season(Family):
         holdout.check(fold)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.options.datum_rows)
-        left = since - model.values(recording)
-        return {self.component: held_out(fold, since, left, distance(model.validity, recording))}
+        residual = since - model.values(recording)
+        return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """Causes with their gains, the largest first."""

@@ -52,7 +52,7 @@ def _escape(name: str, *, target: bool = False) -> str:
 
 
 def touch(stamp: Path) -> None:
-    """Touch the stamp, always: make asks again forever where a run that found nothing to do left it old."""
+    """Touch the stamp, always: an old stamp would make `make` run the rule every time."""
     if not stamp.exists():
         jsonfile.write_text(stamp, "")
     os.utime(stamp)

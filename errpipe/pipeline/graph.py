@@ -16,7 +16,7 @@ Found = list[tuple[tuple[str | int, ...], str]]  # (place below `stages`, what i
 
 
 def link(stages: Sequence[Stage]) -> tuple[Links, Found]:
-    """The links of all stages, and what is wrong with them: names given twice, needs that nobody meets, lost outputs.
+    """The links of all stages, and what is wrong with them: duplicate names, missing sources, unused outputs.
 
     An artefact that no stage reads although a later stage takes its type is an error: it would be ignored.
     """
@@ -46,8 +46,8 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
     fitting = [other.label for other in before if need.type in other.gives]
     wanted = need.type.replace("_", " ")
     if slot in stage.source:
-        said = stage.source[slot]
-        chosen = (said,) if isinstance(said, str) else said
+        stated = stage.source[slot]
+        chosen = (stated,) if isinstance(stated, str) else stated
         for name in chosen:
             if name not in fitting:
                 allowed = ", ".join(fitting) or "none"
@@ -66,8 +66,8 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
         name
         for other in before
         if need.type in other.gives
-        for own, theirs in other.takes.items()
-        if theirs.type == need.type
+        for own, need_of_other in other.takes.items()
+        if need_of_other.type == need.type
         for name in links[other.label][own]
     }
     return tuple(name for name in fitting if name not in replaced), ""
@@ -90,10 +90,10 @@ def _unread(stages: Sequence[Stage], links: Links) -> Found:
                 if n.type == given
             ]
             if takers and not any(stage.label in links[name][slot] for name, slot in takers):
-                told = f"its {given.replace('_', ' ')} is not read, although a later stage takes one"
+                reason = f"its {given.replace('_', ' ')} is not read, although a later stage takes one"
                 name, slot = takers[0]
                 wrong.append(
-                    ((number,), f"{told} (leave the stage out, or write from: {{{slot}: {stage.label}}} in {name})")
+                    ((number,), f"{reason} (leave the stage out, or write from: {{{slot}: {stage.label}}} in {name})")
                 )
     return wrong
 
@@ -104,14 +104,14 @@ def _an(noun: str) -> str:
 
 def ancestors(links: Links, names: Sequence[str]) -> set[str]:
     """The stages named and all that they read, directly or not."""
-    found: set[str] = set()
+    above: set[str] = set()
     waiting = list(names)
     while waiting:
         name = waiting.pop()
-        if name not in found:
-            found.add(name)
+        if name not in above:
+            above.add(name)
             waiting.extend(other for slot in links[name].values() for other in slot)
-    return found
+    return above
 
 
 def reads_of(links: Links, name: str) -> tuple[str, ...]:

@@ -105,19 +105,19 @@ def files_below(path: Path) -> list[Path]:
         raise DataError(f"{path}: no such file or folder")
     if not path.is_dir():
         return [path]  # a pipe or a device: refused where it is opened
-    found: list[Path] = []
+    paths: list[Path] = []
     seen: set[str] = set()
     for folder, folders, names in os.walk(path, followlinks=True):
-        here = os.path.realpath(folder)
-        if here in seen:  # a link back to a folder above
+        resolved = os.path.realpath(folder)
+        if resolved in seen:  # a link back to a folder above
             folders.clear()
             continue
-        seen.add(here)
+        seen.add(resolved)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        found += [Path(folder) / name for name in names if not name.startswith(".")]
-        if len(found) > MAX_INPUT_FILES:
+        paths += [Path(folder) / name for name in names if not name.startswith(".")]
+        if len(paths) > MAX_INPUT_FILES:
             raise DataError(f"{path}: holds more than {MAX_INPUT_FILES} files (is it the right folder?)")
-    return sorted(found)
+    return sorted(paths)
 
 
 def label_inputs(paths: Sequence[Path]) -> dict[str, Path]:
@@ -152,20 +152,20 @@ def _source() -> str:
 
 
 def changes(old: Record, new: Record) -> list[str]:
-    """What differs between two records, each in a few words; [] where nothing does."""
+    """Differences between two records in words; [] where they agree."""
     if old.kind != new.kind:
         return [f"kind {old.kind} -> {new.kind}"]
-    found = ["code changed"] if old.code != new.code else []
-    found += [f"params.{text}" for text in _differences(old.parameters, new.parameters)]
-    found += [f"from.{text}" for text in _differences(old.sources, new.sources)]
+    reasons = ["code changed"] if old.code != new.code else []
+    reasons += [f"params.{text}" for text in _differences(old.parameters, new.parameters)]
+    reasons += [f"from.{text}" for text in _differences(old.sources, new.sources)]
     for name in sorted({**old.inputs, **new.inputs}):
         if name not in old.inputs:
-            found.append(f"input {name} is new")
+            reasons.append(f"input {name} is new")
         elif name not in new.inputs:
-            found.append(f"input {name} is gone")
+            reasons.append(f"input {name} is gone")
         elif old.inputs[name] != new.inputs[name]:
-            found.append(f"input {name} changed")
-    return found
+            reasons.append(f"input {name} changed")
+    return reasons
 
 
 def _differences(old: Any, new: Any, where: str = "") -> list[str]:

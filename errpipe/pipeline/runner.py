@@ -55,7 +55,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Talk:
-    """Where the engine says what it is doing; every default is silence."""
+    """Callbacks for progress messages; the defaults print nothing."""
 
     waiting: Callable[[], None] = lambda: None
     started: Callable[[Step], None] = lambda step: None
@@ -178,10 +178,10 @@ class _Work:
         missing = missing_inputs(self.pipeline, self.selected)
         if missing:
             raise ConfigError(missing)
-        here = self.out.resolve()
+        resolved = self.out.resolve()
         for stage in self.selected:
             for path in stage.inputs():
-                if path.is_dir() and here.is_relative_to(path.resolve()):
+                if path.is_dir() and resolved.is_relative_to(path.resolve()):
                     raise UsageError(f"{self.out}: lies inside {path}, which stage {stage.label} reads")
 
     def record(self, stage: Stage) -> Record:
@@ -198,20 +198,20 @@ class _Work:
         old = self.records.get(stage.label)
         if old is None:
             return ["has not run"]
-        found = ["forced"] if stage.label in self.force else []
-        found += changes(old, new)
+        texts = ["forced"] if stage.label in self.force else []
+        texts += changes(old, new)
         if self._journal(stage).is_file():
-            found.append("interrupted while its outputs were put in place")
+            texts.append("interrupted while its outputs were put in place")
         for file, digest in sorted(old.outputs.items()):
             path = inside(self.out, f"{stage.label}/{file}", VerifyError)
             if not path.is_file():
-                found.append(f"output {file} is missing")
+                texts.append(f"output {file} is missing")
             elif hash_file(path) != digest:
-                found.append(f"output {file} was edited")
-        return found
+                texts.append(f"output {file} was edited")
+        return texts
 
     def _journal(self, stage: Stage) -> Path:
-        """Names of outputs that may lie in their place without standing in the lock file; gone once they do."""
+        """Names of outputs that may be in place before the lock file lists them; deleted afterwards."""
         return scratch(self.out) / f"{stage.label}.json"
 
     def execute(self, stage: Stage, record: Record, talk: Talk) -> tuple[Record, Path]:
@@ -228,7 +228,7 @@ class _Work:
             progress=lambda fraction, text: talk.progress(stage.label, fraction, text),
         )
         summary = dict(stage.run(context) or {})
-        jsonfile.dumps(summary)  # what cannot be recorded is a bug of the stage: say so before anything is published
+        jsonfile.dumps(summary)  # raises before anything is published where a stage's summary cannot be written
         outputs = {path.relative_to(folder).as_posix(): hash_file(path) for path in _all_files(folder)}
         lacking = sorted(set(stage.outputs()) - set(outputs))
         if lacking:

@@ -1,6 +1,6 @@
 """JSON Schemas (draft-07) of the models that people write or read, for editors and other programs.
 
-Draft-07 and no newer, because editors' language servers stop there. A union told apart by a key becomes
+Draft-07 and no newer, because editors' language servers stop there. A union discriminated by a key becomes
 `allOf: [if key == a then ..., ...]`, so that a validator blames the one branch that was meant.
 """
 
@@ -46,13 +46,13 @@ def undescribed(schema: Mapping[str, Any]) -> list[str]:
 
     Whole numbers count things or number a version and need no unit; where one has a unit it is said all the same.
     """
-    found = []
+    problems = []
     for owner, name, prop in properties(schema):
         if not prop.get("description"):
-            found.append(f"{owner}.{name}: no description")
+            problems.append(f"{owner}.{name}: no description")
         if _has_number(prop) and "unit" not in prop:
-            found.append(f"{owner}.{name}: a number without a unit")
-    return found
+            problems.append(f"{owner}.{name}: a number without a unit")
+    return problems
 
 
 def _draft7(node: Any, defaults: Mapping[str, str]) -> Any:
@@ -77,7 +77,7 @@ def _draft7(node: Any, defaults: Mapping[str, str]) -> Any:
     if "const" in new:
         new.setdefault("description", f"Always {new['const']}.")
     if "$ref" in new and len(new) > 1:
-        new["allOf"] = [{"$ref": new.pop("$ref")}]  # beside a $ref draft-07 reads nothing
+        new["allOf"] = [{"$ref": new.pop("$ref")}]  # draft-07 ignores keys beside a $ref
     return new
 
 
@@ -95,7 +95,7 @@ def _choice(node: Mapping[str, Any], defaults: Mapping[str, str]) -> dict[str, A
 
 
 def _accept_lists(node: Any, listed: frozenset[str]) -> None:
-    """Where a key that tells branches apart may be a list of their names, say so."""
+    """Accept a list of names in a discriminating key that allows it."""
     for part in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
         _accept_lists(part, listed)
     keys = node.get("properties", {}) if isinstance(node, dict) else {}
@@ -105,7 +105,7 @@ def _accept_lists(node: Any, listed: frozenset[str]) -> None:
 
 
 def _branch(choice: Any, defaults: Mapping[str, str]) -> dict[str, Any]:
-    """One branch of a union: a model, or a union inside that is told apart by a second key."""
+    """One branch of a union: a model, or a nested union discriminated by a second key."""
     if isinstance(choice, str):
         return {"$ref": choice}
     return _draft7(dict(choice), defaults)

@@ -1,4 +1,4 @@
-"""The pipeline file: what it may say (derived from the stages handed over), and how it is read.
+"""The pipeline file: its model (derived from the given stages), and its reader.
 
 pipeline: 1
 title: Spindle drift of a turning centre
@@ -134,13 +134,13 @@ def load_pipeline(
     model: Any = pipeline_model(stages if isinstance(stages, Choice) else tuple(stages))
     _complete_variants(document, model.kinds)
     root = _root(path, document)
-    found: Any = document.check(model, {"root": root})
-    if found is None:
+    pipeline: Any = document.check(model, {"root": root})
+    if pipeline is None:
         document.raise_problems()
-    links, problems = link(found.stages)
+    links, problems = link(pipeline.stages)
     document.problems.extend(document.problem(("stages", *place), text) for place, text in problems)
     document.raise_problems()
-    return Pipeline(path, root, found.title, found.stages, links, document)
+    return Pipeline(path, root, pipeline.title, pipeline.stages, links, document)
 
 
 def missing_inputs(pipeline: Pipeline, stages: Sequence[Stage]) -> list[Problem]:
@@ -193,8 +193,8 @@ def _names(document: Document) -> list[str]:
 
 
 def _root(path: Path, document: Document) -> Path:
-    said = document.value.get("root") if isinstance(document.value, dict) else None
-    return Path(os.path.normpath(path.parent / (said if isinstance(said, str) else ".")))
+    stated = document.value.get("root") if isinstance(document.value, dict) else None
+    return Path(os.path.normpath(path.parent / (stated if isinstance(stated, str) else ".")))
 
 
 def _place_of(document: Document, number: int, root: Path, wanted: Path) -> tuple[str | int, ...]:

@@ -136,7 +136,7 @@ class Stage(Options, ABC):
     code_version: ClassVar[int] = 1  # raise it when the same inputs give other outputs
     takes: ClassVar[Mapping[str, Need]] = {}  # slot -> the artefact it needs of an earlier stage
     gives: ClassVar[tuple[str, ...]] = ()  # types of the artefacts in its folder
-    variant_key: ClassVar[str] = ""  # key that tells several classes of one kind apart
+    variant_key: ClassVar[str] = ""  # discriminating key of several classes of one kind
     default_variant: ClassVar[str] = ""  # its value where it is not written
 
     @property

@@ -99,7 +99,7 @@ def _finding(f: Finding) -> dict[str, Any]:
     where += [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in f.where.ranges.items()]
     others = " or ".join(e.replace("_", " ") for e in f.indistinguishable_from)
     shown = f.parameters
-    if f.effect == "recalibration":  # a simulation has many gains: those that are off
+    if f.effect == "recalibration":  # only parameters whose interval excludes 0
         shown = tuple(p for p in f.parameters if not p.ci95[0] <= 0 <= p.ci95[1])
     return {
         "d": f,
@@ -154,7 +154,7 @@ def _tests(r: ResponseDiagnosis) -> list[dict[str, Any]]:
 
 
 def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
-    """Mismatch against time with what each finding carries, in its own colour, and what all of them leave."""
+    """Mismatch against time, the contribution of each finding in its own colour, and the residual."""
     rows = svg.thin(trace.before.size)
     label, x = _clock(trace)
     with svg.figure(7.2, 4.2, rows=2) as (canvas, axes):

@@ -16,8 +16,8 @@ def chart(figures: Mapping[str, Any], after: Mapping[str, Any] | None = None) ->
     """The figure as SVG text. figures, after: `validation.iso230_2.Report` as plain values, before and after."""
     panels = [("measured", figures)] + ([] if after is None else [("predicted after compensation, held out", after)])
     length = "deg" if figures["unit"] == "urad" else "mm"
-    with svg.figure(7.2, 3.3 * len(panels), rows=len(panels)) as (canvas, found):
-        for axes, (heading, report) in zip(np.atleast_1d(found), panels, strict=True):
+    with svg.figure(7.2, 3.3 * len(panels), rows=len(panels)) as (canvas, subplots):
+        for axes, (heading, report) in zip(np.atleast_1d(subplots), panels, strict=True):
             _panel(axes, report)
             axes.set_title(_heading(heading, report), fontsize=10, loc="left")
             axes.set_ylabel(f"deviation in {report['unit']}")

@@ -188,8 +188,8 @@ def vectors(
     largest = max(float(np.linalg.norm(before, axis=1).max()), 1e-9)
     reach = 0.14 * float(np.ptp(place, axis=0).max()) / largest
     panels = [("before", before, svg.BEFORE)] + ([] if after is None else [("after", after, svg.AFTER)])
-    with svg.figure(3.7 * len(panels) + 0.2, 3.6, columns=len(panels)) as (canvas, found):
-        for axes, (name, values, colour) in zip(np.atleast_1d(found), panels, strict=True):
+    with svg.figure(3.7 * len(panels) + 0.2, 3.6, columns=len(panels)) as (canvas, subplots):
+        for axes, (name, values, colour) in zip(np.atleast_1d(subplots), panels, strict=True):
             _frame(axes, place, chain)
             size = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
             start = flat(place[rows])
@@ -255,8 +255,8 @@ def slices(chain: Chain, panels: Mapping[str, Callable[[np.ndarray], np.ndarray]
     top = max(float(m[2].max()) for m in maps.values())
     shape = (len(pairs), len(panels))
     levels = _levels(top)
-    with svg.figure(3.3 * len(panels) + 0.8, 2.25 * len(pairs), *shape) as (canvas, found):
-        grid = np.reshape(found, shape)
+    with svg.figure(3.3 * len(panels) + 0.8, 2.25 * len(pairs), *shape) as (canvas, subplots):
+        grid = np.reshape(subplots, shape)
         for (i, j, name), (u, v, sizes) in maps.items():
             axes = grid[pairs.index((i, j)), list(panels).index(name)]
             drawn = axes.contourf(u, v, sizes, levels=levels, cmap="cividis")
@@ -299,8 +299,8 @@ def components(
     """
     chain, bands, measured = errors.chain, bands or {}, measured or {}
     count = len(chain.axes)
-    with svg.figure(7.4, 1.9 * count, count, 2) as (canvas, found):
-        grid = np.reshape(found, (count, 2))
+    with svg.figure(7.4, 1.9 * count, count, 2) as (canvas, subplots):
+        grid = np.reshape(subplots, (count, 2))
         for row, axis in enumerate(chain.axes):
             for side, (letters, unit) in enumerate((("XYZ", "um"), ("ABC", "urad"))):
                 axes = grid[row, side]
@@ -357,9 +357,9 @@ def ballbar(
         axes.legend(fontsize=7, loc="center", ncols=1)
         heading = {"fontsize": 9, "weight": "bold", "transform": text.transAxes, "va": "top"}
         text.text(0.0, 0.98, title or f"circle of {radius:g} mm", **heading)
-        told = [f"{division:g} um per division, radius {radius:g} mm", *lines]
-        spacing = min(0.08, 0.88 / len(told))
-        for i, line in enumerate(told):
+        caption = [f"{division:g} um per division, radius {radius:g} mm", *lines]
+        spacing = min(0.08, 0.88 / len(caption))
+        for i, line in enumerate(caption):
             text.text(0.0, 0.9 - spacing * i, line, fontsize=8, transform=text.transAxes, va="top", wrap=True)
         return svg.to_svg(canvas, f"Ball-bar plot {title}; largest deviation {top:.1f} um")
 

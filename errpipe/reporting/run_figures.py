@@ -28,8 +28,8 @@ def against_time(
     """
     labels = np.asarray(groups)
     chosen = _worth_seeing(labels, deviation - predicted)
-    with svg.figure(7.2, 2.3 * len(chosen) + 0.3, rows=len(chosen)) as (canvas, found):
-        for axes, label in zip(np.atleast_1d(found), chosen, strict=True):
+    with svg.figure(7.2, 2.3 * len(chosen) + 0.3, rows=len(chosen)) as (canvas, subplots):
+        for axes, label in zip(np.atleast_1d(subplots), chosen, strict=True):
             (own,) = np.nonzero((labels == label) & np.isfinite(time) & np.isfinite(deviation) & np.isfinite(predicted))
             own = own[np.argsort(time[own], kind="stable")]
             own = own[svg.thin(own.size)]
@@ -42,8 +42,8 @@ def against_time(
             axes.plot(hours, y, "-", lw=1.4, color=svg.AFTER, label="predicted, held out")
             axes.set_title(f"left out: {label}", loc="left", fontsize=9)
             axes.set_ylabel(f"{component} in {unit}")
-        np.atleast_1d(found)[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
-        np.atleast_1d(found)[-1].set_xlabel("time since the first row drawn in h")
+        np.atleast_1d(subplots)[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
+        np.atleast_1d(subplots)[-1].set_xlabel("time since the first row drawn in h")
         return svg.to_svg(canvas, f"{component} against time, held out")
 
 
@@ -70,8 +70,8 @@ def plane(
     top = max(float(np.abs(v).max()) for v in means.values()) or 1.0
     spacing = np.sqrt(np.prod(np.ptp(at, axis=0)) / max(len(at), 1))
     size = max(9.0, (3.0 * 72 * spacing / max(np.ptp(at[:, 0]), 1e-9)) ** 2 * 0.6)
-    with svg.figure(7.2, 3.4, columns=len(panels)) as (canvas, found):
-        for axes, (name, values) in zip(np.atleast_1d(found), means.items(), strict=True):
+    with svg.figure(7.2, 3.4, columns=len(panels)) as (canvas, subplots):
+        for axes, (name, values) in zip(np.atleast_1d(subplots), means.items(), strict=True):
             drawn = axes.scatter(at[:, 0], at[:, 1], c=values, s=size, marker="s", cmap="PuOr", vmin=-top, vmax=top)
             rms = np.sqrt(np.mean(panels[name][np.isfinite(panels[name])] ** 2))
             axes.set_title(f"{name}: {rms:.3g} {unit} rms", loc="left", fontsize=9)
@@ -79,7 +79,7 @@ def plane(
             axes.set_ylabel(f"{axes_named[1]} in mm")
             axes.set_aspect("equal", adjustable="datalim")
             axes.grid(visible=False)
-        canvas.colorbar(drawn, ax=list(np.atleast_1d(found)), label=unit, shrink=0.7)
+        canvas.colorbar(drawn, ax=list(np.atleast_1d(subplots)), label=unit, shrink=0.7)
         return svg.to_svg(canvas, f"{', '.join(panels)} over {' and '.join(axes_named)}")
 
 

@@ -15,7 +15,7 @@ LONG = 3 * 86400.0  # s; a longer recording is mostly pauses and is drawn by row
 
 @dataclass(frozen=True)
 class Response:
-    """One response on held-out rows: none of them chose or fitted the model that predicts it.
+    """One response on held-out rows: held-out in the choice and the fit of the model that predicts it.
 
     deviation, predicted: shape (rows,), in `unit`; groups: label of the left-out group per row;
     inputs: label with unit -> values, shape (rows,), the most important first; time: s, where a thermal run is drawn
@@ -156,7 +156,7 @@ def residuals(r: Response, most: int = 9) -> str:
 
 
 def _trend(axes: Any, x: np.ndarray, y: np.ndarray, bins: int = 12) -> None:
-    """Means of equal shares of the rows: a flat line means no dependence is left."""
+    """Means of equal shares of the rows: a flat line means no remaining dependence."""
     good = np.isfinite(x) & np.isfinite(y)
     if good.sum() < 4 * bins or np.ptp(x[good]) == 0:
         return

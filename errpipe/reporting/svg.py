@@ -19,7 +19,7 @@ AFTER = "#1f5fa8"
 FLOOR = "#5d6a75"
 ALARM = "#b3261e"
 INK = "#20262c"
-MOST_POINTS = 900  # a cloud of more dots says no more and costs megabytes
+MOST_POINTS = 900  # more points add megabytes and no information
 
 STYLE: dict[Any, Any] = {  # rcParams of matplotlib
     "svg.hashsalt": "errpipe",

@@ -1,1 +1,1 @@
-"""Machines that never existed: recordings from terms and from heat conduction."""
+"""Simulated machines: recordings from terms and from heat conduction."""

@@ -30,7 +30,7 @@ LOG_EVERY = 30.0  # s between rows that log temperatures alone
 
 @dataclass(frozen=True)
 class Truth:
-    """What is wrong with the axis, and how it is measured. um, K; noise_memory: share of noise correlated by 0.8."""
+    """Errors of the axis, and how it is measured. um, K; noise_memory: share of noise correlated by 0.8."""
 
     lead_error: float = 14.0  # um/m
     bow: float = 5.0
@@ -46,7 +46,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A recording, and what its error column holds besides noise (same rows; NaN where nothing was measured)."""
+    """A recording, and its error column without noise (same rows; NaN where nothing was measured)."""
 
     recording: Recording
     truth: np.ndarray

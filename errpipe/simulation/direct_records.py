@@ -1,5 +1,5 @@
-"""A machine that never existed measured component by component: laser and level along each axis, both ways, with the
-errors that such a set-up has. Rotations are whole, the air and the beam are played forwards: no correction is used.
+"""A simulated machine measured component by component: laser and level along each axis, both ways, with the
+errors that such a set-up has. Rotations are whole, air and beam errors are simulated and not corrected.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ZERO, LAY = 30.0, 300.0  # um or urad of a zero; urad by which a straightedge or
 
 @dataclass(frozen=True)
 class Beam:
-    """How a laser stands: dead path (mm), misalignment (urad), beam to the point of the component (mm), wavelength."""
+    """Laser set-up: dead path (mm), misalignment (urad), beam to the point of the component (mm), wavelength."""
 
     dead_path: float = 0.0
     misalignment: float = 0.0
@@ -32,7 +32,7 @@ class Beam:
 
 @dataclass(frozen=True)
 class SetUp:
-    """What a measuring team brings. reversal: up minus down of each positioning, um (its spread); squares: urad.
+    """Errors of a measuring set-up. reversal: up minus down of each positioning, um (its spread); squares: urad.
 
     warming: rise of the air beside the beam that an axis' test would see if it went on for long, K.
     """
@@ -84,7 +84,7 @@ def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, sta
     t = STEP * np.arange(len(p))
     warm = 20.0 + setup.warming * (1 - np.exp(-t / 2400.0)) + 0.4 * start
     pressure = 1013.0 + 3.0 * np.sin(t / 4000.0 + start)
-    found = {
+    columns = {
         "run": np.repeat([f"{axis} {n + 1}" for n in range(setup.cycles)], 2 * setup.targets).astype(object),
         "t": t,
         axis.lower(): p,
@@ -100,8 +100,8 @@ def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, sta
     for n in chain.of_axis(axis):
         noise = setup.noise if parse(n).unit == "um" else setup.angle_noise
         shown = _shown(chain, values, setup, n, axis, p, {k: sense * v for k, v in true.items()}, turns, warm, pressure)
-        found[n] = shown + ZERO * rng.normal() + noise * rng.normal(size=len(p))
-    return pd.DataFrame(found)
+        columns[n] = shown + ZERO * rng.normal() + noise * rng.normal(size=len(p))
+    return pd.DataFrame(columns)
 
 
 def _curve_at(value: Callable[[np.ndarray], np.ndarray] | float, p: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What another simulation says of a recording, row by row: the `simulated` twins that a diagnosis compares with.
+"""Another simulation's values for a recording, row by row: the `simulated` twins that a diagnosis compares with.
 
     recorded      the columns of role simulated that the recording already has
     csv           a file of simulated values over time, interpolated linearly inside a run, never beyond its ends
@@ -26,7 +26,7 @@ from errpipe.simulation.responses import Values, error_column
 from errpipe.simulation.twin_csv import csv_by_name, csv_values
 from errpipe.simulation.twin_options import AnySource, FromCsv, FromFmu, FromModel, FromRecorded, TwinOptions
 
-FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start: one alone would add its noise to all
+FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start; a mean has less noise than one reading
 
 __all__ = ["AnySource", "FromCsv", "FromFmu", "FromModel", "FromRecorded", "by_name", "error_column", "with_twins"]
 
@@ -75,35 +75,35 @@ def with_twins(
     extra: dict[str, Any] = {}
     match how:
         case FromRecorded():
-            found = _recorded(recording)
+            by_component = _recorded(recording)
         case FromCsv():
-            found = csv_values(recording, how, _needed(file, "a CSV file"))
+            by_component = csv_values(recording, how, _needed(file, "a CSV file"))
         case FromModel():
             if model is None:
                 raise UsageError("twin: no error model: name a file, or let a fit stage stand before it")
-            found = _model(recording, model)
+            by_component = _model(recording, model)
         case FromFmu():
             from errpipe.simulation import fmu
 
             result = fmu.run(recording, how, _needed(file, "an FMU"), progress)
-            found = {
+            by_component = {
                 c: Values(v, result.source, {"not finite": ~np.isfinite(v)}, result.notes)
                 for c, v in result.values.items()
             }
             extra = result.figures
     twins = []
-    for component, simulated in found.items():
+    for component, simulated in by_component.items():
         recording, twin = _placed(recording, component, simulated, how)
         twins.append(twin)
     return recording, twins, extra
 
 
 def by_name(recording: Recording, file: Path) -> FromCsv | FromModel | FromFmu:
-    """How to read a simulation's file when only its name is given: what is named alike belongs together.
+    """How to read a simulation's file when only its name is given: columns are matched by name.
 
     .csv: the time column is called as in the recording (or t, time), a response's column EXX, EXX_sim or as its error
     column (with _sim); .json: an error model; .fmu: see `fmu.by_name`. Units are the recording's own where the file
-    states none. Raises DataError where nothing is named alike.
+    states none. Raises DataError where no name matches.
     """
     match Path(file).suffix.lower():
         case ".csv":
@@ -175,7 +175,7 @@ def from_first_readings(recording: Recording, recorded: np.ndarray, values: np.n
 
 
 def _recorded(recording: Recording) -> dict[str, Values]:
-    found = {}
+    by_component = {}
     for component in recording.components():
         twin = recording.name("simulated", component=component)
         if twin is None:
@@ -185,20 +185,20 @@ def _recorded(recording: Recording) -> dict[str, Values]:
         if units_of[0] != units_of[1]:
             raise DataError(f"twin: {component}: recorded in {units_of[0]}, simulated in {units_of[1]}")
         values = recording.array(twin)
-        found[component] = Values(values, "the recording itself", {"empty": ~np.isfinite(values)})
-    if not found:
+        by_component[component] = Values(values, "the recording itself", {"empty": ~np.isfinite(values)})
+    if not by_component:
         raise DataError("twin: the recording has no column of role simulated for any of its responses")
-    return found
+    return by_component
 
 
 def _model(recording: Recording, model: ErrorModel) -> dict[str, Values]:
     from errpipe.fitting.components import evaluate
 
-    here = set(recording.frame.columns)
-    absent = [name for name in model.columns if name not in here]
+    columns = set(recording.frame.columns)
+    absent = [name for name in model.columns if name not in columns]
     if absent:
         raise DataError(
-            f"twin: the error model reads {absent[0]}, which the recording lacks.{did_you_mean(absent[0], here)}"
+            f"twin: the error model reads {absent[0]}, which the recording lacks.{did_you_mean(absent[0], columns)}"
         )
     for name, facts in model.columns.items():
         here_is = recording.manifest.columns[name]

@@ -6,8 +6,8 @@ the network: run no FMU that you would not run as a program.
 
 Rows that follow in time share a state; a new session (see `drivers.sessions`) starts the FMU anew, at its time 0.
 Inputs are handed over in the FMU's own units, outputs come back as deviations in the response's unit. A few tunable
-parameters may be recalibrated by bounded least squares before anything is called missing; the datum of the recording
-stays out of that: a constant between recording and simulation moves no parameter.
+parameters may be recalibrated by bounded least squares before the diagnosis; the datum of the recording
+is a nuisance parameter there: a constant between recording and simulation moves no parameter.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from errpipe.simulation.fmu_process import FmuProcess
 from errpipe.simulation.fmu_recalibration import recalibrated
 from errpipe.simulation.responses import names_of
 
-RECALIBRATION_RANGE = 2.0  # without declared bounds a tunable parameter may halve or double (from taste)
+RECALIBRATION_RANGE = 2.0  # without declared bounds a tunable parameter may halve or double (chosen, not measured)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class FmuResult:
 def run(
     recording: Recording, how: FmuOptions, file: Path, progress: Callable[[float, str], None] = lambda share, text: None
 ) -> FmuResult:
-    """Simulate every session of the recording. Raises UsageError without FMPy, DataError for all that goes wrong."""
+    """Simulate every session of the recording. Raises UsageError without FMPy, DataError for all other failures."""
     _refuse_missing(Path(file))
     with (
         tempfile.TemporaryDirectory(prefix="errpipe-fmu-") as folder,
@@ -92,9 +92,9 @@ def by_name(recording: Recording, file: Path) -> dict[str, Any]:
 
 
 def tunable(variables: Mapping[str, Mapping[str, Any]]) -> tuple[Tunable, ...]:
-    """What an FMU leaves to be set right: its tunable parameters, within their declared bounds, or half to twice.
+    """Tunable parameters of an FMU with their declared bounds, or half to twice the start value.
 
-    One that stands at zero and declares no bounds stays there: nothing says how far it may go.
+    A parameter of 0 without declared bounds is not recalibrated: its range is unknown.
     """
     out = []
     for name, v in variables.items():

@@ -1,4 +1,4 @@
-"""What a person says of an FMU: which column drives an input, which output is a response, what may be recalibrated."""
+"""Options of an FMU: columns of its inputs, outputs of its responses, parameters to recalibrate."""
 
 from __future__ import annotations
 

@@ -43,31 +43,31 @@ class Plan:
 
     def variable(self, name: str, allowed: tuple[str, ...] = ()) -> dict[str, Any]:
         """A scalar variable of the FMU, of one of these causalities."""
-        found = self.variables.get(name)
+        variable = self.variables.get(name)
         fitting = [n for n, v in self.variables.items() if not allowed or v["causality"] in allowed]
-        if found is None:
+        if variable is None:
             what = allowed[0] if allowed else "variable"
             near = did_you_mean(name, fitting)
             raise DataError(f"{self.name}: no {what} {name!r} (it has: {', '.join(fitting[:12]) or 'none'}).{near}")
-        if allowed and found["causality"] not in allowed:
-            raise DataError(f"{self.name}: {name} is its {found['causality']}, not an {' or '.join(allowed)}")
-        if not found["scalar"]:
+        if allowed and variable["causality"] not in allowed:
+            raise DataError(f"{self.name}: {name} is its {variable['causality']}, not an {' or '.join(allowed)}")
+        if not variable["scalar"]:
             raise DataError(f"{self.name}: {name} is an array; scalar variables only")
-        if found["type"] == "String":
+        if variable["type"] == "String":
             raise DataError(f"{self.name}: {name} is a text, not a number")
-        return found
+        return variable
 
     def start_value(self, name: str) -> float:
-        """Where a parameter stands before it is recalibrated: as set, else the FMU's own start, within its bounds."""
+        """Start value of a parameter before recalibration: as set, else the FMU's own, within its bounds."""
         tunable = next(t for t in self.how.recalibrate if t.parameter == name)
-        said = self.how.parameters.get(name, self.variables[name]["start"])
-        value = float(said) if said is not None else (tunable.low + tunable.high) / 2
+        stated = self.how.parameters.get(name, self.variables[name]["start"])
+        value = float(stated) if stated is not None else (tunable.low + tunable.high) / 2
         return float(np.clip(value, tunable.low, tunable.high))
 
     def _parameter(self, name: str) -> None:
-        found = self.variable(name, ("parameter",))
-        if found["variability"] not in ("fixed", "tunable"):
-            raise DataError(f"{self.name}: {name} is {found['variability']}: it cannot be set")
+        variable = self.variable(name, ("parameter",))
+        if variable["variability"] not in ("fixed", "tunable"):
+            raise DataError(f"{self.name}: {name} is {variable['variability']}: it cannot be set")
 
     def _step(self, t: np.ndarray) -> float:
         if self.how.step is not None:
@@ -92,7 +92,7 @@ class Plan:
 
     def _input(self, name: str, given: FmuInput) -> np.ndarray:
         """Values of one input on all rows, in the FMU's unit."""
-        found = self.variable(name, ("input",))
+        variable = self.variable(name, ("input",))
         column = self.recording.manifest.columns.get(given.column)
         if column is None or given.column not in self.recording.frame.columns:
             near = did_you_mean(given.column, self.recording.frame.columns)
@@ -100,8 +100,8 @@ class Plan:
         if column.role in ("run", "group"):
             raise DataError(f"{self.name}: {name} is driven by {given.column}, which is a label")
         values = self._filled(name, self.recording.array(given.column))
-        plain = column.unit is None or found["type"] not in ("Real", "Float64", "Float32")
-        if plain and given.unit is None and found["unit"] is None:
+        plain = column.unit is None or variable["type"] not in ("Real", "Float64", "Float32")
+        if plain and given.unit is None and variable["unit"] is None:
             return values
         unit, own = self._unit(name, given.unit), column.unit or "1"
         if given.rise_from is None:
@@ -134,12 +134,12 @@ class Plan:
         return out
 
     def _unmapped(self) -> None:
-        for name, found in self.variables.items():
-            if found["causality"] != "input" or name in self.how.inputs:
+        for name, variable in self.variables.items():
+            if variable["causality"] != "input" or name in self.how.inputs:
                 continue
-            if found["start"] is None:
+            if variable["start"] is None:
                 raise DataError(f"{self.name}: its input {name} is driven by nothing and has no start value")
-            self.notes.append(f"input {name} stays at its start value {found['start']}")
+            self.notes.append(f"input {name} stays at its start value {variable['start']}")
 
     def _output(self, component: str, wanted: FmuOutput) -> tuple[str, str, float]:
         """FMU unit, response unit and sign of one output."""

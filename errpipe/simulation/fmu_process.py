@@ -57,10 +57,10 @@ class FmuProcess:
         self.file, self.folder, self.how = file, folder, how
         self.given, self.work = folder / "given", folder / "work"
         self.user = unprivileged_user()
-        self.token = secrets.token_hex(16)  # in its environment, by which strays are found
+        self.token = secrets.token_hex(16)  # in its environment: identifies processes that outlive it
 
     def __enter__(self) -> FmuProcess:
-        """Raises UsageError on a system without POSIX processes: there an FMU could not be kept apart."""
+        """Raises UsageError on a system without POSIX processes: there an FMU cannot be isolated."""
         if not hasattr(os, "fork"):
             raise UsageError(
                 f"{self.file.name}: an FMU runs on Linux, macOS and in WSL only, where its process can be limited and "
@@ -110,9 +110,9 @@ class FmuProcess:
         os.close(self.control)  # its supervisor now ends all that the FMU has started
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(END_PATIENCE)
-        for stray in [self.process.pid, *_with_token(self.token)]:
+        for pid in [self.process.pid, *_with_token(self.token)]:
             with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(stray, signal.SIGKILL)
+                os.kill(pid, signal.SIGKILL)
         self.process.wait()
         for stream in (self.orders, self.answers, self.printed):
             with contextlib.suppress(BrokenPipeError):
@@ -121,10 +121,10 @@ class FmuProcess:
     def load(self) -> dict[str, Any]:
         """The FMU unpacked and described. Raises DataError."""
         order = {"do": "load", "fmu": str(self.given / "model.fmu")}
-        found = self._ask(order | {"memory_mb": self.how.memory_mb, "disk_mb": self.how.disk_mb}, "loading")
-        if not isinstance(found, dict) or not isinstance(found.get("variables"), dict):
+        description = self._ask(order | {"memory_mb": self.how.memory_mb, "disk_mb": self.how.disk_mb}, "loading")
+        if not isinstance(description, dict) or not isinstance(description.get("variables"), dict):
             raise DataError(f"{self.file.name}: loading it, its process gave no description of it")
-        return found
+        return description
 
     def simulate(self, order: dict[str, Any], inputs: np.ndarray | None) -> np.ndarray:
         """One session simulated: time and outputs, shape (steps, 1 + outputs). Raises DataError."""
@@ -229,10 +229,10 @@ def unprivileged_user() -> int:
 
 def _with_token(token: str) -> list[int]:
     """Processes that have inherited the FMU's environment."""
-    found = []
+    pids = []
     for name in os.listdir("/proc") if os.path.isdir("/proc") else []:
         if name.isdigit() and int(name) != os.getpid():
             with contextlib.suppress(OSError):
                 if f"{TOKEN}={token}".encode() in Path(f"/proc/{name}/environ").read_bytes():
-                    found.append(int(name))
-    return found
+                    pids.append(int(name))
+    return pids

@@ -1,6 +1,6 @@
-"""A few parameters of a simulation set right on a recording, before anything is called missing.
+"""Recalibration of a few parameters of a simulation on a recording, before the diagnosis.
 
-Bounded least squares on recorded less simulated, robust against outliers. The datum of the recording stays out of it:
+Bounded least squares on recorded less simulated, robust against outliers. The datum is a nuisance parameter:
 a constant between recording and simulation moves no parameter.
 """
 
@@ -17,14 +17,14 @@ from errpipe.errors import DataError
 from errpipe.simulation.fmu_options import FmuOptions
 from errpipe.simulation.fmu_plan import Plan
 
-MAX_EVALUATIONS = 15  # of the least-squares search, gradients apart; chosen for at most two minutes with one parameter
-MIN_GAIN = 0.01  # share of the mismatch that a recalibration must remove to be used (from taste)
+MAX_EVALUATIONS = 15  # of the residual, beside gradients; chosen for at most two minutes with one parameter
+MIN_GAIN = 0.01  # share of the mismatch that a recalibration must remove to be used (chosen, not measured)
 
 
 def recalibrated(
     recording: Recording, how: FmuOptions, plan: Plan, start: dict[str, float], begin: dict[str, np.ndarray], progress
 ) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
-    """The simulation with its tunable parameters set right, within their bounds, and what became of each."""
+    """The simulation with its tunable parameters fitted within their bounds, and the result for each."""
     from scipy.optimize import least_squares
 
     low, high = (np.array([getattr(t, end) for t in how.recalibrate]) for end in ("low", "high"))
@@ -40,7 +40,7 @@ def recalibrated(
         return cache[key]
 
     inside = np.clip((np.array([start[n] for n in names]) - low) / (high - low), 1e-3, 1 - 1e-3)
-    found = least_squares(
+    optimum = least_squares(
         residual,
         inside,
         bounds=(0.0, 1.0),
@@ -52,11 +52,11 @@ def recalibrated(
         ftol=1e-6,
     )
     before, after = mismatch.rms(begin), 0.0
-    tuned = dict(zip(names, map(float, low + found.x * (high - low)), strict=True))
+    tuned = dict(zip(names, map(float, low + optimum.x * (high - low)), strict=True))
     values = plan.simulate(tuned)
     after = mismatch.rms(values)
-    moved = after < (1 - MIN_GAIN) * before
-    if not moved:
+    improved = after < (1 - MIN_GAIN) * before
+    if not improved:
         plan.notes.append("recalibration took nothing away: the parameters stay as they were")
     sensitive = [
         mismatch.is_sensitive(values, plan.simulate(tuned | {n: _other_value(tuned[n], a, b)}))
@@ -66,17 +66,17 @@ def recalibrated(
         {
             "parameter": n,
             "start": start[n],
-            "value": tuned[n] if moved else start[n],
+            "value": tuned[n] if improved else start[n],
             "low": float(a),
             "high": float(b),
-            "at_a_bound": bool(moved and not 1e-3 < x < 1 - 1e-3),
+            "at_a_bound": bool(improved and not 1e-3 < x < 1 - 1e-3),
             "shows": s,
         }
-        for n, a, b, x, s in zip(names, low, high, found.x, sensitive, strict=True)
+        for n, a, b, x, s in zip(names, low, high, optimum.x, sensitive, strict=True)
     ]
     plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in parameters if not t["shows"]]
     plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in parameters if t["at_a_bound"]]
-    return (values if moved else begin), parameters
+    return (values if improved else begin), parameters
 
 
 def _other_value(value: float, low: float, high: float) -> float:
@@ -97,20 +97,22 @@ class _Mismatch:
         self.scale = {c: self._spread(c, begin[c]) for c in begin}
 
     def _spread(self, component: str, begin: np.ndarray) -> float:
-        left = (self.recorded[component] - begin)[self.rows[component]]
-        step = 1.4826 * np.median(np.abs(np.diff(left))) / math.sqrt(2)
-        return float(max(step, 0.01 * np.std(left), 1e-9))
+        residual = (self.recorded[component] - begin)[self.rows[component]]
+        step = 1.4826 * np.median(np.abs(np.diff(residual))) / math.sqrt(2)
+        return float(max(step, 0.01 * np.std(residual), 1e-9))
 
     def __call__(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         parts = []
         for component, rows in self.rows.items():
-            left = (self.recorded[component] - values[component])[rows]
-            left = np.where(np.isfinite(left), left, 1e6 * self.scale[component])  # far off, so the search turns back
-            parts.append((left - np.median(left)) / self.scale[component])
+            residual = (self.recorded[component] - values[component])[rows]
+            residual = np.where(
+                np.isfinite(residual), residual, 1e6 * self.scale[component]
+            )  # the search rejects such a step
+            parts.append((residual - np.median(residual)) / self.scale[component])
         return np.concatenate(parts)
 
     def is_sensitive(self, values: Mapping[str, np.ndarray], moved: Mapping[str, np.ndarray]) -> bool:
-        """Whether what moved is more than a constant, somewhere, and not lost in the noise."""
+        """Whether a change of a parameter changes some response by more than a constant and the noise."""
         for component, rows in self.rows.items():
             change = (moved[component] - values[component])[rows]
             change = change[np.isfinite(change)]
@@ -121,5 +123,5 @@ class _Mismatch:
 
     def rms(self, values: Mapping[str, np.ndarray]) -> float:
         """Root mean square without the widest tenth (outliers), over all responses."""
-        left = np.sort(np.abs(self(values)))
-        return float(np.sqrt(np.mean(left[: int(0.9 * left.size)] ** 2)))
+        residual = np.sort(np.abs(self(values)))
+        return float(np.sqrt(np.mean(residual[: int(0.9 * residual.size)] ** 2)))

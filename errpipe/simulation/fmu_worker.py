@@ -1,4 +1,4 @@
-"""Runs one FMU in a process of its own: started as a script, never imported. What crashes here, crashes here alone.
+"""Runs one FMU in a process of its own: started as a script, never imported. A crash ends this process only.
 
 Two processes: a supervisor that knows no FMU, and the one that runs it. When the supervisor's control pipe closes, when
 the FMU ends or when it has filled the disk that it is given, all its processes are killed, also those in a session
@@ -238,13 +238,13 @@ def descendants(of: int) -> list[int]:
                     parents[int(name)] = int(stream.read().rpartition(b")")[2].split()[1])
             except (OSError, IndexError, ValueError):
                 continue
-    found, waiting = [], [of]
+    pids, waiting = [], [of]
     while waiting:
-        here = waiting.pop()
-        below = [child for child, parent in parents.items() if parent == here]
-        found += below
+        parent_pid = waiting.pop()
+        below = [child for child, parent in parents.items() if parent == parent_pid]
+        pids += below
         waiting += below
-    return found
+    return pids
 
 
 def end_all(patience: float = 5.0) -> None:
@@ -267,17 +267,17 @@ def end_all(patience: float = 5.0) -> None:
 def size_mb(folder: str) -> int:
     """Size of all files below a folder, links not followed, MB."""
     total = 0
-    for here, _, names in os.walk(folder):
+    for directory, _, names in os.walk(folder):
         for name in names:
             try:
-                total += os.lstat(os.path.join(here, name)).st_blocks * 512
+                total += os.lstat(os.path.join(directory, name)).st_blocks * 512
             except OSError:
                 continue
     return total >> 20
 
 
 def supervise(control: int, user: int, disk_mb: int) -> None:
-    """Start the process that runs the FMU; end all of it when told to, and pass its end on as this process' own."""
+    """Start the process that runs the FMU; end all of it on request, and exit with its exit code."""
     prctl(PR_SET_CHILD_SUBREAPER, 1)
     child = os.fork()
     if child == 0:

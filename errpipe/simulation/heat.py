@@ -60,15 +60,15 @@ def conduct(
     for k in range(steps):
         out[k, :PIECES], out[k, PIECES:] = theta, (nut, bearing, bed)
         first, last = low[k] - HALF_NUT, high[k] + HALF_NUT
-        here = np.clip(np.minimum(middle + 500 * piece, last) - np.maximum(middle - 500 * piece, first), 0.0, None)
-        here /= here.sum()
+        nut_share = np.clip(np.minimum(middle + 500 * piece, last) - np.maximum(middle - 500 * piece, first), 0.0, None)
+        nut_share /= nut_share.sum()
         friction = 0.085 * speed[k] * (1 + 0.1 * speed[k] / 300)  # W at the nut, from its drag of about 85 N
         turning = 0.027 * speed[k]  # W at the fixed bearing
-        contact = 9.0 * here * (nut - theta)  # W
+        contact = 9.0 * nut_share * (nut - theta)  # W
         loss = (screw.still_air + screw.moving_air * speed[k] / 300) * surface * (theta - air[k])
         flow = along * np.diff(theta)
         seat = 1.5 * (bearing - theta[0])
-        gain = contact + 0.5 * friction * here - loss
+        gain = contact + 0.5 * friction * nut_share - loss
         gain[:-1] += flow
         gain[1:] -= flow
         gain[0] += seat

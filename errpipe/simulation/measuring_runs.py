@@ -20,10 +20,10 @@ MIN_POSES = 8  # within reach; a rotary test with fewer is left out
 
 
 def _linear(chain: Chain) -> list[int]:
-    found = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
-    if len(found) != 3:
-        raise DataError(f"this test needs three linear axes ({chain.machine.name} has {len(found)})")
-    return found
+    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    if len(linear) != 3:
+        raise DataError(f"this test needs three linear axes ({chain.machine.name} has {len(linear)})")
+    return linear
 
 
 def fractions(chain: Chain, *shares: float | np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def build(pieces: tuple[Piece, ...], recording: Recording) -> tuple[bytes, str]:
 
 def compiled(sources: dict[str, str]) -> tuple[bytes | None, str]:
     """The shared library, or None and why there is none."""
-    compiler = next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
+    compiler = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
     if compiler is None:
         return None, "no C compiler was found: the FMU holds its sources alone"
     with tempfile.TemporaryDirectory(prefix="errpipe-patch-") as folder:

@@ -5,8 +5,8 @@ Two ways to fit what was accepted:
     whole      a `fit` stage stands before: its terms and the accepted ones together, on the whole deviation
     mismatch   none does: the accepted terms on recorded less simulated, the simulation being used as it stands
 
-What belongs to the measurement (air, drift) is fitted beside the accepted terms as nuisance, so that it does not bend
-them, and is never compensated. A simulation whose own gains are off bends them too: where its values are plainly the
+What belongs to the measurement (air, drift) is fitted beside the accepted terms as nuisance, so that it does not bias
+them, and is never compensated. A simulation whose own gains are off biases them too: where its values are plainly the
 sum of a few terms, these terms join the mismatch, and the table holds by how much their gains are off.
 """
 
@@ -53,7 +53,7 @@ class Accept(Options):
 class Decision:
     """What becomes of one finding. terms: its physics bound to columns; reason: why it is refused, '' where accepted.
 
-    beside: refused, but fitted as nuisance so that it does not bend the accepted terms.
+    beside: refused, but fitted as nuisance so that it does not bias the accepted terms.
     """
 
     component: str
@@ -73,19 +73,19 @@ class Decision:
 
     def plain(self) -> dict[str, Any]:
         """Plain data for `acceptance.json`."""
-        told = {"component": self.component, "effect": self.finding.effect, "confidence": self.finding.confidence}
-        return told | ({"reason": self.reason} if self.reason else {"says": self.finding.says})
+        document = {"component": self.component, "effect": self.finding.effect, "confidence": self.finding.confidence}
+        return document | ({"reason": self.reason} if self.reason else {"says": self.finding.says})
 
 
 def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bool = False) -> list[Decision]:
     """One decision per finding, responses and findings in the diagnosis' order. whole: a model stands before."""
     made = []
     for response in diagnosis.responses:
-        own = [_decide(f, response, recording, accept) for f in response.findings]
-        named = any(d.accepted and d.finding.effect != "recalibration" for d in own)
+        decided = [_decide(f, response, recording, accept) for f in response.findings]
+        named = any(d.accepted and d.finding.effect != "recalibration" for d in decided)
         made += [
             _recalibration(d, recording, accept, whole, named) if d.finding.effect == "recalibration" else d
-            for d in own
+            for d in decided
         ]
     return made
 
@@ -101,39 +101,41 @@ def _recalibration(d: Decision, recording: Recording, accept: Accept, whole: boo
 
 
 def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accept: Accept) -> Decision:
-    refuse = Decision(response.component, f)
+    decision = Decision(response.component, f)
     if f.effect == "unknown":
-        return replace(refuse, reason=UNKNOWN)
-    sure = f.sure() >= accept.confidence
-    held = response.holdout
-    worse = held.rms_after_um >= held.rms_before_um
+        return replace(decision, reason=UNKNOWN)
+    confident = f.sure() >= accept.confidence
+    holdout = response.holdout
+    worse = holdout.rms_after_um >= holdout.rms_before_um
     if f.effect == "recalibration":
-        return refuse if sure and not worse else replace(refuse, reason=RECALIBRATION)
+        return decision if confident and not worse else replace(decision, reason=RECALIBRATION)
     from errpipe.diagnosis.applied import terms_of
 
     terms = terms_of(f)
     artefacts = _artefacts_by_effect()
     if f.effect in artefacts or any(not t.compensable for t in terms):
         reason = artefacts.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
-        beside = sure and bool(terms) and all(t.nuisance for t in terms)
-        return replace(refuse, terms=terms, reason=reason, beside=beside)
-    if not sure:
-        return replace(refuse, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
+        as_nuisance = confident and bool(terms) and all(t.nuisance for t in terms)
+        return replace(decision, terms=terms, reason=reason, beside=as_nuisance)
+    if not confident:
+        return replace(decision, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
     if worse:
-        told = f"{held.rms_before_um:.3g} -> {held.rms_after_um:.3g} {response.unit}"
-        return replace(refuse, reason=f"rows that sat out are no better explained with it ({told})")
+        detail = f"{holdout.rms_before_um:.3g} -> {holdout.rms_after_um:.3g} {response.unit}"
+        return replace(decision, reason=f"rows that sat out are no better explained with it ({detail})")
     if not terms:
-        return replace(refuse, reason="it names no term")
+        return replace(decision, reason="it names no term")
     if f.where.runs:
-        return replace(refuse, reason=f"it acted in some runs only ({', '.join(f.where.runs)}): a table acts always")
-    alike = [other for other in f.indistinguishable_from if other in artefacts]
-    if alike and not accept.despite_artefact:
-        told = f"; {f.would_separate}" if f.would_separate else ""
-        return replace(refuse, reason=f"the data cannot tell it from {alike[0]}, which is not the machine's{told}")
+        return replace(decision, reason=f"it acted in some runs only ({', '.join(f.where.runs)}): a table acts always")
+    similar_artefacts = [other for other in f.indistinguishable_from if other in artefacts]
+    if similar_artefacts and not accept.despite_artefact:
+        detail = f"; {f.would_separate}" if f.would_separate else ""
+        return replace(
+            decision, reason=f"the data cannot tell it from {similar_artefacts[0]}, which is not the machine's{detail}"
+        )
     values = {p.name: p.value for p in f.parameters}
     if not f.compensable or any(not t.lower(_complete(t, values)) for t in terms):
-        return replace(refuse, reason="a controller cannot compensate it: it has no compiled form")
-    return replace(refuse, terms=terms)
+        return replace(decision, reason="a controller cannot compensate it: it has no compiled form")
+    return replace(decision, terms=terms)
 
 
 def _artefacts_by_effect() -> dict[str, str]:
@@ -149,7 +151,7 @@ def _complete(term: Term, values: dict[str, float]) -> dict[str, float]:
 
 
 PLAIN = 1e-4  # share of a simulated signal's variance that its plain parts may leave (a simulation has no noise)
-MOST_PARTS = 3
+MOST_PARTS = 3  # terms that a simulated signal may be the sum of
 
 
 def parts(recording: Recording, component: str) -> tuple[Term, ...]:
@@ -168,8 +170,8 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     chosen: list[Term] = []
     design = np.ones((simulated.size, 1))
     while len(chosen) < MOST_PARTS and columns:
-        left = [(_left(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
-        least, k = min(left)
+        unexplained = [(_left(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
+        least, k = min(unexplained)
         term, column = columns.pop(k)
         chosen.append(term)
         design = np.hstack([design, column])
@@ -179,7 +181,7 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
 
 
 def _left(design: np.ndarray, values: np.ndarray) -> float:
-    """Share of the variance that columns leave."""
+    """Share of the variance that a least-squares fit of the columns leaves unexplained."""
     rows = np.isfinite(values) & np.isfinite(design).all(axis=1)
     if rows.sum() <= design.shape[1] + 1 or np.var(values[rows]) == 0:
         return 1.0
@@ -202,28 +204,28 @@ def ask(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec
         new = [t for d in decisions if d.accepted and d.component == response.component for t in d.terms]
         terms += [Offset()] if old is None and new else []
         for term in new:
-            if _bare(term) not in map(_bare, terms):
+            if _without_fixed(term) not in map(_without_fixed, terms):
                 terms.append(term)
-        told = old or ComponentSpec(component=response.component)
-        components[response.component] = told.model_copy(update={"terms": tuple(terms)})
-    # a nuisance acts on every response that is fitted, so it must be theirs
+        spec = old or ComponentSpec(component=response.component)
+        components[response.component] = spec.model_copy(update={"terms": tuple(terms)})
+    # a nuisance term is fitted to every response, so it must have been named in each of them
     fitted = {name for name, c in components.items() if c.terms}
-    beside = [t for d in decisions if d.beside and {d.component} == fitted for t in d.terms]
+    nuisance_terms = [t for d in decisions if d.beside and {d.component} == fitted for t in d.terms]
     if existing is not None:
-        nuisance = (*existing.nuisance, *(t for t in beside if t not in existing.nuisance))
+        nuisance = (*existing.nuisance, *(t for t in nuisance_terms if t not in existing.nuisance))
         return existing.model_copy(update={"components": tuple(components.values()), "nuisance": nuisance})
     chosen = tuple(c for name, c in components.items() if name in fitted) or tuple(components.values())
-    return ModelSpec(components=chosen, nuisance=tuple(beside), method="robust")
+    return ModelSpec(components=chosen, nuisance=tuple(nuisance_terms), method="robust")
 
 
-def _bare(term: Term) -> dict[str, Any]:
+def _without_fixed(term: Term) -> dict[str, Any]:
     return {k: v for k, v in term.model_dump(mode="json").items() if k != "fixed"}
 
 
 def fit_accepted(
     decisions: list[Decision], diagnosis: Diagnosis, existing: ModelSpec | None, recording: Recording
 ) -> tuple[ErrorModel, ModelSpec, list[Decision]]:
-    """The error model of what was accepted; what the rows cannot tell apart beside the rest is refused after all.
+    """Fit the accepted findings; one that is not identifiable beside the others is refused after all.
 
     Raises NotIdentifiable where the model before can already not be fitted, DataError without twins.
     """
@@ -235,18 +237,18 @@ def fit_accepted(
         spec = ask(decisions, diagnosis, existing)
         source = recording if existing is not None else mismatch(recording, spec)
         try:
-            found = model.fit(source, spec)
+            fitted = model.fit(source, spec)
         except NotIdentifiable as why:
-            decisions = _without_one(decisions, why)
+            decisions = _with_one_refused(decisions, why)
             continue
         if existing is None:
             note = "deviations are what a simulation leaves out: recorded less simulated, as it stands"
-            found = found.model_copy(update={"notes": (*found.notes, note)})
-        return found, spec, decisions
+            fitted = fitted.model_copy(update={"notes": (*fitted.notes, note)})
+        return fitted, spec, decisions
 
 
-def _without_one(decisions: list[Decision], why: Exception) -> list[Decision]:
-    """One thing less to fit: the simulation's own gains first, then the least sure finding, then the nuisance."""
+def _with_one_refused(decisions: list[Decision], why: Exception) -> list[Decision]:
+    """Refuse one of them: the simulation's own gains first, then the least confident finding, then the nuisance."""
     accepted = [d for d in decisions if d.accepted]
     if accepted:
         least = min(accepted, key=lambda d: (d.finding.effect != "recalibration", d.finding.confidence))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from errpipe.simulation.patch import Piece
 
 LEAST_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
-SAME = 0.02  # of a finding's largest value, by which its equation in the patch may differ from its term
+SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
 OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the patch of the machine's simulation"
 IN_SOME_RUNS = "it acted in some runs only: no equation says in which runs to come"
 NO_EQUATION = "its term cannot be written as profiles times drivers"
@@ -49,21 +49,21 @@ def apply_findings(
     from errpipe.domain.recording import Recording
     from errpipe.formats import manifest_folder
 
-    done = applied.corrected(recording, found, LEAST_CONFIDENCE, held)
-    frame = recording.frame.assign(**{c.column: c.simulated for c in done})
-    better = Recording(recording.manifest, frame, recording.between)
+    results = applied.corrected(recording, found, LEAST_CONFIDENCE, held)
+    frame = recording.frame.assign(**{c.column: c.simulated for c in results})
+    corrected = Recording(recording.manifest, frame, recording.between)
     read = applied.causal(recording)
-    pieces, why_not = _pieces(done, read)
-    manifest_folder.write(better, out)
-    jsonfile.write_text(out / "terms.yaml", terms_text(done))
-    problem = _write_patch(out, done, pieces, read)
+    pieces, why_not = _patch_equations(results, read)
+    manifest_folder.write(corrected, out)
+    jsonfile.write_text(out / "terms.yaml", terms_text(results))
+    problem = _write_patch(out, results, pieces, read)
     if parameters:
         lines = [f"{p['parameter']}: {p['value']:.12g}  # was {p['start']:.12g}" for p in parameters]
         jsonfile.write_text(out / "parameters.yaml", "\n".join(lines) + "\n")
-    again, _ = diagnose(better, progress)
+    second, _ = diagnose(corrected, progress)
     document = {
         "apply": 1,
-        "responses": [_told(c, why_not) for c in done],
+        "responses": [_response_document(c, why_not) for c in results],
         "fmu": problem or "patch.fmu" if pieces else "nothing to put in",
         "second_diagnosis": {
             r.component: {
@@ -72,7 +72,7 @@ def apply_findings(
                 "findings": [f.effect for f in r.findings],
                 "says": r.says,
             }
-            for r in again.responses
+            for r in second.responses
         },
     }
     jsonfile.write(out / "apply.json", document)
@@ -96,7 +96,7 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _told(c: Corrected, why_not: Mapping[tuple[str, str], str]) -> dict[str, Any]:
+def _response_document(c: Corrected, why_not: Mapping[tuple[str, str], str]) -> dict[str, Any]:
     before, after = c.mismatch, c.left
     return {
         "component": c.component,
@@ -149,7 +149,9 @@ def terms_text(done: Sequence[Corrected]) -> str:
 # ---------------------------------------------------------------- the patch
 
 
-def _pieces(done: Sequence[Corrected], read: Recording) -> tuple[tuple[Piece, ...], dict[tuple[str, str], str]]:
+def _patch_equations(
+    done: Sequence[Corrected], read: Recording
+) -> tuple[tuple[Piece, ...], dict[tuple[str, str], str]]:
     """Equations of the machine's findings; (component, effect) -> why one is not among them."""
     pieces, why_not = [], {}
     for c in done:
@@ -178,11 +180,11 @@ def _piece(c: Corrected, part: Part, read: Recording) -> Piece | str:
     pairs = [t.equation(v) for t, v in zip(part.terms, part.values, strict=True)]
     if any(p is None for p in pairs):
         return NO_EQUATION
-    whole = tuple(pair for p in pairs for pair in p or ())
+    all_pairs = tuple(pair for p in pairs for pair in p or ())
     numbers = [f"{n} = {v:.6g}" for values in part.values for n, v in values.items()]
     says = f"{effect.replace('_', ' ')} of {c.component} in {c.unit}: {', '.join(numbers)}"
     name = "".join(ch if ch.isalnum() else "_" for ch in f"{c.component}_{effect}")
-    piece = Piece(name, c.component, c.unit, says, whole, dict(f.where.ranges))
+    piece = Piece(name, c.component, c.unit, says, all_pairs, dict(f.where.ranges))
     off = np.nanmax(np.abs(value(piece, read) - part.contribution))
     return piece if off <= SAME * np.nanmax(np.abs(part.contribution)) else NO_EQUATION
 

@@ -1,4 +1,4 @@
-"""What stages leave for each other: recordings, error models and tables, read back from a stage's folder."""
+"""Artefacts between stages: recordings, error models and tables, read back from a stage's folder."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 PUSH = 100.0  # N: the force of an example
-LEAST_ZERO = 5e-5  # mm (deg): a zero that moves by less is not worth a line
+LEAST_ZERO = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 
 
 def checklist(
@@ -39,7 +39,7 @@ def checklist(
     if moves := _moves(read):
         lines += [
             "Go there from below, then from above, other axes at mid travel; expect this correction.",
-            _state(table),
+            _reference_state(table),
         ]
         lines += ["", "| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
         lines += moves
@@ -70,14 +70,16 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
             continue
         unit, (low, high) = "deg" if axis[0] in "ABC" else "mm", _sample.span(table, axis)
         x = np.append(np.linspace(low, high, 41), np.clip(0.0, low, high))
-        own = [c for c in read.curves if c.axis == c.over == axis]
-        said = np.sum([(np.interp(x, c.positions, c.up) + np.interp(x, c.positions, c.down)) / 2 for c in own], axis=0)
-        if target.keeps_level and abs(said[-1]) > LEAST_ZERO:
-            there = f"at {axis} = {x[-1]:g} {unit} the file says {said[-1]:+.4f} {unit}"
-            out.append(ByHand(f"reference zero: {there}, so the zero of {axis} moves by it"))
+        curves = [c for c in read.curves if c.axis == c.over == axis]
+        in_file = np.sum(
+            [(np.interp(x, c.positions, c.up) + np.interp(x, c.positions, c.down)) / 2 for c in curves], axis=0
+        )
+        if target.keeps_level and abs(in_file[-1]) > LEAST_ZERO:
+            text = f"at {axis} = {x[-1]:g} {unit} the file says {in_file[-1]:+.4f} {unit}"
+            out.append(ByHand(f"reference zero: {text}, so the zero of {axis} moves by it"))
         elif not target.keeps_level and not others:
-            whole = _sample.curve(table, axis, axis, x[:-1])
-            level = float(np.mean((whole.up + whole.down) / 2 - said[:-1]))
+            in_table = _sample.curve(table, axis, axis, x[:-1])
+            level = float(np.mean((in_table.up + in_table.down) / 2 - in_file[:-1]))
             if abs(level) > LEAST_ZERO:
                 says = (
                     f"reference zero: the file is 0 there; the datum of {axis} keeps the constant {level:+.4f} {unit}"
@@ -95,9 +97,9 @@ def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -
     parts = tuple(number.curve for number in numbers if number.curve is not None)
     if not parts:
         return []
-    left = [x for x in losses(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
-    says = "; ".join(f"{x.axis} {x.rms:.3g} um rms, at most {at_most(x.bound)} um" for x in left)
-    return [f"- with the numbers entered by hand: {says}"]
+    remaining = [x for x in losses(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
+    words = "; ".join(f"{x.axis} {x.rms:.3g} um rms, at most {at_most(x.bound)} um" for x in remaining)
+    return [f"- with the numbers entered by hand: {words}"]
 
 
 def _of_force(table: CompensationTable) -> list[str]:
@@ -159,15 +161,15 @@ def _within_travel(read: Any, table: CompensationTable) -> Any:
     return replace(read, curves=tuple(curves))
 
 
-def _state(table: CompensationTable) -> str:
+def _reference_state(table: CompensationTable) -> str:
     """The readings at which the expected corrections hold."""
     from errpipe.targets import _sample
 
     start, moving = _sample.middle(table), set(_sample.positions_of(table).values())
-    still = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
-    if not still:
+    steady = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
+    if not steady:
         return "Nothing else matters to it: no temperature, no speed."
-    return f"It holds at {', '.join(still)}, all of them steady; at other readings expect other values."
+    return f"It holds at {', '.join(steady)}, all of them steady; at other readings expect other values."
 
 
 def _moves(read: Any) -> list[str]:
@@ -182,8 +184,8 @@ def _moves(read: Any) -> list[str]:
     cold = {line.sensor: np.full(1, line.reference) for line in read.lines}
 
     def row(axis: str, over: str, where: str, at: dict[str, float]) -> str:
-        there = middle | {name: np.full(1, x) for name, x in at.items()}
-        up, down = (1e3 * float(read.correction(axis, there, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
+        readings = middle | {name: np.full(1, x) for name, x in at.items()}
+        up, down = (1e3 * float(read.correction(axis, readings, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
         return f"| {axis} | {over} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
 
     lines = []

@@ -104,13 +104,13 @@ def travel_speeds(recording: Recording) -> dict[str, float]:
 
     from errpipe.drivers.motion import axes
 
-    found = {}
+    speeds = {}
     for axis in (*axes(recording), *axes(recording, "rotary")):
         name = recording.name("velocity", axis=axis)
         speed = np.abs(recording.array(name)) if name is not None else np.empty(0)
         if speed.size and np.nanmax(speed, initial=0.0) > 0:
-            found[axis] = float(np.nanmax(speed))
-    return found
+            speeds[axis] = float(np.nanmax(speed))
+    return speeds
 
 
 def _acts_on(

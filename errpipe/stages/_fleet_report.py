@@ -23,18 +23,18 @@ DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
 def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
     """What the fleet needs to know of one finished run: held-out figures per response, and what drifts."""
     folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
-    found: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
     if "validation" in folders:
         document = jsonfile.read(folders["validation"] / _artefacts.VALIDATION)
         for c in document["components"]:
             keys = ("rms_before", "rms_after", "noise_floor", "unit")
-            found["responses"][c["component"]] = {key: c[key] for key in keys}
+            figures["responses"][c["component"]] = {key: c[key] for key in keys}
     if "error_model" in folders:
-        found["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
+        figures["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
     if "recording" in folders:
         recording = _artefacts.recording_in(folders["recording"])
-        found["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
-    return found
+        figures["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
+    return figures
 
 
 def _sensors(recording: Recording) -> list[dict[str, Any]]:
@@ -80,7 +80,7 @@ def write_report(
     document = {
         "fleet": VERSION,
         "title": title,
-        "machines": sorted(rows, key=_badness),
+        "machines": sorted(rows, key=_sort_key),
         "drifting": [{"name": r["name"], **d} for r in rows for d in r["drift"]],
         "types": [_type(name, rows, out, pool) for name in sorted(set(types.values()))],
     }
@@ -89,10 +89,10 @@ def write_report(
     return document
 
 
-def _badness(row: Mapping[str, Any]) -> tuple[int, float, str]:
+def _sort_key(row: Mapping[str, Any]) -> tuple[int, float, str]:
     """Failed ones first, then by the largest rms that is left on held-out rows."""
-    left = max((c["rms_after"] for c in row["responses"].values()), default=0.0)
-    return (("failed", "refused", "done").index(row["state"]), -left, row["name"])
+    largest_rms = max((c["rms_after"] for c in row["responses"].values()), default=0.0)
+    return (("failed", "refused", "done").index(row["state"]), -largest_rms, row["name"])
 
 
 def _type(name: str, rows: Sequence[Mapping[str, Any]], out: Path, pool: bool) -> dict[str, Any]:
@@ -104,26 +104,26 @@ def _type(name: str, rows: Sequence[Mapping[str, Any]], out: Path, pool: bool) -
         for r in rows
         if r["type"] == name and r["model"] and r["state"] != "failed"
     }
-    found = {}
+    by_response = {}
     for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
         names, keys, estimates, covariances = _estimates(models, component)
-        together = pooling.pooled(estimates, covariances)
-        found[component] = {
+        pooled = pooling.pooled(estimates, covariances)
+        by_response[component] = {
             "parameters": list(keys),
             "machines": names,
             "alike": [[names[k] for k in group] for group in pooling.alike(estimates, covariances)],
         }
-        if together is not None:
-            found[component] |= {"mean": together.mean.tolist(), "spread": together.spread.tolist()}
+        if pooled is not None:
+            by_response[component] |= {"mean": pooled.mean.tolist(), "spread": pooled.spread.tolist()}
             if pool:
-                shrunk = [together.shrunk(e, c) for e, c in zip(estimates, covariances, strict=True)]
-                found[component]["pooled"] = {n: m.tolist() for n, (m, _) in zip(names, shrunk, strict=True)}
+                shrunk = [pooled.shrunk(e, c) for e, c in zip(estimates, covariances, strict=True)]
+                by_response[component]["pooled"] = {n: m.tolist() for n, (m, _) in zip(names, shrunk, strict=True)}
                 for machine, (mean, covariance) in zip(names, shrunk, strict=True):
                     models[machine] = with_parameters(models[machine], component, mean, covariance)
     if pool:
         for machine, model in models.items():
             jsonfile.write(out / POOLED / machine / _artefacts.MODEL, _artefacts.model_json(model))
-    return {"type": name, "responses": found}
+    return {"type": name, "responses": by_response}
 
 
 def _estimates(
@@ -203,8 +203,8 @@ def lines(document: Mapping[str, Any]) -> list[str]:
     out += [] if document["drifting"] else ["None."]
     out += ["", "## Machines alike", "", "Of these the data do not tell the parameters apart (95 %).", ""]
     for kind in document["types"]:
-        for component, found in kind["responses"].items():
-            groups = [", ".join(group) for group in found["alike"]]
+        for component, response in kind["responses"].items():
+            groups = [", ".join(group) for group in response["alike"]]
             name = plain_text(kind["type"] or "machines")
             out += [f"- {name}, {component}: {group}" for group in groups] or [f"- {name}, {component}: none"]
     return out

@@ -19,7 +19,7 @@ TRUTH = "truth.json"
 
 @dataclass(frozen=True)
 class Solved:
-    """What was found, with what it was found from. remaining: of a simulated machine only."""
+    """An identification (`found`) with its inputs. remaining: residual error, of a simulated machine only."""
 
     chain: Chain
     found: Identified
@@ -29,7 +29,7 @@ class Solved:
 
 
 def solve(stage: Any, context: Context) -> Solved:
-    """Read every test, solve, and say what is left. Raises DataError for a test that cannot be read."""
+    """Read every test, identify, and state the residual. Raises DataError for a test that cannot be read."""
     from errpipe import yamlfile
     from errpipe.domain.machine import Machine
     from errpipe.kinematics import identify, readings, records, remaining, summary
@@ -46,25 +46,25 @@ def solve(stage: Any, context: Context) -> Solved:
     seen, _ = readings.of_tests(chain, tests, stage.setups(), stage.squares)
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
     modes = readings.modes(tests) if stage.modes is None else stage.modes
-    found = identify.identify(identify.Parametrisation.of(chain, modes, stage.without), seen)
-    missed = readings.unfollowed(chain, seen, found.residual)
-    document = summary.document(found, seen, missed=missed)
+    identified = identify.identify(identify.Parametrisation.of(chain, modes, stage.without), seen)
+    missed = readings.unfollowed(chain, seen, identified.residual)
+    document = summary.document(identified, seen, missed=missed)
     document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
     document["unfollowed_largest"] = readings.unfollowed(chain, seen, found.residual, largest=True)
     if single:
         each = zip(seen.label, seen.noise, strict=True)
-        noise = {str(tag).split(" ")[-1]: float(size * found.noise) for tag, size in each}
+        noise = {str(tag).split(" ")[-1]: float(size * identified.noise) for tag, size in each}
         document |= {
-            "reversal": records.reversals(chain, found.setup),
+            "reversal": records.reversals(chain, identified.setup),
             "records": _records(chain, single, stage),
             "noise_of": {n: s for n, s in noise.items() if n in chain.components},
         }
-    left = None
+    residual = None
     true = _truth(chain, context)
     if true is not None:
-        left = remaining.of_truth(chain, true, found.errors())
-        document["simulated_truth"] = left.figures
-    return Solved(chain, found, document, tests, left)
+        residual = remaining.of_truth(chain, true, identified.errors())
+        document["simulated_truth"] = residual.figures
+    return Solved(chain, identified, document, tests, residual)
 
 
 def _truth(chain: Chain, context: Context) -> MachineErrors | None:
@@ -80,13 +80,13 @@ def _truth(chain: Chain, context: Context) -> MachineErrors | None:
 
 
 def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, dict[str, Any]]:
-    """What was read at each target, mean by direction, the beam's errors out: for tables and plots."""
+    """Mean reading at each target by direction, the beam's errors removed: for tables and plots."""
     from errpipe.kinematics import direct
 
     out: dict[str, dict[str, Any]] = {}
     for recording in single.values():
-        here = {n: s for n, s in stage.setups().items() if n in recording.components()}
-        for name, curve in direct.identify(recording, lasers=here, chain=chain).curves.items():
+        lasers_of_test = {n: s for n, s in stage.setups().items() if n in recording.components()}
+        for name, curve in direct.identify(recording, lasers=lasers_of_test, chain=chain).curves.items():
             out[name] = {
                 "target": _plain(curve.position),
                 "up": _plain(curve.up),
@@ -106,9 +106,9 @@ def page(solved: Solved, title: str) -> str:
     from errpipe.reporting import machine_figures, page
     from errpipe.stages.measure import ballbar_pages
 
-    chain, found, document = solved.chain, solved.found, solved.document
-    errors = found.errors()
-    figures = [("The machine", machine_figures.sketch(chain), _counted(chain))]
+    chain, identified, document = solved.chain, solved.found, solved.document
+    errors = identified.errors()
+    figures = [("The machine", machine_figures.sketch(chain), _component_counts(chain))]
     figures += _volume(solved, errors)
     figures += [_component_figure(solved, errors)]
     for test in solved.tests.values():
@@ -118,10 +118,10 @@ def page(solved: Solved, title: str) -> str:
     return page.render("identification.html.j2", data)
 
 
-def _counted(chain: Chain) -> str:
+def _component_counts(chain: Chain) -> str:
     counts = {k: v for k, v in chain.counts().items() if v}
-    told = ", ".join(f"{n} {k.replace('_', ' ')}" for k, n in counts.items() if k != "total")
-    return f"Drawn from its chain; arrows show each part's own motion for +. {counts['total']} components: {told}."
+    listed = ", ".join(f"{n} {k.replace('_', ' ')}" for k, n in counts.items() if k != "total")
+    return f"Drawn from its chain; arrows show each part's own motion for +. {counts['total']} components: {listed}."
 
 
 def _protocol(recording: Any) -> str:
@@ -136,15 +136,15 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
     from errpipe.kinematics import remaining, synthesis
     from errpipe.reporting import machine_figures
 
-    chain, left = solved.chain, solved.remaining
+    chain, residual = solved.chain, solved.remaining
     q = remaining.places(chain, 200)
-    if left is not None:
-        before, after = left.before(q), left.after(q)
+    if residual is not None:
+        before, after = residual.before(q), residual.after(q)
         sizes: dict[str, Any] = {
             n: (lambda p, f=f: np.linalg.norm(f(p), axis=1))
-            for n, f in (("before", left.before), ("after", left.after))
+            for n, f in (("before", residual.before), ("after", residual.after))
         }
-        told = (
+        caption = (
             "The machine is simulated, so its true error is known: before compensation, and what compensation by the "
             "identified components truly leaves, at places that no test measured. The workpiece's own shift and turn "
             "is taken out of both, as its datum does."
@@ -154,18 +154,18 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
         spread = remaining.spread(solved.found)
         after = spread(q)
         sizes = {"before": machine_figures.size_of(chain, errors), "after": spread}
-        told = (
+        caption = (
             "Before: the error as identified. After: what may remain once it is compensated, the standard error of the "
             "identification. Its direction is not known; a test at places not used here would show the true remainder."
         )
-    figures = [("Volumetric error, before and after", machine_figures.vectors(chain, q, before, after), told)]
+    figures = [("Volumetric error, before and after", machine_figures.vectors(chain, q, before, after), caption)]
     if sum(a.kind == "linear" for a in chain.machine.axes.values()) >= 3:
         slices = machine_figures.slices(chain, sizes)
         figures.append(("Slices, before and after", slices, "Size of the error in um on the middle planes, one scale."))
     return figures
 
 
-def _with_gaps(values: Any) -> Any:
+def _none_as_nan(values: Any) -> Any:
     import numpy as np
 
     return np.array([np.nan if v is None else v for v in values])
@@ -182,10 +182,10 @@ def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, 
         at = curve["start"] + curve["step"] * np.arange(len(value))
         bands[name] = (at, value - half, value + half)
     measured = {
-        name: (_with_gaps(r["target"]), _with_gaps(r["up"]), _with_gaps(r["down"]))
+        name: (_none_as_nan(r["target"]), _none_as_nan(r["up"]), _none_as_nan(r["down"]))
         for name, r in solved.document.get("records", {}).items()
     }
-    told = "After ISO 230-1: displacements left, angles right; bands are 95 % intervals."
+    caption = "After ISO 230-1: displacements left, angles right; bands are 95 % intervals."
     if measured:
-        told += " Marks: mean reading at a target coming from below (▸) and from above (◂)."
-    return ("Components", machine_figures.components(errors, bands, measured), told)
+        caption += " Marks: mean reading at a target coming from below (▸) and from above (◂)."
+    return ("Components", machine_figures.components(errors, bands, measured), caption)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
 
-PLACES = 41  # positions along an axis at which the largest correction is looked for
+PLACES = 41  # positions along an axis at which corrections are evaluated for the largest
 UNBOUNDED = (-1e5, 1e5)  # mm: the believable range of a position (`_inputs.CHANNELS`) where no profile has an end
 
 
@@ -24,7 +24,7 @@ def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit:
     from errpipe.stages import _inputs
     from errpipe.validation import plausibility
 
-    found = plausibility.findings(recording)
+    results = plausibility.findings(recording)
     travels = _inputs.travel(model)
     for name, values in evaluate(model, recording).items():
         component = components.parse(name)
@@ -32,8 +32,8 @@ def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit:
         low, high = travels.get(component.axis or "", (0.0, 0.0))
         largest = float(np.abs(finite).max()) if finite.size else 0.0
         over = plausibility.too_large(name, largest, component.unit, high - low, limit)
-        found += [over] if over is not None else []
-    return plausibility.refuse(found, allow)
+        results += [over] if over is not None else []
+    return plausibility.refuse(results, allow)
 
 
 def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | None) -> None:
@@ -43,15 +43,15 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
     from errpipe.targets import _sample
     from errpipe.validation import plausibility
 
-    found = []
+    results = []
     for axis in _sample.outputs_by_axis(table):
         rotary = axis[0] in "ABC"
         size, _ = _largest(table, axis)
         low, high = _sample.reach(table, axis)
         value = np.deg2rad(size) * 1e6 if rotary else 1e3 * size
         over = plausibility.too_large(axis, value, "urad" if rotary else "um", high - low, limit)
-        found += [over] if over is not None else []
-    plausibility.refuse(found, allow)
+        results += [over] if over is not None else []
+    plausibility.refuse(results, allow)
 
 
 def _largest(table: CompensationTable, axis: str) -> tuple[float, str]:
@@ -68,19 +68,22 @@ def _largest(table: CompensationTable, axis: str) -> tuple[float, str]:
             continue
         grid = np.linspace(low, high, PLACES)
         for side in (1.0, -1.0):
-            found = _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, side))
-            k = int(np.argmax(np.abs(found)))
-            if abs(found[k]) > 1.01 * best:
-                best, says = float(abs(found[k])), _sentence(axis, over, float(grid[k]), side, -float(found[k]))
+            corrections = _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, side))
+            k = int(np.argmax(np.abs(corrections)))
+            if abs(corrections[k]) > 1.01 * best:
+                best, says = (
+                    float(abs(corrections[k])),
+                    _sentence(axis, over, float(grid[k]), side, -float(corrections[k])),
+                )
     for i in table.inputs:
         if i.valid is not None and i.name not in names.values():
             ends = np.array(i.valid)
-            found = _sample.corrections(table, axis, {i.name: ends}, np.ones(2))
-            k = int(np.argmax(np.abs(found)))
-            if abs(found[k]) > 1.01 * best:
+            corrections = _sample.corrections(table, axis, {i.name: ends}, np.ones(2))
+            k = int(np.argmax(np.abs(corrections)))
+            if abs(corrections[k]) > 1.01 * best:
                 unit = i.unit or ""
-                best = float(abs(found[k]))
-                says = _sentence(axis, i.name, float(ends[k]), 0.0, -float(found[k]), unit)
+                best = float(abs(corrections[k]))
+                says = _sentence(axis, i.name, float(ends[k]), 0.0, -float(corrections[k]), unit)
     return best, says
 
 
@@ -109,11 +112,11 @@ def of_files(read: Any) -> list[str]:
             at = {name: np.full(PLACES, (a + b) / 2) for name, (a, b) in spans.items()}
             at[over] = np.linspace(low, high, PLACES)
             for side in (1.0, -1.0):
-                found = read.correction(axis, at, np.full(PLACES, side), cold)
-                k = int(np.argmax(np.abs(found)))
-                if abs(found[k]) > 1.01 * best:
-                    best = float(abs(found[k]))
-                    says = _sentence(axis, over, float(at[over][k]), side, -float(found[k]))
+                corrections = read.correction(axis, at, np.full(PLACES, side), cold)
+                k = int(np.argmax(np.abs(corrections)))
+                if abs(corrections[k]) > 1.01 * best:
+                    best = float(abs(corrections[k]))
+                    says = _sentence(axis, over, float(at[over][k]), side, -float(corrections[k]))
         out += [says] if says else [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
     return out
 
@@ -124,7 +127,7 @@ def _per_kelvin(line: Any) -> str:
 
 
 def _sentence(axis: str, over: str, at: float, side: float, deviation: float, over_unit: str | None = None) -> str:
-    """deviation: mm (deg) of the axis; rotary ones are said in arcsec."""
+    """The consequence in words. deviation: mm (deg) of the axis; rotary ones are given in arcsec."""
     from errpipe.validation import plausibility
 
     rotary = axis[0] in "ABC"

@@ -1,4 +1,4 @@
-"""What a retraining says, for people and for CI: Markdown for a pull request, JUnit XML, annotations, a figure."""
+"""Reports of a retraining, for people and for CI: Markdown for a pull request, JUnit XML, annotations, a figure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
 
 
 def plain_text(text: object) -> str:
-    """Text that no Markdown renderer takes for markup: labels come from the recording."""
+    """Text with Markdown markup escaped: labels come from the recording."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|!" else c for c in " ".join(str(text).split()))
 
 

@@ -51,10 +51,10 @@ class SignOptions(Options):
         from errpipe.registry import minisign, signed
         from errpipe.stages.signing import sign
 
-        key, beside = minisign.read_public(self.public_key), minisign.beside(path)
+        key, signature_file = minisign.read_public(self.public_key), minisign.beside(path)
         secret = os.environ.get(KEY_VARIABLE)
         if self.signature is not None:
-            jsonfile.write_text(beside, minisign.signature_of(path, self.signature))
+            jsonfile.write_text(signature_file, minisign.signature_of(path, self.signature))
         elif secret:
             sign(path, Path(secret), "")
         else:
@@ -64,4 +64,4 @@ class SignOptions(Options):
             )
         if signed.read_table(path, key) != table:
             raise VerifyError(f"export: {path.name} is not the table that was compiled")
-        return signed.remarks(table, beside.read_text(encoding="utf-8"), key)
+        return signed.remarks(table, signature_file.read_text(encoding="utf-8"), key)

@@ -1,4 +1,4 @@
-"""What people look up: terms, formats, and what a refusal means."""
+"""Lookup of terms and formats, and of what a refusal means."""
 
 from __future__ import annotations
 

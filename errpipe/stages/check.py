@@ -2,8 +2,8 @@
 
 Names are resolved without running anything: manifests are read, headers and the first rows of tables, then every
 component, axis, sensor, group, target and machine file of a pipeline is looked up. No heavy package is imported, so
-that a check takes a fraction of a second. What only the numbers can show (too few runs, parameters that cannot be told
-apart) is left to `run`.
+that a check takes a fraction of a second. What only the numbers can show (too few runs, parameters that are not
+identifiable) is left to `run`.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
     """Everything wrong with the names of a pipeline that was read; data: whether inputs are looked into."""
     from errpipe.pipeline.spec import missing_inputs
 
-    found = list(missing_inputs(pipeline, pipeline.stages)) if data else []
-    absent = {(p.line, p.column) for p in found}
+    all_problems = list(missing_inputs(pipeline, pipeline.stages)) if data else []
+    absent = {(p.line, p.column) for p in all_problems}
     seen: dict[str, Recording | None] = {}
     for number, stage in enumerate(pipeline.stages):
         try:
-            recording, own = _source(stage, pipeline, seen, data)
-            found += own
+            recording, of_source = _source(stage, pipeline, seen, data)
+            all_problems += of_source
             seen[stage.label] = recording
             places = [*_machine(stage, data), *_of_stage(stage, recording)]
         except ErrpipeError as err:
@@ -43,8 +43,8 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
         for place, text in places:
             problem = pipeline.document.problem(("stages", number, *place), text)
             if (problem.line, problem.column) not in absent:
-                found.append(problem)
-    return sorted(set(found))
+                all_problems.append(problem)
+    return sorted(set(all_problems))
 
 
 def _source(
@@ -260,7 +260,7 @@ def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place
 
 
 def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
-    """The group that is to sit out is a column, a kind of group, or a calendar unit of a dated clock."""
+    """The group that is to be held out is a column, a kind of group, or a calendar unit of a dated clock."""
     chosen = getattr(stage, "holdout", None)
     asked: Any = getattr(chosen, "of", None)
     where: Place = ("holdout", "of")
@@ -300,8 +300,8 @@ def _pairs(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
 
 
 def _iso230(recording: Recording) -> Iterator[tuple[Place, str]]:
-    found = [components.parse(c) for c in recording.components()]
-    axes = [c.axis for c in found if c.kind in ("positioning", "angular positioning")]
+    parsed = [components.parse(c) for c in recording.components()]
+    axes = [c.axis for c in parsed if c.kind in ("positioning", "angular positioning")]
     if not axes:
         yield ("iso230_2",), "no positioning deviation (such as EXX) is recorded, so there are no figures of ISO 230-2"
     elif not any(recording.names("direction", axis=axis) for axis in axes):

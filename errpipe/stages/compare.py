@@ -23,7 +23,7 @@ LONGEST_LIST = 12  # lines of one kind in a text; the JSON document has all
 
 @dataclass
 class Comparison:
-    """kind: of what. says: sentences. parts: plain data. largest, rms: um (urad, N), None where nothing tells."""
+    """kind: of what. says: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure."""
 
     kind: str
     says: list[str] = field(default_factory=list)
@@ -33,7 +33,7 @@ class Comparison:
     changes: list[tuple[str, Change]] = field(default_factory=list)
 
     def grow(self, largest: float, rms: float) -> None:
-        """Take in the figures of one part."""
+        """Widen the figures by those of one part."""
         self.largest, self.rms = max(self.largest or 0.0, largest), max(self.rms or 0.0, rms)
 
 
@@ -46,20 +46,26 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
         raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
-    found = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](Path(old), Path(new))
-    found.says = found.says or ["nothing changed"]
+    result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](Path(old), Path(new))
+    result.says = result.says or ["nothing changed"]
     within = None
     if max_um is not None:
-        within = found.largest is not None and found.largest <= max_um
-        seen = "no figure tells how far they differ" if found.largest is None else f"at most {found.largest:.4g}"
-        found.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
+        within = result.largest is not None and result.largest <= max_um
+        seen = "no figure tells how far they differ" if result.largest is None else f"at most {result.largest:.4g}"
+        result.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
     if figure is not None:
         from errpipe.stages._compare_page import draw
 
-        jsonfile.write_text(figure, draw(found.changes))
-        found.says.append(str(figure))
-    plain = {"compare": VERSION, "kind": found.kind, "largest_um": found.largest, "rms_um": found.rms, "within": within}
-    return {**plain, **found.parts, "says": found.says}
+        jsonfile.write_text(figure, draw(result.changes))
+        result.says.append(str(figure))
+    plain = {
+        "compare": VERSION,
+        "kind": result.kind,
+        "largest_um": result.largest,
+        "rms_um": result.rms,
+        "within": within,
+    }
+    return {**plain, **result.parts, "says": result.says}
 
 
 def kind_of(path: Path) -> str:
@@ -127,8 +133,8 @@ def _models(old: Path, new: Path) -> Comparison:
         _parameters(out, before, after)
         _ranges(out, dict(before.validity.ranges), dict(after.validity.ranges))
     seen: list[Compensation] = [
-        changes.of_model(one) if isinstance(one, ErrorModel) else changes.of_table(by_component(one))
-        for one in (before, after)
+        changes.of_model(side) if isinstance(side, ErrorModel) else changes.of_table(by_component(side))
+        for side in (before, after)
     ]
     _fields(out, *seen)
     return out
@@ -165,9 +171,9 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Largest and rms difference per response, with the place."""
     from errpipe.validation import changes
 
-    found = changes.compare(old, new)
-    out.parts["changes"] = [asdict(c) for c in found]
-    for c in found:
+    differences = changes.compare(old, new)
+    out.parts["changes"] = [asdict(c) for c in differences]
+    for c in differences:
         out.grow(c.largest, c.rms)
         out.changes.append((c.component, c))
         if c.largest == 0.0:
@@ -290,7 +296,7 @@ ARTEFACTS = (_artefacts.TABLE, _artefacts.MODEL, DIAGNOSIS, "recording.yaml")
 
 
 def _part(out: Comparison, stage: str, file: str, old: Path, new: Path, same: bool) -> dict[str, Any] | None:
-    """Figures of one artefact of a run. Recordings speak for themselves only: their rows are no compensation."""
+    """Figures of one artefact of a run. A recording's do not count for the run: its rows are no compensation."""
     if file == _artefacts.VALIDATION:
         return _validation(out, stage, old, new)
     if file not in ARTEFACTS:
@@ -299,24 +305,24 @@ def _part(out: Comparison, stage: str, file: str, old: Path, new: Path, same: bo
         if file in (_artefacts.TABLE, _artefacts.MODEL):
             out.grow(0.0, 0.0)
         return None
-    found = HOW[kind_of(old)](old, new)
-    if file in (_artefacts.TABLE, _artefacts.MODEL) and found.largest is not None:
-        out.grow(found.largest, found.rms or 0.0)
-        out.changes += [(f"{stage}: {name}", c) for name, c in found.changes]
-    out.says += [f"{stage}: {line}" for line in found.says]
-    return {"largest_um": found.largest, "rms_um": found.rms, **found.parts}
+    comparison = HOW[kind_of(old)](old, new)
+    if file in (_artefacts.TABLE, _artefacts.MODEL) and comparison.largest is not None:
+        out.grow(comparison.largest, comparison.rms or 0.0)
+        out.changes += [(f"{stage}: {name}", c) for name, c in comparison.changes]
+    out.says += [f"{stage}: {line}" for line in comparison.says]
+    return {"largest_um": comparison.largest, "rms_um": comparison.rms, **comparison.parts}
 
 
 def _validation(out: Comparison, stage: str, old: Path, new: Path) -> dict[str, Any]:
     """Held-out rms of every response, before and after."""
     sides = [{c["component"]: c for c in jsonfile.read(p)["components"]} for p in (old, new)]
-    found = {}
+    rms_left = {}
     for name in (n for n in sides[0] if n in sides[1]):
         a, b = (side[name]["rms_after"] for side in sides)
-        found[name] = [a, b]
+        rms_left[name] = [a, b]
         if a != b:
             out.says.append(f"{stage}: {name} {a:.4g} -> {b:.4g} {sides[0][name]['unit']} rms on held-out rows")
-    return found
+    return rms_left
 
 
 HOW: Mapping[str, Callable[[Path, Path], Comparison]] = {
@@ -332,7 +338,7 @@ HOW: Mapping[str, Callable[[Path, Path], Comparison]] = {
 
 
 def _keys(out: Comparison, what: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """What only one of the two has."""
+    """Names that only one of the two has."""
     gone, added = [n for n in old if n not in new], [n for n in new if n not in old]
     out.parts.setdefault("only_in_old", {})[what] = gone
     out.parts.setdefault("only_in_new", {})[what] = added

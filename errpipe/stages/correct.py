@@ -37,9 +37,9 @@ def correct(
     """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
     from errpipe import files
 
-    found = _artefacts.read_table(table)
-    readings = readings_of(found, at)
-    deviation = deviation_of(found, readings)
+    compensation_table = _artefacts.read_table(table)
+    readings = readings_of(compensation_table, at)
+    deviation = deviation_of(compensation_table, readings)
     setup = setup_of(offsets, tools, start)
 
     def rewritten(write: Callable[[str], object]) -> Summary:
@@ -54,20 +54,20 @@ def correct(
     parts: list[str] = []
     if out is None:
         _refuse_large(program)
-        done = rewritten(parts.append)
+        summary = rewritten(parts.append)
     else:
         with files.whole(Path(out)) as stream:
-            done = rewritten(lambda text: stream.write(text.encode()))
+            summary = rewritten(lambda text: stream.write(text.encode()))
     result: dict[str, Any] = {
-        "moves": done.moves,
-        "blocks_in": done.blocks_in,
-        "blocks_out": done.blocks_out,
-        "largest_correction_um": 1e3 * done.largest_correction,
-        "largest_chord_error_um": 1e3 * done.largest_chord_error,
+        "moves": summary.moves,
+        "blocks_in": summary.blocks_in,
+        "blocks_out": summary.blocks_out,
+        "largest_correction_um": 1e3 * summary.largest_correction,
+        "largest_chord_error_um": 1e3 * summary.largest_chord_error,
     }
-    if knows_direction(found):
+    if knows_direction(compensation_table):
         result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
-    if fading := outside_validity(found, readings):
+    if fading := outside_validity(compensation_table, readings):
         result["outside_what_was_measured"] = fading
     if out is None:
         corrected = "".join(parts)
@@ -125,15 +125,15 @@ def readings_of(table: CompensationTable, at: Mapping[str, float]) -> dict[str, 
 
 def outside_validity(table: CompensationTable, at: Mapping[str, float]) -> str:
     """Readings outside what the fit has seen, where the correction fades, in words; '' where there are none."""
-    found = []
+    outside = []
     for channel in table.inputs:
         if channel.valid is not None and channel.name in at:
             low, high = channel.valid
             if not low <= at[channel.name] <= high:
-                found.append(
+                outside.append(
                     f"{channel.name}={at[channel.name]:g} lies outside {low:g} to {high:g}: the correction fades"
                 )
-    return "; ".join(found)
+    return "; ".join(outside)
 
 
 def knows_direction(table: CompensationTable) -> bool:
@@ -143,7 +143,7 @@ def knows_direction(table: CompensationTable) -> bool:
     )
 
 
-def _travelling(table: CompensationTable, side: int) -> CompensationTable:
+def _in_direction(table: CompensationTable, side: int) -> CompensationTable:
     """The table as it stands in the first cycle of a run where every axis travels to one side."""
     nodes = [n.model_copy(update={"start": side}) if n.op == "direction" else n for n in table.nodes]
     inputs = [i.model_copy(update={"default": float(side)}) if i.kind == "direction" else i for i in table.inputs]
@@ -159,7 +159,7 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
 
     from errpipe.tables import batch
 
-    ways = [_travelling(table, side) for side in (1, -1)] if knows_direction(table) else [table]
+    variants = [_in_direction(table, side) for side in (1, -1)] if knows_direction(table) else [table]
 
     axes = {i.axis: i.name for i in table.inputs if i.kind == "position"}
     angular = [o.name for o in table.outputs if o.axis in MOVED and o.correction_unit not in MM]
@@ -178,12 +178,12 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
         if length not in evaluators:
             readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
             names = tuple(axes[axis] for axis in moving)
-            evaluators[length] = [batch.Positions(way, names, readings) for way in ways]
-        there = points[:, columns]
-        found = np.mean([evaluate(there) for evaluate in evaluators[length]], axis=0)
+            evaluators[length] = [batch.Positions(variant, names, readings) for variant in variants]
+        coordinates = points[:, columns]
+        corrections = np.mean([evaluate(coordinates) for evaluate in evaluators[length]], axis=0)
         out = np.zeros_like(points)
         for number, axis, factor in outputs:
-            out[:, "XYZ".index(axis)] += found[:, number] * factor
+            out[:, "XYZ".index(axis)] += corrections[:, number] * factor
         return out
 
     return deviation
@@ -194,21 +194,21 @@ def setup_of(offsets: Sequence[str], tools: Sequence[str], start: str | None) ->
     from errpipe.ncprogram.modal import OFFSETS, Setup
 
     zeros: dict[str, tuple[float, float, float]] = {"G54": (0.0, 0.0, 0.0)}
-    for word in offsets:
-        name, _, rest = word.partition("=")
+    for option in offsets:
+        name, _, value = option.partition("=")
         if name not in OFFSETS:
-            raise UsageError(f"--offset {word}: {name!r} is not a work offset (allowed: {', '.join(OFFSETS)})")
-        zeros[name] = _three(f"--offset {word}", rest)
+            raise UsageError(f"--offset {option}: {name!r} is not a work offset (allowed: {', '.join(OFFSETS)})")
+        zeros[name] = _three_numbers(f"--offset {option}", value)
     lengths = {}
-    for word in tools:
-        name, _, rest = word.partition("=")
+    for option in tools:
+        name, _, value = option.partition("=")
         if not name.startswith("H") or not name[1:].isdecimal() or len(name) > 9:
-            raise UsageError(f"--tool {word}: write H and its number, such as H1=120")
-        lengths[int(name[1:])] = _number(f"--tool {word}", rest)
-    return Setup(zeros, lengths, None if start is None else _three(f"--start {start}", start))
+            raise UsageError(f"--tool {option}: write H and its number, such as H1=120")
+        lengths[int(name[1:])] = _number(f"--tool {option}", value)
+    return Setup(zeros, lengths, None if start is None else _three_numbers(f"--start {start}", start))
 
 
-def _three(what: str, text: str) -> tuple[float, float, float]:
+def _three_numbers(what: str, text: str) -> tuple[float, float, float]:
     parts = text.split(",")
     if len(parts) != 3:
         raise UsageError(f"{what}: three numbers are needed, such as 10,20,-30")

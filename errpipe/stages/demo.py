@@ -39,5 +39,5 @@ def pipeline_file() -> Path:
     import errpipe
 
     package = Path(errpipe.__file__).parent
-    beside = package.parent / "pipelines" / PIPELINE
-    return beside if beside.is_file() else package / "stages" / "templates" / PIPELINE
+    in_checkout = package.parent / "pipelines" / PIPELINE
+    return in_checkout if in_checkout.is_file() else package / "stages" / "templates" / PIPELINE

@@ -1,4 +1,4 @@
-"""A recording beside its simulation in; what the simulation leaves out, located, named, modelled and proved."""
+"""A recording beside its simulation: effects that the simulation lacks, located, named, modelled and validated."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def diagnose(
     half = 1.0 if apply is None else 0.5
     try:
         read, notes, parameters = with_simulation(manifest_folder.read(Path(recording)), simulation)
-        document, page, found, held = judged(read, lambda share, text: progress(half * share, text), notes)
+        document, page, diagnosis, held = judged(read, lambda share, text: progress(half * share, text), notes)
     except DataError as err:
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
     jsonfile.write_text(Path(out) / "report.html", page)
-    says = [r.says for r in found.responses]
-    told = {"says": says, "verdicts": {r.component: r.verdict for r in found.responses}}
+    says = [r.says for r in diagnosis.responses]
+    summary = {"says": says, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
-        done = _apply_findings.apply_findings(read, found, Path(apply), held, parameters, later)
-        told |= {"says": [*says, *_apply_findings.in_words(done)], "apply": done}
-    return told
+        applied = _apply_findings.apply_findings(read, diagnosis, Path(apply), held, parameters, later)
+        summary |= {"says": [*says, *_apply_findings.in_words(applied)], "apply": applied}
+    return summary
 
 
 def against(recording: Path, findings: Path, out: Path, simulation: Path | None = None) -> dict[str, Any]:
@@ -92,8 +92,8 @@ def judged(
     from errpipe.diagnosis import diagnose as judge
     from errpipe.reporting.diagnosis_report import Trace, render
 
-    found, rows = judge(recording, progress)
-    found = found.model_copy(update={"notes": (*notes, *found.notes)})
+    diagnosis, rows = judge(recording, progress)
+    diagnosis = diagnosis.model_copy(update={"notes": (*notes, *diagnosis.notes)})
     clock = recording.name("time") or ""
     units = {name: c.unit for name, c in recording.manifest.columns.items() if c.unit}
     traces = [
@@ -108,8 +108,8 @@ def judged(
         )
         for r in rows
     ]
-    page = render(found, traces, machine=recording.manifest.machine, version=__version__)
-    return found.document(), page, found, [r.simulated_parts for r in rows]
+    page = render(diagnosis, traces, machine=recording.manifest.machine, version=__version__)
+    return diagnosis.document(), page, diagnosis, [r.simulated_parts for r in rows]
 
 
 def with_simulation(
@@ -117,7 +117,7 @@ def with_simulation(
 ) -> tuple[Recording, tuple[str, ...], list[dict[str, Any]]]:
     """The recording beside a simulation of its own file, notes, and parameters: .csv, .json (an error model) or .fmu.
 
-    Tunable parameters of an FMU are set right on the recording first: what they can mend is not missing.
+    Tunable parameters of an FMU are calibrated on the recording first, so that no effect is named for their errors.
     """
     from errpipe.simulation import external
     from errpipe.stages import _artefacts
@@ -129,9 +129,9 @@ def with_simulation(
     read, twins, figures = external.with_twins(recording, external.by_name(recording, file), file, model)
     notes = [f"{t.component}: {note}" for t in twins for note in t.notes]
     notes += [
-        f"{file.name}: {told['parameter']} set right before anything was called missing: {told['start']:g} -> "
-        f"{told['value']:.4g} (allowed: {told['low']:g} to {told['high']:g})"
-        for told in figures.get("parameters", ())
-        if told["value"] != told["start"]
+        f"{file.name}: {p['parameter']} set right before anything was called missing: {p['start']:g} -> "
+        f"{p['value']:.4g} (allowed: {p['low']:g} to {p['high']:g})"
+        for p in figures.get("parameters", ())
+        if p["value"] != p["start"]
     ]
     return read, tuple(notes), list(figures.get("parameters", ()))

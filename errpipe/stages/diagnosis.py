@@ -38,15 +38,15 @@ class Diagnosis(Stage):
 
         folder = context.needed("recording")
         diagnose(folder, context.folder, lambda share, text: context.progress(0.9 * share, text))
-        found = Diagnosis.model_validate(jsonfile.read(context.folder / "diagnosis.json"))
+        diagnosed = Diagnosis.model_validate(jsonfile.read(context.folder / "diagnosis.json"))
         recording = _artefacts.recording_in(folder)
         context.progress(0.9, "fitting what was accepted")
         before = context.maybe("error_model")
         family = _artefacts.family_in(before) if before is not None else None
         existing = family if isinstance(family, Terms) else None
-        decisions = _acceptance.decide(found, recording, self.accept, whole=existing is not None)
+        decisions = _acceptance.decide(diagnosed, recording, self.accept, whole=existing is not None)
         if before is None or family is None or existing is not None:
-            model, spec, decisions = _acceptance.fit_accepted(decisions, found, existing, recording)
+            model, spec, decisions = _acceptance.fit_accepted(decisions, diagnosed, existing, recording)
             notes = [
                 f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"
                 for d in decisions
@@ -64,12 +64,12 @@ class Diagnosis(Stage):
             "refused": [d.plain() for d in decisions if not d.accepted],
         }
         context.write_json("acceptance.json", {**document, "inputs": context.fingerprint})
-        return _summary(found, document)
+        return _summary(diagnosed, document)
 
 
 def _summary(found: Any, document: Mapping[str, Any]) -> dict[str, Any]:
-    told = {r.component: r.says or r.verdict for r in found.responses}
+    summary = {r.component: r.says or r.verdict for r in found.responses}
     for what in ("accepted", "refused"):
         rows = [f"{d['effect']} ({d['component']})" for d in document[what]]
-        told[what] = ", ".join(rows) or "nothing"
-    return told
+        summary[what] = ", ".join(rows) or "nothing"
+    return summary

@@ -1,4 +1,4 @@
-"""Versions, compiler, extras, cache folder and threads: what a report of a fault should hold."""
+"""Versions, compiler, extras, cache folder and threads: facts that a fault report should hold."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def doctor() -> dict[str, Any]:
     facts: dict[str, Any] = {"errpipe": __version__, "python": platform.python_version(), "system": platform.platform()}
     facts |= {name: _version(name) for name in PACKAGES}
     facts |= {f"extra {extra}": _version(package) for extra, package in EXTRAS.items()}
-    compiler = next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
+    compiler = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
     facts["C compiler"] = compiler or "none (exported C is then not compiled for its proof)"
     facts["cache folder"] = _cache()
     facts["threads"] = f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}"

@@ -1,4 +1,4 @@
-"""A compensation table asked at one point."""
+"""A compensation table evaluated at one point."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
     """
     from errpipe.tables.reference import Evaluator
 
-    found = _artefacts.read_table(table)
-    names = [i.name for i in found.inputs]
+    compensation_table = _artefacts.read_table(table)
+    names = [i.name for i in compensation_table.inputs]
     unknown = [name for name in at if name not in names]
     if unknown:
         near = did_you_mean(unknown[0], names)
         raise UsageError(f"{unknown[0]}: not an input of {table} (inputs: {', '.join(names)}).{near}")
-    evaluator = Evaluator(found)
-    start = {i.name: i.default for i in found.inputs if not (i.optional and i.name not in at)}
-    evaluator.cycle({**start, **{k: v for k, v in at.items() if found.inputs[names.index(k)].fast}}, dt=0.0)
+    evaluator = Evaluator(compensation_table)
+    start = {i.name: i.default for i in compensation_table.inputs if not (i.optional and i.name not in at)}
+    evaluator.cycle(
+        {**start, **{k: v for k, v in at.items() if compensation_table.inputs[names.index(k)].fast}}, dt=0.0
+    )
     evaluator.cycle({**start, **at}, dt=SETTLED)
     cycle = evaluator.cycle({**start, **at}, dt=SETTLED)
-    outputs = {o.name: o for o in found.outputs}
+    outputs = {o.name: o for o in compensation_table.outputs}
     says = [
         f"{name}: deviation {value:+.4f} {outputs[name].unit}, "
         f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"

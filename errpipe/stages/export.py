@@ -98,7 +98,7 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
 
 
 def _guard(context: Context, recording: Recording) -> SensorGuard:
-    """What the sensors say of each other, learnt on the recording; kept beside the table."""
+    """Sensor guard: each sensor predicted from the others, learnt on the recording; written beside the table."""
     from errpipe.guard import learn
 
     context.progress(0.1, "learning what the sensors say of each other")
@@ -119,14 +119,14 @@ def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict
     behind = left_behind(model)
     out = []
     for name, values in by_table.items():
-        gap = values - by_model[name]
-        gap = gap[np.isfinite(gap)]
+        difference = values - by_model[name]
+        difference = difference[np.isfinite(difference)]
         out.append(
             {
                 "component": name,
-                "rows": int(gap.size),
-                "largest_difference_um": float(np.abs(gap).max()) if gap.size else 0.0,
-                "rms_difference_um": float(np.sqrt(np.mean(gap**2))) if gap.size else 0.0,
+                "rows": int(difference.size),
+                "largest_difference_um": float(np.abs(difference).max()) if difference.size else 0.0,
+                "rms_difference_um": float(np.sqrt(np.mean(difference**2))) if difference.size else 0.0,
                 "not_compensated": behind.get(name, []),
             }
         )

@@ -17,7 +17,7 @@ from errpipe.validation.codes import Code
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
 
-STATES = 500
+STATES = 500  # random poses at which table and identified machine are compared
 ROUNDING = 2e-3  # um, as `verify` allows: gridding errors are the largest seen, and profiles are rounded to 1 nm
 LATTICE = "lattice.csv"
 BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
@@ -71,11 +71,13 @@ class ExportVolumetric(SignOptions, Stage):
         document = jsonfile.read(folder / IDENTIFICATION)
         axes = self._passed(context, document, chain)
         errors = summary.errors(chain, document)
-        turning = reversals(document)
+        reversal_lines = reversals(document)
         title = _artefacts.ungated_title(context.title) if self.ungated else context.title
-        table = compile_machine(chain, errors, jsonfile.fingerprint(document), title, self.error_bound, turning, axes)
+        table = compile_machine(
+            chain, errors, jsonfile.fingerprint(document), title, self.error_bound, reversal_lines, axes
+        )
         _plausible.refuse_table(table, self.allow, self.limit)
-        worst, allowed = largest_difference(chain, errors, table, turning), bound(chain, table)
+        worst, allowed = largest_difference(chain, errors, table, reversal_lines), bound(chain, table)
         prove(worst, allowed)
         ect.write(table, context.folder / _artefacts.TABLE)
         ect.write_json(table, context.folder / _artefacts.TWIN)
@@ -102,9 +104,11 @@ class ExportVolumetric(SignOptions, Stage):
 
         if self.ungated:
             return remaining.linear_axes(chain)
-        found = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]
-        own = jsonfile.fingerprint(document)
-        judged = [v["machine"]["tests"] for v in found if v.get("machine", {}).get("identification") == own]
+        validations = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]
+        fingerprint = jsonfile.fingerprint(document)
+        judged = [
+            v["machine"]["tests"] for v in validations if v.get("machine", {}).get("identification") == fingerprint
+        ]
         return machine.pass_gate(document, judged)
 
 
@@ -143,28 +147,28 @@ def lattice(
     from errpipe.kinematics import compensation
 
     try:
-        found = compensation.lattice(errors, counts, chain.tip(length, (0.0, 0.0, 0.0)))
+        sampled = compensation.lattice(errors, counts, chain.tip(length, (0.0, 0.0, 0.0)))
     except ValueError as err:
         raise UsageError(f"export_volumetric: lattice: {err}") from None
-    places = np.stack([g.ravel() for g in np.meshgrid(*found.grids, indexing="ij")], axis=1)
+    places = np.stack([g.ravel() for g in np.meshgrid(*sampled.grids, indexing="ij")], axis=1)
     corrected = [float(letter in axes) for letter in "XYZ"]
-    rows = np.column_stack([places, found.values.reshape(-1, 3) * corrected])
-    lines = [",".join([*found.axes, "E_X", "E_Y", "E_Z"])]
+    rows = np.column_stack([places, sampled.values.reshape(-1, 3) * corrected])
+    lines = [",".join([*sampled.axes, "E_X", "E_Y", "E_Z"])]
     lines += [",".join(f"{v + 0.0:.4f}" for v in row) for row in rows]
     facts = {
         "file": LATTICE,
-        "axes": list(found.axes),
+        "axes": list(sampled.axes),
         "counts": list(counts),
         "tool_length_mm": length,
-        "bound_um": found.bound,
-        "largest_seen_um": found.largest_seen,
+        "bound_um": sampled.bound,
+        "largest_seen_um": sampled.largest_seen,
         "says": "deviation in um, positions in mm",
     }
     return facts, "\n".join(lines) + "\n"
 
 
 def reversals(document: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]:
-    """What an identification knows of each axis turning round: what its interval does not exclude to be nothing."""
+    """Reversal line and its middle by component; what the 95 % interval does not separate from 0 is 0."""
     from errpipe.kinematics import records
 
     return {n: (*records.reversal_line(r), float(r["middle"])) for n, r in document.get("reversal", {}).items()}
@@ -195,7 +199,7 @@ def compile_machine(
         if axes is None or o.axis in axes
     ]
     table = tables.compile_table(
-        [tables.ComponentSource(name, chain.unit(name), found) for name, found in pairs.items()],
+        [tables.ComponentSource(name, chain.unit(name), pair) for name, pair in pairs.items()],
         inputs=_inputs(chain),
         outputs=outputs,
         travel={axis: tuple(t) for axis, t in zip(chain.axes, chain.travel, strict=True)},
@@ -252,20 +256,20 @@ def largest_difference(
     for name, (value, slope, middle) in (turning or {}).items():
         c = chain.index(name)
         values[:, c] += 0.5 * (value + slope * (q[:, chain.drives[c]] - middle) * 1e-3)
-    want = synthesis.first_order(chain, q, values, tip)[:, :3]
+    expected = synthesis.first_order(chain, q, values, tip)[:, :3]
     known = {i.name for i in table.inputs}  # an axis or a tool that nothing depends on is no input
     moving = [n for n, a in enumerate(chain.axes) if a in known]
     readings = {"tool_length": 100.0} if "tool_length" in known else {}
-    found = batch.position(table, np.ascontiguousarray(q[:, moving]), tuple(chain.axes[n] for n in moving), readings)
+    of_table = batch.position(table, np.ascontiguousarray(q[:, moving]), tuple(chain.axes[n] for n in moving), readings)
     linear = [n for n, o in enumerate(table.outputs) if o.axis and chain.machine.axes[o.axis].kind == "linear"]
     if not linear:
         return 0.0
-    here = synthesis.ideal_pose(chain, q, tip)[:, 0]
+    nominal = synthesis.ideal_pose(chain, q, tip)[:, 0]
     steps = [np.eye(len(chain.axes))[chain.axes.index(table.outputs[n].axis)] for n in linear]
-    ways = np.stack([synthesis.ideal_pose(chain, q + step, tip)[:, 0] - here for step in steps], axis=2)
-    reachable = ways @ (np.linalg.pinv(ways) @ want[:, :, None])  # the part that these axes can move
-    gap = reachable[:, :, 0] - np.einsum("nij,nj->ni", ways, found[:, linear])
-    return float(np.linalg.norm(gap, axis=1).max())
+    directions = np.stack([synthesis.ideal_pose(chain, q + step, tip)[:, 0] - nominal for step in steps], axis=2)
+    reachable = directions @ (np.linalg.pinv(directions) @ expected[:, :, None])  # the part that these axes can move
+    difference = reachable[:, :, 0] - np.einsum("nij,nj->ni", directions, of_table[:, linear])
+    return float(np.linalg.norm(difference, axis=1).max())
 
 
 def prove(worst: float, allowed: float) -> None:

@@ -1,7 +1,7 @@
 """`errpipe fleet`: one pipeline for many machines, in processes of their own or on a Dask cluster; one report.
 
 Workers get paths and give back a few numbers; whatever a machine's run makes stands in OUT/machines/NAME. A machine
-that fails, or whose worker dies, stops nobody else. What was finished is not run again.
+that fails, or whose worker dies, does not stop the others. What was finished is not run again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from errpipe.errors import ErrpipeError, UsageError
 from errpipe.yamlfile import Options
 
 MACHINES, TIMES = "machines", "times.csv"
-ATTEMPTS = 3  # of a machine whose worker dies; the last one alone, so that no other machine is blamed for it
+ATTEMPTS = 3  # of a machine whose worker dies; the last one alone in its pool, so that no other can be the cause
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 Progress = Callable[[float, str], None]
 
@@ -95,15 +95,15 @@ def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
     folder = root / spec.recordings
     if not folder.is_dir():
         raise UsageError(f"{folder}: there is no such folder (recordings of the fleet)")
-    found = sorted(p.name for p in folder.iterdir() if (p / "recording.yaml").is_file())
-    absent = [name for name in listed if name not in found]
-    if absent or not found:
+    with_recording = sorted(p.name for p in folder.iterdir() if (p / "recording.yaml").is_file())
+    absent = [name for name in listed if name not in with_recording]
+    if absent or not with_recording:
         raise UsageError(f"{folder}: holds no recording of {', '.join(absent) or 'any machine'}")
     out = []
-    for name in found:
-        own = listed.get(name) or FleetMachine(name=name)
+    for name in with_recording:
+        machine = listed.get(name) or FleetMachine(name=name)
         path = jsonfile.dumps((folder / name).as_posix(), indent=None).strip()
-        out.append(own.model_copy(update={"set": (f"{spec.stage}.recording={path}", *own.set)}))
+        out.append(machine.model_copy(update={"set": (f"{spec.stage}.recording={path}", *machine.set)}))
     return out
 
 
@@ -118,19 +118,19 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     from errpipe.stages._fleet_report import facts
 
     begin, state, message = time.perf_counter(), "done", ""
-    found: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
     _reset_peak()
     try:
         spec = load_pipeline(Path(pipeline), STAGES, sets=sets)
         runner.run(spec, Path(out) / MACHINES / name)
-        found = facts(spec, Path(out) / MACHINES / name)
+        figures = facts(spec, Path(out) / MACHINES / name)
     except ErrpipeError as err:
         state, message = ("refused" if err.exit_code == 4 else "failed"), str(err).replace(out, "OUT")
     except Exception as err:
         state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
     seconds = time.perf_counter() - begin
     result = {"name": name, "state": state, "message": message, "attempts": 1, "seconds": seconds}
-    return found | result | {"peak_mb": _peak_mb()}
+    return figures | result | {"peak_mb": _peak_mb()}
 
 
 def _reset_peak() -> None:
@@ -150,7 +150,7 @@ def _peak_mb() -> float:
     return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")), 0.0)
 
 
-def _lost(task: Sequence[Any], attempts: int) -> dict[str, Any]:
+def _failed_result(task: Sequence[Any], attempts: int) -> dict[str, Any]:
     message = f"its worker was killed {attempts} times (out of memory?)"
     nothing = {"responses": {}, "drift": [], "model": "", "seconds": 0.0, "peak_mb": 0.0}
     return nothing | {"name": task[1], "state": "failed", "message": message, "attempts": attempts}
@@ -165,17 +165,17 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[dict[str, Any]]:
     waiting = list(tasks)
     count = jobs or os.cpu_count() or 1
     while waiting:
-        alone = [t for t in waiting if attempts[t[1]] >= ATTEMPTS - 1]
-        batch = alone[:1] or waiting
-        done: set[str] = set()
+        last_attempts = [t for t in waiting if attempts[t[1]] >= ATTEMPTS - 1]
+        batch = last_attempts[:1] or waiting
+        ended: set[str] = set()
         for task, result in _one_pool(batch, min(count, len(batch)), attempts):
-            done.add(task[1])
+            ended.add(task[1])
             yield result
         for task in batch:
-            if task[1] not in done and attempts[task[1]] >= ATTEMPTS:
-                done.add(task[1])
-                yield _lost(task, attempts[task[1]])
-        waiting = [t for t in waiting if t[1] not in done]
+            if task[1] not in ended and attempts[task[1]] >= ATTEMPTS:
+                ended.add(task[1])
+                yield _failed_result(task, attempts[task[1]])
+        waiting = [t for t in waiting if t[1] not in ended]
 
 
 def _one_pool(tasks: Sequence[Task], count: int, attempts: dict[str, int]) -> Iterator[tuple[Task, dict[str, Any]]]:
@@ -187,7 +187,7 @@ def _one_pool(tasks: Sequence[Task], count: int, attempts: dict[str, int]) -> It
         running: dict[Future[dict[str, Any]], Task] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < count:  # no more than are at work, so that few are blamed for a death
+                while waiting and len(running) < count:  # only what workers can take: few tasks are lost with a worker
                     task = waiting.pop()
                     running[pool.submit(run_machine, *task)] = task
                     attempts[task[1]] += 1
@@ -220,4 +220,4 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]
         futures = {client.submit(run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks}
         for future in finished(list(futures), loop=client.loop):
             task = futures[future]
-            yield future.result() if future.status == "finished" else _lost(task, ATTEMPTS)
+            yield future.result() if future.status == "finished" else _failed_result(task, ATTEMPTS)

@@ -1,4 +1,4 @@
-"""Direct and indirect tests in, every error component of a machine out, with what the tests could not see."""
+"""Direct and indirect tests in, every error component of a machine out, with what is not observable."""
 
 from __future__ import annotations
 

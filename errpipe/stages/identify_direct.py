@@ -38,11 +38,11 @@ class IdentifyDirect(Identify):
         out = super().run(context)
         *_, last = tests.values()
         motions = [c for c in last.components() if direct.is_motion(c)]
-        found = jsonfile.read(context.folder / IDENTIFICATION)
-        model = direct_model.error_model(last, found, found["noise_of"])
+        document = jsonfile.read(context.folder / IDENTIFICATION)
+        model = direct_model.error_model(last, document, document["noise_of"])
         family = Direct(
             machine=yamlfile.load(self.machine, Machine),
-            modes=found["procedure"]["modes"],
+            modes=document["procedure"]["modes"],
             components=tuple(motions),
             lasers={n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},
         )

@@ -35,22 +35,22 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
             sources.append({"file": Path(file).name, "kind": "a format with a door of its own", "rows": vendor.rows})
             continue
         kind, sheets = open_file(Path(file), door)
-        found, problems = None, []
+        proposal, problems = None, []
         for sheet in sheets:
             try:
-                found = propose(lay_out(sheet, door.names), options)
+                proposal = propose(lay_out(sheet, door.names), options)
             except DataError as err:
                 problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
                 continue
             where = f"{kind}, {sheet.name}" if len(sheets) > 1 else kind
-            sources.append({"file": Path(file).name, "kind": where, "rows": found.rows})
+            sources.append({"file": Path(file).name, "kind": where, "rows": proposal.rows})
             break
-        if found is None:
+        if proposal is None:
             raise DataError(f"{file}: {'; '.join(problems)}")
-        parts.append(found)
-    whole = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
-    shown = _shown(whole, sources)
-    return whole, {**shown, "checks": _plausible(whole, options)}
+        parts.append(proposal)
+    complete = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
+    shown = _shown(complete, sources)
+    return complete, {**shown, "checks": _plausible(complete, options)}
 
 
 def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path]) -> dict[str, Any]:
@@ -74,9 +74,9 @@ def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Seque
         try:
             manifest_folder.read(Path(trial))
         except ErrpipeError as err:
-            said = str(err).replace(f"{trial}/", "").replace(f"{trial}\\", "")
+            reason = str(err).replace(f"{trial}/", "").replace(f"{trial}\\", "")
             raise DataError(
-                f"{', '.join(map(str, files))}: nothing was written, for the recording would be refused: {said}"
+                f"{', '.join(map(str, files))}: nothing was written, for the recording would be refused: {reason}"
             ) from None
     for name, text in parts.items():
         jsonfile.write_text(Path(folder) / name, text)
@@ -122,24 +122,24 @@ def _together(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
     first = parts[0]
     for other, stem in zip(parts[1:], stems[1:], strict=True):
         if other.entries.keys() != first.entries.keys():
-            odd = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
-            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {odd})")
-    whole = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
-    run = whole.first("run")
+            not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
+            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {not_shared})")
+    joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
+    run = joined.first("run")
     if run is None:
-        run = whole.put("run", None, "one run for each file", role="run")
-        whole.entries = {run: whole.entries.pop(run), **whole.entries}
+        run = joined.put("run", None, "one run for each file", role="run")
+        joined.entries = {run: joined.entries.pop(run), **joined.entries}
     for name in first.data:
         values = [part.data[name] for part in parts]
-        whole.data[name] = (
+        joined.data[name] = (
             [v for part in values for v in part] if isinstance(values[0], list) else np.concatenate(values)
         )
     labels = []
     for part, stem in zip(parts, stems, strict=True):
-        own = part.data.get(run)
-        labels += [f"{stem}-{label}" for label in own] if own is not None else [stem] * part.rows
-    whole.data[run] = labels
-    return whole
+        own_labels = part.data.get(run)
+        labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
+    joined.data[run] = labels
+    return joined
 
 
 def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path]) -> Any:
@@ -147,10 +147,10 @@ def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path])
 
     title = options.title or ", ".join(Path(f).stem for f in files)
     columns = {name: dict(entry) for name, entry in proposal.entries.items()}
-    for said, keys in options.sets.items():
+    for written_name, keys in options.sets.items():
         from errpipe.importing.proposed import slug
 
-        name = slug(said)
+        name = slug(written_name)
         if name in columns:
             columns[name] |= {k: v for k, v in keys.items() if k in ("unit", "axis", "component", "location", "of")}
     facts = dict(proposal.facts)
@@ -169,7 +169,7 @@ def _csv(proposal: Proposal) -> str:
     import io
 
     names = [n for n in proposal.entries if n in proposal.data]
-    columns = [[_written(v) for v in proposal.data[n]] for n in names]
+    columns = [[_cell_text(v) for v in proposal.data[n]] for n in names]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(names)
@@ -177,7 +177,7 @@ def _csv(proposal: Proposal) -> str:
     return stream.getvalue()
 
 
-def _written(value: Any) -> str:
+def _cell_text(value: Any) -> str:
     if isinstance(value, str):
         return re.sub(r"[\x00-\x1f]+", " ", value)
     return "" if value != value else f"{float(value):.{DIGITS}g}"
@@ -201,7 +201,8 @@ def _shown(proposal: Proposal, sources: list[dict[str, Any]]) -> dict[str, Any]:
     for name, entry in proposal.entries.items():
         facts = [entry["role"], *(str(entry[k]) for k in ("component", "axis", "unit", "of") if entry.get(k))]
         lines.append(
-            f"  {name:<{width}}  {' '.join(facts)}" + (f"  = {_way(entry['derived'])}" if "derived" in entry else "")
+            f"  {name:<{width}}  {' '.join(facts)}"
+            + (f"  = {_derivation(entry['derived'])}" if "derived" in entry else "")
         )
         if name in proposal.guesses:
             lines.append(f"  {'':<{width}}    guess: {proposal.guesses[name]}")
@@ -209,7 +210,7 @@ def _shown(proposal: Proposal, sources: list[dict[str, Any]]) -> dict[str, Any]:
     return {"sources": sources, "notes": proposal.notes, "columns": columns, "says": lines}
 
 
-def _way(derived: dict[str, Any]) -> str:
+def _derivation(derived: dict[str, Any]) -> str:
     if derived.get("minus"):
         return " - ".join(derived["minus"])
     if derived.get("of"):
@@ -236,8 +237,8 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
             raise UsageError(f"import: {name}: {err}") from None
         out[name] = values if convert is None else convert(values)
     columns = _derived.derive(out, raw, proposal.rows, manifest)
-    found = plausibility.findings(Recording(manifest_folder.canonical(manifest), pd.DataFrame(columns)))
-    return [str(f) for f in found]
+    findings = plausibility.findings(Recording(manifest_folder.canonical(manifest), pd.DataFrame(columns)))
+    return [str(f) for f in findings]
 
 
 def options_of(**said: Any) -> ImportOptions:
@@ -247,8 +248,8 @@ def options_of(**said: Any) -> ImportOptions:
     sets: dict[str, dict[str, str]] = {}
     keys = ("role", "unit", "axis", "component", "location", "of")
     for text in said.pop("sets"):
-        left, equals, value = text.partition("=")
-        name, dot, key = left.rpartition(".")
+        target, equals, value = text.partition("=")
+        name, dot, key = target.rpartition(".")
         if not equals or not dot or not name or key not in keys:
             raise UsageError(f"--set {text}: not of the form COLUMN.key=value (keys: {', '.join(keys)})")
         sets.setdefault(name, {})[key] = value.strip()

@@ -55,9 +55,9 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     if recording is not None and template.sample is None and template.own is None:
         raise UsageError(f"template {name} simulates its recording; replace that stage in {PIPELINE} (no --recording)")
     texts = _texts(name, template, folder, recording, targets)
-    there = [n for n in texts if (folder / n).exists()]
-    if there:
-        raise UsageError(f"{folder}: {', '.join(there)} is there already; nothing was written")
+    existing = [n for n in texts if (folder / n).exists()]
+    if existing:
+        raise UsageError(f"{folder}: {', '.join(existing)} is there already; nothing was written")
     if recording is None and template.sample is not None:
         from errpipe.simulation import folder as recording_folder
         from errpipe.simulation import sample_recordings
@@ -126,10 +126,12 @@ def _facts(folder: Path) -> dict[str, Any]:
     from errpipe.formats import manifest_folder
 
     recording = manifest_folder.read(folder)
-    found = recording.components()
-    if not found:
+    recorded = recording.components()
+    if not recorded:
         raise UsageError(f"{folder}: no column of role error; there is nothing to fit")
-    component = next((c for c in found if components.parse(c).kind in ("positioning", "angular positioning")), found[0])
+    component = next(
+        (c for c in recorded if components.parse(c).kind in ("positioning", "angular positioning")), recorded[0]
+    )
     axis = components.parse(component).axis or "X"
     place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     targets = np.unique(np.round(recording.array(place), 3)).size if place is not None else 3

@@ -21,15 +21,15 @@ def measure(machine: Path, out: Path, without: Sequence[str], positions: int) ->
 
         near = did_you_mean(unknown[0], chain.components)
         raise UsageError(f"--without {unknown[0]}: {chain.machine.name} has no such component.{near}")
-    found = plan.propose(chain, without=tuple(without), positions=positions)
-    jsonfile.write_text(Path(out), plan.program(found))
+    proposal = plan.propose(chain, without=tuple(without), positions=positions)
+    jsonfile.write_text(Path(out), plan.program(proposal))
     return {
         "written": str(out),
         "components": len(chain.components) - len(without),
-        "blocks": len(found.blocks),
-        "positions": sum(len(b.q) for b in found.blocks),
-        "minutes": round(found.minutes, 1),
-        "unseen": [u.says() for u in found.open],
+        "blocks": len(proposal.blocks),
+        "positions": sum(len(b.q) for b in proposal.blocks),
+        "minutes": round(proposal.minutes, 1),
+        "unseen": [u.says() for u in proposal.open],
     }
 
 
@@ -47,32 +47,34 @@ def ballbar_pages(recording: Any) -> list[tuple[str, str, str]]:
     circles = iso230_4.circles(recording)
     out = []
     for test in iso230_4.evaluate(recording):
-        found, name = test.figures, "".join(test.figures.plane)
-        own = [c for c in circles if "".join(c.plane) == name]
+        figures, name = test.figures, "".join(test.figures.plane)
+        of_plane = [c for c in circles if "".join(c.plane) == name]
         drawn, lines = [], []
-        for c in own:
+        for c in of_plane:
             deviation, close = iso230_4.centred(c), slice(0, 1 if iso230_4.is_full(c) else 0)
             drawn.append((c.label, np.r_[c.angle, c.angle[close]], np.r_[deviation, deviation[close]]))
-            g = f"G {c.label}: {found.circular[c.label]:.1f} um, " if c.label in found.circular else ""
+            g = f"G {c.label}: {figures.circular[c.label]:.1f} um, " if c.label in figures.circular else ""
             lines.append(f"{g}F {c.label}: {deviation.min():+.1f} to {deviation.max():+.1f} um")
-        lines += [f"G both ways: {found.both:.1f} um"] if found.both is not None else []
-        lines += [f"hysteresis H: {found.hysteresis:.1f} um"] if found.hysteresis is not None else []
+        lines += [f"G both ways: {figures.both:.1f} um"] if figures.both is not None else []
+        lines += [f"hysteresis H: {figures.hysteresis:.1f} um"] if figures.hysteresis is not None else []
         lines += [
             f"{e.effect.replace('_', ' ')} {e.where}: {e.value:.1f} ({e.ci95[0]:.1f} to {e.ci95[1]:.1f}) {e.unit}"
             for e in test.effects
         ]
-        figure = machine_figures.ballbar(drawn, own[0].radius, lines, f"Circular test {name}")
+        figure = machine_figures.ballbar(drawn, of_plane[0].radius, lines, f"Circular test {name}")
         out.append((f"Circular test {name}", figure, _reading(test)))
     return out
 
 
 def _reading(test: Any) -> str:
-    """What a metrologist says of a plane, largest part of the plot first, and what cannot be told from nothing."""
-    sure = [e.says for e in test.effects if e.ci95[0] * e.ci95[1] > 0]
-    clear = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
-    told = f"Read off the plot, largest first: {'; '.join(sure)}." if sure else "Nothing systematic shows."
-    rest = f" Not told from nothing: {', '.join(clear)}." if clear else ""
+    """What a metrologist says of a plane, largest part of the plot first, and the effects whose interval includes 0."""
+    significant = [e.says for e in test.effects if e.ci95[0] * e.ci95[1] > 0]
+    not_significant = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
+    summary = (
+        f"Read off the plot, largest first: {'; '.join(significant)}." if significant else "Nothing systematic shows."
+    )
+    addition = f" Not told from nothing: {', '.join(not_significant)}." if not_significant else ""
     return (
-        f"After ISO 230-4, each circle about its own centre. {told}{rest} As it appears where "
+        f"After ISO 230-4, each circle about its own centre. {summary}{addition} As it appears where "
         f"these circles lie: angles elsewhere in the volume add to it. What is left is {test.noise:.1f} um rms."
     )

@@ -8,7 +8,7 @@ from typing import Any
 from errpipe import files
 from errpipe.errors import DataError, did_you_mean
 
-SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing: 2 to 10 % by chance
+SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
 
 
@@ -30,8 +30,8 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     for name in (error, *(n for n in (group, time) if n)):
         if name not in frame.columns:
             raise DataError(f"{file}: no column {name!r}{did_you_mean(name, list(frame.columns))}")
-    said = [n for n in frame.columns if n not in (error, group, time)]
-    names = [n for n in said if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
+    remaining = [n for n in frame.columns if n not in (error, group, time)]
+    names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
     bad = [n for n in (error, *names) if not pd.api.types.is_numeric_dtype(frame[n]) or frame[n].isna().any()]
     if bad or not names:
         raise DataError(f"{file}: column {bad[0]!r} holds no numbers" if bad else f"{file}: no candidate place")
@@ -64,7 +64,7 @@ def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
 
 
 def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -> tuple[dict[str, Any], list[str]]:
-    """Rises over the start of each duty cycle, judged on duty cycles left out."""
+    """Rises over the start of each duty cycle, judged by leave-one-duty-cycle-out."""
     import numpy as np
 
     from errpipe.fitting import placement
@@ -77,10 +77,10 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -
     nothing, sets = placement.choose(readings, error, labels, most)
     degrees = placement.by_degree(readings, error, labels)
     best = min(s.rms_left_out for s in sets)
-    enough = next(s for s in sets if s.rms_left_out <= best * placement.ENOUGH)
-    gain = np.array([np.mean(error[labels == n] ** 2) - enough.groups[str(n)] ** 2 for n in np.unique(labels)])
-    sure = gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(gain.size)
-    chosen = [names[k] for k in enough.places] if sure else []
+    smallest = next(s for s in sets if s.rms_left_out <= best * placement.ENOUGH)
+    gain = np.array([np.mean(error[labels == n] ** 2) - smallest.groups[str(n)] ** 2 for n in np.unique(labels)])
+    significant = gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(gain.size)
+    chosen = [names[k] for k in smallest.places] if significant else []
     document: dict[str, Any] = {
         "place": 1,
         "duty_cycles": int(np.unique(labels).size),

@@ -1,4 +1,4 @@
-"""Which duty cycle to run next, and what it is expected to bring."""
+"""The most informative next duty cycle, and the expected uncertainty after it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from errpipe.errors import DataError
 
-LEAST_GAIN = 0.05  # of the uncertainty: below it another day of eight hours is not worth it (taste)
+LEAST_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
 
 
 def plan_day(
@@ -20,12 +20,12 @@ def plan_day(
     """
     from errpipe.fitting import experiment_design as design
 
-    done, highest = _recorded(recording) if recording is not None else ([], None)
+    recorded, highest = _recorded(recording) if recording is not None else ([], None)
     top = speed if speed is not None else highest
     if top is None or top <= 0:
         raise DataError("plan-day: no spindle speed was recorded; say the highest one with --speed")
     options = design.DesignOptions(highest_speed=top, hours=hours, noise=noise, standing=standing)
-    days = [design.Plan(_stretches(t, v / top, options)) for t, v in done]
+    days = [design.Plan(_stretches(t, v / top, options)) for t, v in recorded]
     proposed = design.propose(days, options)
     import numpy as np
 
@@ -65,7 +65,7 @@ def _recorded(folder: Path) -> tuple[list[tuple[Any, Any]], float | None]:
 
 
 def _stretches(t: Any, share: Any, options: Any) -> tuple[float, ...]:
-    """Mean speed of each stretch of a day; standing where nothing was recorded."""
+    """Mean speed of each stretch of a day; 0 (standing) where nothing was recorded."""
     import numpy as np
 
     which = np.minimum((t / options.segment).astype(int), options.segments - 1)

@@ -1,7 +1,7 @@
 """The reference pages, from the code alone: terms, formats, targets, stages, cleaning rules and recordings as Markdown.
 
-Each registry is gone through once; what a page says of a plug-in is what its docstring, its parameters and its options
-say. `errpipe reference --write docs` writes all pages; a test holds the files in `docs/` to them.
+Each registry is read once; a page gives the docstring, the parameters and the options of every plug-in.
+`errpipe reference --write docs` writes all pages; a test holds the files in `docs/` to them.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ def sections(docstring: str) -> tuple[str, list[tuple[str, str]]]:
     """First paragraph of a docstring, and its sections (heading, text with its own line breaks)."""
     lines = inspect.cleandoc(docstring).splitlines()
     head: list[str] = []
-    found: list[tuple[str, list[str]]] = []
+    parts: list[tuple[str, list[str]]] = []
     for line in lines:
         match = _SECTION.match(line)
         if match:
-            found.append((match.group(1), [match.group(2)]))
-        elif found and line.startswith("   "):
-            found[-1][1].append(line.strip())
-        elif not found:
+            parts.append((match.group(1), [match.group(2)]))
+        elif parts and line.startswith("   "):
+            parts[-1][1].append(line.strip())
+        elif not parts:
             head.append(line)
-    return " ".join(" ".join(head).split()), [(word, "\n".join(text)) for word, text in found]
+    return " ".join(" ".join(head).split()), [(word, "\n".join(text)) for word, text in parts]
 
 
 def _cell(text: object) -> str:

@@ -1,4 +1,4 @@
-"""The report of a run whose export was refused: that is when someone asks why."""
+"""The report of a run whose export was refused, with the reason."""
 
 from __future__ import annotations
 

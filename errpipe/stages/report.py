@@ -96,8 +96,8 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
 def _who_and_when(recording: Any) -> list[dict[str, Any]]:
     """Date, serial number, operator and instrument, where the manifest's constants have them."""
     known = ("date", "serial_number", "operator", "instrument")
-    found = {n: recording.manifest.constants.get(n) for n in known}
-    return [{"what": n.replace("_", " "), "value": c.value} for n, c in found.items() if c is not None]
+    constants = {n: recording.manifest.constants.get(n) for n in known}
+    return [{"what": n.replace("_", " "), "value": c.value} for n, c in constants.items() if c is not None]
 
 
 def _iso230_chart(recording: Any, validation: Mapping[str, Any], rows: Path) -> list[tuple[str, str, str]]:
@@ -113,12 +113,12 @@ def _iso230_chart(recording: Any, validation: Mapping[str, Any], rows: Path) -> 
     from errpipe.validation import iso230_2
 
     held_out = pd.read_parquet(rows)
-    own = held_out[held_out["component"] == figures["component"]]
-    left = np.full(len(recording), np.nan)
-    left[own["row"].to_numpy()] = own["after"].to_numpy()
+    rows_of_component = held_out[held_out["component"] == figures["component"]]
+    residual = np.full(len(recording), np.nan)
+    residual[rows_of_component["row"].to_numpy()] = rows_of_component["after"].to_numpy()
     column = recording.names("error", component=figures["component"])[0]
     try:
-        after = iso230_2.figures(recording.with_columns({column: left}, {})).model_dump(mode="json")
+        after = iso230_2.figures(recording.with_columns({column: residual}, {})).model_dump(mode="json")
     except DataError:
         after = None
     caption = "Mean deviation of each direction with bands of 2 s. A spans the bands, B is the largest reversal."
@@ -169,15 +169,15 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
     out = []
     for figures in validation["components"]:
         component = next(c for c in model.components if c.component == figures["component"])
-        own = held_out[held_out["component"] == component.component].sort_values("row", kind="stable")
-        index = own["row"].to_numpy()
+        rows_of_component = held_out[held_out["component"] == component.component].sort_values("row", kind="stable")
+        index = rows_of_component["row"].to_numpy()
         out.append(
             Response(
                 component=component.component,
                 unit=figures["unit"],
-                deviation=own["before"].to_numpy(),
-                predicted=(own["before"] - own["after"]).to_numpy(),
-                groups=own["group"].tolist(),
+                deviation=rows_of_component["before"].to_numpy(),
+                predicted=(rows_of_component["before"] - rows_of_component["after"]).to_numpy(),
+                groups=rows_of_component["group"].tolist(),
                 inputs=_columns(recording, model, index),
                 rms_before=figures["rms_before"],
                 rms_after=figures["rms_after"],
@@ -315,7 +315,7 @@ def _family_tables(folder: Path, validation: Mapping[str, Any]) -> list[Any]:
     from errpipe.reporting.run_report import Table
 
     family = _artefacts.family_in(folder)
-    return [Table(*told) for told in family.tables(_artefacts.documents_in(folder, family), validation)]
+    return [Table(*table) for table in family.tables(_artefacts.documents_in(folder, family), validation)]
 
 
 def _seasons(validation: Mapping[str, Any]) -> list[Any]:

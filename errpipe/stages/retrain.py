@@ -87,8 +87,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         model_folder = out / RUN / _giving(pipeline, "error_model")
         model = _artefacts.read_model(model_folder / _artefacts.MODEL)
         family = _artefacts.family_in(model_folder)
-        done = frozenset(s.key for s in scores)
-        scores += retraining.score_new_runs(recording, family, prediction, known, done)
+        already_scored = frozenset(s.key for s in scores)
+        scores += retraining.score_new_runs(recording, family, prediction, known, already_scored)
         change = _change(old_model, model, recording)
         gates += _table_gates(change, limits)
         gates += [_sensor_gate(old_model, model, allowed), _drift_gate(drift, model)]
@@ -125,7 +125,7 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
 
 
 def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
-    """Scores of earlier looks against the same champion; a new champion begins with none."""
+    """Scores of earlier evaluations against the same champion; a new champion begins with none."""
     from errpipe.validation.retraining import RunScore
 
     if not path.is_file():
@@ -152,8 +152,8 @@ def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarra
     gaps = [name for name in model.columns if name in frame.columns and frame[name].isna().any()]
     if gaps:
         frame = frame.assign(**frame[gaps].groupby(recording.run_codes()).ffill())
-    found = evaluate(model, Recording(recording.manifest, frame, recording.between))
-    return {component: np.nan_to_num(values) for component, values in found.items()}
+    predicted = evaluate(model, Recording(recording.manifest, frame, recording.between))
+    return {component: np.nan_to_num(values) for component, values in predicted.items()}
 
 
 def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:
@@ -196,7 +196,7 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
 
 
 def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
-    """A challenger that learnt from a sensor while it drifts will be wrong again tomorrow."""
+    """No promotion of a challenger that reads a drifting sensor: the drift was part of its training data."""
     from errpipe.validation.retraining import Gate
 
     read = sorted(d["column"] for d in drift["inputs"] if d["blamed"] and d["column"] in model.columns)
@@ -241,7 +241,7 @@ def _drift(model: ErrorModel, old: Recording, recording: Recording, known: froze
     residuals = (_residual_drift(both, component, reference, prediction[component]) for component in prediction)
     return {
         "inputs": [asdict(d) for d in input_drift.sensor_drift(both, reference)],
-        "residuals": [found for found in residuals if found],
+        "residuals": [drift for drift in residuals if drift],
     }
 
 
@@ -270,9 +270,9 @@ def _residual_drift(recording, component: str, reference, prediction) -> dict[st
     name = recording.name("error", component=component)
     if name is None:
         return None
-    left, run = recording.array(name) - prediction, recording.run_codes()
-    codes = [c for c in dict.fromkeys(run.tolist()) if np.isfinite(left[run == c]).any()]
-    means = {c: float(np.nanmean(left[run == c])) for c in codes}
+    residual, run = recording.array(name) - prediction, recording.run_codes()
+    codes = [c for c in dict.fromkeys(run.tolist()) if np.isfinite(residual[run == c]).any()]
+    means = {c: float(np.nanmean(residual[run == c])) for c in codes}
     old = [means[c] for c in codes if reference[run == c].any()]
     new = [c for c in codes if not reference[run == c].any()]
     drift = input_drift.level_drift(old, [means[c] for c in new])

@@ -36,8 +36,12 @@ def sign(file: Path, secret: Path, comment: str) -> dict[str, Any]:
         *([f"table {identity(file)}"] if file.suffix == ".ect" else []),
         *([comment] if comment else []),
     ]
-    beside = minisign.sign_file(file, key, ", ".join(words))
-    return {"signature": str(beside), "key": key.public.name, "says": [f"{beside}: signed by {key.public.name}"]}
+    signature_file = minisign.sign_file(file, key, ", ".join(words))
+    return {
+        "signature": str(signature_file),
+        "key": key.public.name,
+        "says": [f"{signature_file}: signed by {key.public.name}"],
+    }
 
 
 def verify_signature(file: Path, public: Path) -> dict[str, Any]:
@@ -65,8 +69,8 @@ def promote(
     past = store.history(machine)
     name = identity(table)
     data = files.read(table, MAX_OBJECT_BYTES, UsageError)
-    done = store.append(machine, "promote", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
-    return _row(done, store) | {"says": [f"machine {machine}: table {name} is entry {done.number}"]}
+    entry = store.append(machine, "promote", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
+    return _row(entry, store) | {"says": [f"machine {machine}: table {name} is entry {entry.number}"]}
 
 
 def rollback(
@@ -90,11 +94,11 @@ def rollback(
     if not earlier:
         raise UsageError(f"machine {machine}: no earlier table to go back to (entries: 1 to {len(past)})")
     data = store.table(earlier[-1].table)
-    done = store.append(machine, "rollback", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
+    entry = store.append(machine, "rollback", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
     if out is not None:
         jsonfile.write_bytes(out, data)
-    return _row(done, store) | {
-        "says": [f"machine {machine}: entry {done.number} is again the table of entry {earlier[-1].number}"]
+    return _row(entry, store) | {
+        "says": [f"machine {machine}: entry {entry.number} is again the table of entry {earlier[-1].number}"]
     }
 
 
@@ -148,7 +152,7 @@ def _time(text: str | None) -> str:
     if text is None:
         return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     try:
-        said = datetime.fromisoformat(text)
+        time = datetime.fromisoformat(text)
     except ValueError:
         raise UsageError(f"{text!r} is not a time (allowed: such as 2026-03-03 or 2026-03-03T14:00:00Z)") from None
-    return (said if said.tzinfo else said.replace(tzinfo=UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

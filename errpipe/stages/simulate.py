@@ -1,4 +1,4 @@
-"""A machine that never existed, measured: a recording folder made by errpipe's own simulation."""
+"""A simulated measurement: a recording folder made by errpipe's own simulation of a machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A measuring test on a machine that never existed: its geometry is a file, its errors are random and smooth."""
+"""A simulated measuring test: the machine's geometry is a file, its errors are random and smooth."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
     for (output, component), letters in polynomials.jacobian(chain, "workpiece").items():
         if output in outputs:
             scale = 1e3 if chain.angular[chain.index(component)] else 1.0  # um per urad at 1 mm is 1e-3: arms in mm
-            arm = {key: v * scale for key, v in _without_squares(letters).items() if abs(v * scale) > ZERO}
+            arm = {key: v * scale for key, v in _sin2_replaced(letters).items() if abs(v * scale) > ZERO}
             if arm:
                 parts = [{"coefficient": v, "of": [SHORT.get(n, n) for n in key]} for key, v in arm.items()]
                 outputs[output].append({"component": component, "arm": parts, "expression": _expression(parts)})
@@ -48,7 +48,7 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
     return document, lines
 
 
-def _without_squares(letters: Polynomial) -> Polynomial:
+def _sin2_replaced(letters: Polynomial) -> Polynomial:
     """The same with sin^2 written as 1 - cos^2, so that equal arms read alike."""
     out: Polynomial = {}
     waiting = list(letters.items())

@@ -48,16 +48,18 @@ def compare_targets(table: Path) -> dict[str, Any]:
     """What each controller would lose of a table, in micrometres, on settled states inside validity."""
     from errpipe.targets import TARGETS
 
-    found = _artefacts.read_table(table)
+    compensation_table = _artefacts.read_table(table)
     rows: list[dict[str, Any]] = []
     for target in TARGETS:
         try:
-            lost = losses(found, target, target.write(found))
+            lost = losses(compensation_table, target, target.write(compensation_table))
         except GateError as err:
             rows.append({"target": target.name, "refused": str(err)})
             continue
         rows += [{"target": target.name, **loss} for loss in lost]
-    rows += [{"target": " + ".join(names), **loss} for names, lost in _best_together(found) for loss in lost]
+    rows += [
+        {"target": " + ".join(names), **loss} for names, lost in _best_combinations(compensation_table) for loss in lost
+    ]
     return {"comparison": rows, "says": [_line(row) for row in rows]}
 
 
@@ -69,18 +71,18 @@ def together(targets: Sequence[Any]) -> list[tuple[Any, ...]]:
         return b.name in a.goes_with or a.name in b.goes_with
 
     most = max((len(t.goes_with) for t in targets), default=0) + 1
-    found = [c for size in range(2, most + 1) for c in combinations(targets, size)]
-    return [c for c in found if all(add_up(a, b) for a, b in combinations(c, 2))]
+    choices = [c for size in range(2, most + 1) for c in combinations(targets, size)]
+    return [c for c in choices if all(add_up(a, b) for a, b in combinations(c, 2))]
 
 
 def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list[dict[str, str]], Any]:
-    """Files of each part, none saying what another one says, and what the controller makes of all. Raises GateError."""
+    """Files of each part, each without what another holds, and what the controller makes of all. Raises GateError."""
     files = [part.write_beside(table, [o.name for o in parts if o is not part]) for part in parts]
     first, *rest = (part.read_back(own) for part, own in zip(parts, files, strict=True))
     return files, sum(rest, start=first)
 
 
-def _best_together(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
+def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
     from errpipe.targets import TARGETS
 
@@ -114,15 +116,17 @@ def export(
     from errpipe import jsonfile
     from errpipe.tables import ect
 
-    found, remarks, signature = _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
-    _plausible.refuse_table(found, allow, limit)
-    files = write_targets(found, names, Path(out), remarks)
-    ect.write(found, Path(out) / _artefacts.TABLE)
+    compensation_table, remarks, signature = (
+        _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
+    )
+    _plausible.refuse_table(compensation_table, allow, limit)
+    files = write_targets(compensation_table, names, Path(out), remarks)
+    ect.write(compensation_table, Path(out) / _artefacts.TABLE)
     if signature:
         jsonfile.write_text(Path(out) / f"{_artefacts.TABLE}.minisig", signature)
-    ect.write_json(found, Path(out) / _artefacts.TWIN)
-    consequences = _plausible.of_table(found)
-    document = {"export": 1, "inputs": found.fingerprint, "proof": [], "files": files, "left_out": []}
+    ect.write_json(compensation_table, Path(out) / _artefacts.TWIN)
+    consequences = _plausible.of_table(compensation_table)
+    document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": files, "left_out": []}
     document["consequences"] = consequences
     document["sha256"] = checksums(Path(out), files, [_artefacts.TABLE, _artefacts.TWIN])
     jsonfile.write(Path(out) / "export.json", document)
@@ -137,8 +141,8 @@ def _signed(table: Path, public_key: Path) -> tuple[CompensationTable, tuple[str
     from errpipe.registry import minisign, signed
 
     key, signature = minisign.read_public(public_key), minisign.signature_of(table)
-    found = signed.read_table(table, key)
-    return found, signed.remarks(found, signature, key), signature
+    compensation_table = signed.read_table(table, key)
+    return compensation_table, signed.remarks(compensation_table, signature, key), signature
 
 
 def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[str] = ()) -> dict[str, str]:
@@ -165,7 +169,7 @@ def write_targets(
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
-        steps = checklist(target, target.read_back(files), lost, table, others) + _companions(table, target, others)
+        steps = checklist(target, target.read_back(files), lost, table, others) + _companion_text(table, target, others)
         hint = "" if others else sibling(table, target, lost)
         steps += f"\n{hint}\n" if hint else ""
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
@@ -184,7 +188,7 @@ def write_targets(
 
 
 def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
-    """Which formats of the same controller say what this one leaves behind, in a sentence; "" where that is little."""
+    """Which formats of the same controller express what this one loses, in a sentence; "" where that is little."""
     from errpipe.targets import TARGETS
 
     worst = max(lost, key=lambda x: x["rms_um"] / max(x["table_rms_um"], 1e-9), default=None)
@@ -198,29 +202,29 @@ def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -
             _, read = write_together(table, parts)
         except GateError:
             continue
-        left = _loss_rows(table, read)
-        size = sum(x["rms_um"] ** 2 for x in left)
+        loss_rows = _loss_rows(table, read)
+        size = sum(x["rms_um"] ** 2 for x in loss_rows)
         if best is None or size < 0.9 * best[0]:
-            best = size, ", ".join(o.name for o in parts if o is not target), in_words(left)
+            best = size, ", ".join(o.name for o in parts if o is not target), in_words(loss_rows)
     if best is None or best[0] >= 0.25 * sum(x["rms_um"] ** 2 for x in lost):  # not even half of it
         return ""
     return f"{best[1]} can say what {target.name} leaves behind; with both among the targets: {best[2]}."
 
 
 def with_something_to_add(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:
-    """The targets without those whose companions say already all that they could."""
+    """The targets without those that add nothing to their companions."""
     from errpipe.targets._base import NothingToAddError
 
-    left = list(targets)
+    kept = list(targets)
     for target in targets:
         try:
-            target.write_beside(table, _sibling_names(target, left))
+            target.write_beside(table, _sibling_names(target, kept))
         except NothingToAddError:
-            left.remove(target)
-    return left
+            kept.remove(target)
+    return kept
 
 
-def _companions(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
+def _companion_text(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
     """What a checklist says of files that are loaded besides; nothing where there are none."""
     if not others:
         return ""

@@ -1,4 +1,4 @@
-"""A fitted model's procedure judged on whole groups that sat out; figures of ISO 230-2 where the test is one."""
+"""Leave-one-group-out validation of a fitted model's procedure; figures of ISO 230-2 where the test is one."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def _of_machine(context: Context, folder: Path) -> dict[str, Any]:
 
     document = jsonfile.read(folder / IDENTIFICATION)
     tests = {name: _artefacts.recording_in(at) for name, at in context.every("recordings").items()}
-    found = machine.judged(yamlfile.load(folder / MACHINE, Machine), document, tests, context.progress)
-    return {"identification": jsonfile.fingerprint(document), "tests": found}
+    figures = machine.judged(yamlfile.load(folder / MACHINE, Machine), document, tests, context.progress)
+    return {"identification": jsonfile.fingerprint(document), "tests": figures}
 
 
 def _between(figures: Mapping[str, Any]) -> str:
@@ -100,7 +100,7 @@ def headline(component: Mapping[str, Any]) -> str:
 
 
 def _write_rows(path: Path, found: Mapping[str, list]) -> None:
-    """One line per held-out row and component: what was there, and what the model left."""
+    """One line per held-out row and component: the deviation, and the residual of the model."""
     import pandas as pd
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
 
-STATES = 2000
+STATES = 2000  # random states at which table and model are compared
 SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json` keeps
 
 
@@ -60,10 +60,12 @@ def _model(folder: Path, table: CompensationTable) -> str:
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     worst = 0.0
     for name, values in by_table.items():
-        gap = float(np.nanmax(np.abs(values - by_model[name])))
-        if not gap <= 2 * allowed.get(name, 0.0) + 2e-3:
-            raise VerifyError(f"{path}: {name} of the table differs from the model by {gap:.4g} um inside validity")
-        worst = max(worst, gap)
+        difference = float(np.nanmax(np.abs(values - by_model[name])))
+        if not difference <= 2 * allowed.get(name, 0.0) + 2e-3:
+            raise VerifyError(
+                f"{path}: {name} of the table differs from the model by {difference:.4g} um inside validity"
+            )
+        worst = max(worst, difference)
     return f"{_artefacts.MODEL}: the table gives it back within {worst:.3g} um on {len(states)} states"
 
 
@@ -109,7 +111,7 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
         files = {}
         for row in rows:
             path = inside(folder, row["file"], VerifyError)
-            _unchanged(path, document.get("sha256", {}).get(row["file"]))
+            _check_digest(path, document.get("sha256", {}).get(row["file"]))
             files[path.name] = path.read_text(encoding="utf-8")
         lost = losses(table, target, files)
         if not document.get("sha256") and not ("losses" in rows[0] and _comparable(lost, rows[0])):
@@ -126,37 +128,37 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
 
 def _comparable(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     """Whether a loss was measured on the states of the export's."""
-    then = {x["axis"]: x for x in row.get("losses", lost)}
-    return all(x.get("states") == y["states"] for x in then.values() for y in lost)
+    exported = {x["axis"]: x for x in row.get("losses", lost)}
+    return all(x.get("states") == y["states"] for x in exported.values() for y in lost)
 
 
 def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     """Whether a loss is that of the export. One measured on other states, by another version, cannot be compared."""
-    then = {x["axis"]: x for x in row.get("losses", lost)}
+    exported = {x["axis"]: x for x in row.get("losses", lost)}
     if not _comparable(lost, row):
-        return set(then) == {x["axis"] for x in lost}
-    return set(then) == {x["axis"] for x in lost} and all(
-        abs(x[key] - then[x["axis"]].get(key, x[key])) <= SAME_UM
+        return set(exported) == {x["axis"] for x in lost}
+    return set(exported) == {x["axis"] for x in lost} and all(
+        abs(x[key] - exported[x["axis"]].get(key, x[key])) <= SAME_UM
         for x in lost
         for key in ("bound_um", "largest_um", "rms_um", "table_rms_um")
     )
 
 
-def _unchanged(path: Path, expected: str | None) -> None:
+def _check_digest(path: Path, expected: str | None) -> None:
     """Raise VerifyError where a file is missing, or is not the one that was exported."""
     if not path.is_file():
         raise VerifyError(f"{path}: is missing")
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
-    if expected is not None and found != expected:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    if expected is not None and digest != expected:
         raise VerifyError(
-            f"{path}: was changed after it was exported (SHA-256 {found[:12]}..., export.json says {expected[:12]}...)"
+            f"{path}: was changed after it was exported (SHA-256 {digest[:12]}..., export.json says {expected[:12]}...)"
         )
 
 
 def _checksums(folder: Path, document: dict[str, Any]) -> str:
     known = document.get("sha256", {})
     for name, expected in known.items():
-        _unchanged(inside(folder, name, VerifyError), expected)
+        _check_digest(inside(folder, name, VerifyError), expected)
     if not known:
         return "no checksums of single files: exported by an errpipe that did not keep them; export again"
     return f"SHA-256 of {len(known)} files, as exported"

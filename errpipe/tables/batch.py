@@ -28,7 +28,7 @@ _replayed = 0  # rows, by this process
 
 @dataclass(frozen=True)
 class Replay:
-    """What a table says about every row: by output name, shape (rows,), deviation um or urad."""
+    """Evaluation of a table on every row: by output name, shape (rows,), deviation um or urad."""
 
     deviation: dict[str, np.ndarray]
     correction: dict[str, np.ndarray]
@@ -205,10 +205,10 @@ def _plan(
     node_moves: list[bool],
     profile_moves: list[bool],
 ) -> table_position.Plan:
-    """How the blocks of a table are worked off.
+    """Order in which the blocks of a table are evaluated.
 
     A profile is written to its component at once where its only pair is the component's first, is kept outside
-    validity, and has a driver that stands still. Two neighbours on one grid are worked off together.
+    validity, and has a driver that stands still. Two neighbours on one grid are evaluated together.
     """
     components = 1 + max(int(records["component"].max(initial=0)) for records in (program.pairs, program.terms))
     opens, alone = np.zeros((2, len(program.pairs)), dtype=np.uint8)

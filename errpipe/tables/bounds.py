@@ -1,7 +1,7 @@
-"""What a table can reach before it ever runs: bounds of nodes and outputs, error budget, cost of a cycle.
+"""Static analysis of a table: bounds of nodes and outputs, error budget, cost of a cycle.
 
-Slow nodes hold their value between thermal cycles: a held value was one of the node's own, so every bound here covers
-it. By how much a correction is late for that is another question: `held`.
+Slow nodes hold their value between thermal cycles: a held value lies within the node's bounds too. The error by that
+delay is computed in `held`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Span = tuple[float, float]
 
 
 def input_span(channel: t.TableInput, version: int = 2) -> Span:
-    """What the table sees of an input: its validity, else what is plausible.
+    """Range of an input in the table: its validity, else its plausible range.
 
     In version 1, which does not keep drivers within it, validity and the margin over which the table fades.
     """

@@ -95,13 +95,13 @@ def compile_table(
     groups = [_groups(build, c) for c in components]
     monomials = [_monomials(build, o) for o in (outputs_of(components) if outputs is None else outputs)]
     spans = bounds.node_spans(build.nodes, inputs)
-    flat = [g for found in groups for g in found]
+    flat = [g for own_groups in groups for g in own_groups]
     made = [g.profile(build, spans, travel or {}, error_bound, most_intervals) for g in flat]
     made = _on_common_grids(flat, made)
     profiles = {p: n for n, p in enumerate(sorted(dict.fromkeys(made), key=_grid_order(made)))}
     pairs: list[t.Pair] = []
-    for component, found in zip(components, groups, strict=True):
-        for group in found:
+    for component, own_groups in zip(components, groups, strict=True):
+        for group in own_groups:
             number = profiles[made[len(pairs)]]
             keep = group.keeps(build) if component.keep is None else component.keep
             pairs.append(t.Pair(component=component.name, profile=number, driver=group.driver, keep=keep))
@@ -176,13 +176,13 @@ class _Group:
 
 
 def _groups(build: Nodes, component: ComponentSource) -> list[_Group]:
-    found: dict[tuple, _Group] = {}
+    by_key: dict[tuple, _Group] = {}
     for pair in component.pairs or (Lowered(d.Constant(value=0.0)),):
         driver = build.compile(pair.driver)
         axis = pair.axis if pair.profile is not None else None
         key = (driver, axis, pair.period if axis else None)
-        found.setdefault(key, _Group(driver, axis, key[2], [])).pairs.append(pair)
-    return list(found.values())
+        by_key.setdefault(key, _Group(driver, axis, key[2], [])).pairs.append(pair)
+    return list(by_key.values())
 
 
 def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Profile]:

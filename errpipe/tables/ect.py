@@ -55,7 +55,7 @@ def read_json(path: Path) -> t.CompensationTable:
 
 
 def read_any(path: Path) -> t.CompensationTable:
-    """Read either twin, told apart by content. Raises VerifyError."""
+    """Read either twin, recognised by its content. Raises VerifyError."""
     try:
         with files.open_regular(Path(path)) as stream:
             start = stream.read(1)
@@ -241,9 +241,9 @@ def _check_header(data: bytes) -> tuple[Any, ...]:
         raise VerifyError(f"header size {fixed[2]} (version {fixed[1]} has {lay.HEADER_SIZE})")
     if fixed[3] != len(data):
         raise VerifyError(f"{'cut off' if len(data) < fixed[3] else 'too long'}: {len(data)} of {fixed[3]} bytes")
-    found = zlib.crc32(data[lay.CRC_FROM :])
-    if fixed[4] != found:
-        raise VerifyError(f"damaged: checksum {found:08x} (the file says {fixed[4]:08x})")
+    checksum = zlib.crc32(data[lay.CRC_FROM :])
+    if fixed[4] != checksum:
+        raise VerifyError(f"damaged: checksum {checksum:08x} (the file says {fixed[4]:08x})")
     return fixed
 
 
@@ -262,18 +262,18 @@ def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
     index = {}
     at = lay.HEADER_SIZE
     for position, (number, (what, record)) in enumerate(_records(data).items()):
-        found = lay.SECTION.unpack_from(data, lay.SECTIONS_AT + position * lay.SECTION.size)
-        if found[:2] != (number, record.size):
-            raise VerifyError(f"section {number} ({what}): id {found[0]} with records of {found[1]} bytes")
-        if found[2] > lay.MOST[number]:
-            raise VerifyError(f"{found[2]} {what} (allowed: {lay.MOST[number]})")
-        if found[3] != at:
-            raise VerifyError(f"section {number} ({what}) starts at {found[3]}, not at {at}")
-        size = record.size * found[2]
+        entry = lay.SECTION.unpack_from(data, lay.SECTIONS_AT + position * lay.SECTION.size)
+        if entry[:2] != (number, record.size):
+            raise VerifyError(f"section {number} ({what}): id {entry[0]} with records of {entry[1]} bytes")
+        if entry[2] > lay.MOST[number]:
+            raise VerifyError(f"{entry[2]} {what} (allowed: {lay.MOST[number]})")
+        if entry[3] != at:
+            raise VerifyError(f"section {number} ({what}) starts at {entry[3]}, not at {at}")
+        size = record.size * entry[2]
         at += size + -size % 8
         if at > len(data):
             raise VerifyError(f"section {number} ({what}) ends behind the end of the file")
-        index[number] = found[2], found[3]
+        index[number] = entry[2], entry[3]
     if at != len(data):
         raise VerifyError(f"{len(data) - at} bytes behind the last section")
     return index
@@ -446,14 +446,14 @@ def _first_problem(err: ValidationError) -> str:
     """The first thing wrong, in words: where, what, what is allowed."""
     problem = err.errors()[0]
     place = ".".join(str(p) for p in problem["loc"])
-    found = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    message = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if problem["type"] == "extra_forbidden":
-        found = f"there is no such key.{_near(problem['loc'])}"
+        message = f"there is no such key.{_near(problem['loc'])}"
     elif problem["type"] == "missing":
-        found = "this key is missing"
+        message = "this key is missing"
     elif isinstance(problem["input"], int | float | str) and "Value error" not in problem["msg"]:
-        found = f"found {problem['input']!r}, {found}"
-    return f"{place}: {found}" if place else found
+        message = f"found {problem['input']!r}, {message}"
+    return f"{place}: {message}" if place else message
 
 
 def _near(place: tuple) -> str:

@@ -75,15 +75,15 @@ class Expansion:
         self.run_up, self._missed = run_up, 0
         self.knots: dict[str, np.ndarray] = {}
         for axis, (low, high) in ranges.items():
-            found = list((more or {}).get(axis, ()))
+            candidates = list((more or {}).get(axis, ()))
             for table in tables:
-                found += _knots(table, axis, low, high)
-            self.knots[axis] = _within(found, low, high)
+                candidates += _knots(table, axis, low, high)
+            self.knots[axis] = _within(candidates, low, high)
         for table in tables:
             for channel in _bent_inputs(table, self.knots)[:MOST_BENT]:
                 low, high = channel.valid or (channel.default, channel.default)
-                found = [np.linspace(low, high, BENT_KNOTS), *_knots_of(table, {channel.name}, low, high)]
-                self.knots[INPUT + channel.name] = _within(found, low, high)
+                candidates = [np.linspace(low, high, BENT_KNOTS), *_knots_of(table, {channel.name}, low, high)]
+                self.knots[INPUT + channel.name] = _within(candidates, low, high)
 
     def curve(self, axis: str, positions: np.ndarray, values: np.ndarray) -> Term:
         """Straight between positions, held beyond them; the positions are knots."""
@@ -101,7 +101,7 @@ class Expansion:
             for y in b:
                 curves, error = {**x.curves, **y.curves}, 0.0
                 both = [axis for axis in x.curves if axis in y.curves]
-                rest = {axis: v for axis, v in curves.items() if axis not in both}
+                single = {axis: v for axis, v in curves.items() if axis not in both}
                 for axis in both:
                     curves[axis] = x.curves[axis] * y.curves[axis]
                     bend = np.abs(np.diff(x.curves[axis]) * np.diff(y.curves[axis])).max(initial=0.0) / 4
@@ -110,7 +110,7 @@ class Expansion:
                     factor = weight * x.factor * y.factor
                     out.append(Term(factor, curves, unknowns))
                     for m in self.missed(error):
-                        out.append(Term(m.factor * factor, rest, tuple(sorted(m.unknowns + unknowns))))
+                        out.append(Term(m.factor * factor, single, tuple(sorted(m.unknowns + unknowns))))
         return out
 
     def outputs(self, table: t.CompensationTable, state: Mapping[str, float]) -> dict[str, Terms]:
@@ -320,13 +320,13 @@ def _knots(table: t.CompensationTable, axis: str, low: float, high: float) -> li
 
 def _knots_of(table: t.CompensationTable, names: set[str], low: float, high: float) -> list[np.ndarray]:
     """Grids of profiles and of lookups of some inputs, and where clips of them begin."""
-    found = []
+    knots = []
     for p in table.profiles:
         if p.input in names:
             period = (len(p.values) - 1) * p.step
             turns = range(math.floor((low - p.start) / period), math.ceil((high - p.start) / period))
             grid = p.start + p.step * np.arange(len(p.values))
-            found += [grid + period * turn for turn in (turns if p.periodic else (0,))]
+            knots += [grid + period * turn for turn in (turns if p.periodic else (0,))]
     for node in table.nodes:
         if isinstance(node, t.LookupNode | t.ClipNode):
             of, weight, offset = table.nodes[node.of[0]], 1.0, 0.0
@@ -336,8 +336,8 @@ def _knots_of(table: t.CompensationTable, names: set[str], low: float, high: flo
                 of = table.nodes[of.of[0]]
             if weight and isinstance(of, t.InputNode) and of.input in names:
                 bends = [node.low, node.high] if isinstance(node, t.ClipNode) else _grid(node)
-                found.append((np.array(bends) - offset) / weight)
-    return found
+                knots.append((np.array(bends) - offset) / weight)
+    return knots
 
 
 def _grid(node: t.LookupNode) -> list[float]:

@@ -46,8 +46,8 @@ def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[He
         total = 0.0
         for term in output.terms:
             sizes = [reach[term.component], *(largest(spans[n]) for n in term.factors)]
-            late = [lag[term.component], *(behind[n] for n in term.factors)]
-            total += abs(term.weight) * _of_product(late, sizes)
+            lags = [lag[term.component], *(behind[n] for n in term.factors)]
+            total += abs(term.weight) * _of_product(lags, sizes)
         out.append(Held(output.name, output.unit, total, free))
     return tuple(out)
 
@@ -65,12 +65,12 @@ def _behind(table: t.CompensationTable, spans: Sequence[Span], otherwise: float)
     for number, node in enumerate(table.nodes):
         span, of = spans[number], [spans[o] for o in node.of]
         if not node.slow or hold <= 0:
-            late = _carried(node, [behind[o] for o in node.of], of)
+            lag = _carried(node, [behind[o] for o in node.of], of)
         else:
-            late = rates[number] * hold
+            lag = rates[number] * hold
             if isinstance(node, t.LagNode):  # it takes its operand for held since the cycle before
-                late += rates[node.of[0]] * table.thermal_cycle_s
-        behind.append(min(late, span[1] - span[0]))
+                lag += rates[node.of[0]] * table.thermal_cycle_s
+        behind.append(min(lag, span[1] - span[0]))
     return behind
 
 

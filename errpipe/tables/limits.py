@@ -30,13 +30,13 @@ def limited(
     """
     stated = stated or {}
     needed = slews(table, speeds or {})
-    found = {}
+    limits = {}
     for output in table.outputs:
         own = stated.get(output.name, Limits())
         slew = own.slew or needed[output.name]
-        found[output.name] = Limits(own.magnitude, slew, own.acceleration or slew / RISE_S)
-    unknown = {name: own for name, own in stated.items() if name not in found}
-    return with_limits(table, found | unknown)
+        limits[output.name] = Limits(own.magnitude, slew, own.acceleration or slew / RISE_S)
+    unknown = {name: own for name, own in stated.items() if name not in limits}
+    return with_limits(table, limits | unknown)
 
 
 def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, float]:

@@ -101,7 +101,7 @@ class _Search:
         groups: dict[tuple[int, tuple[str, ...]], Terms] = {}
         for x in terms:
             groups.setdefault((keys.index(x.unknowns), tuple(sorted(x.curves))), []).append(x)
-        self.parts = [_Part(axes, found, key, knots) for (key, axes), found in groups.items()]
+        self.parts = [_Part(axes, members, key, knots) for (key, axes), members in groups.items()]
         self.places = [[self.axes.index(a) for a in part.axes] for part in self.parts]
         known = sorted({u for key in keys for u in key if not u.startswith(MISSED)})
         signed = [not any(u.startswith(MISSED) for u in key) for key in keys]
@@ -145,8 +145,8 @@ def largest(terms: Terms, knots: Mapping[str, np.ndarray]) -> Largest:
         index = np.stack([g.ravel() for g in grid], axis=1) if grid else np.zeros((1, 0), dtype=int)
         reached = float(search.size(index).max())
         return Largest(reached + ROUNDING * every, reached)
-    found = _branch(search)
-    return Largest(found.bound + ROUNDING * every, found.reached)
+    maximum = _branch(search)
+    return Largest(maximum.bound + ROUNDING * every, maximum.reached)
 
 
 def _branch(search: _Search) -> Largest:

@@ -189,21 +189,21 @@ class Evaluator:
 
         The first reading of a run is believed once it has stayed there for half a thermal cycle.
         """
-        seen = self._seen[n]
-        if not seen and (replay or not self._rules_of_2):
+        settled = self._seen[n]
+        if not settled and (replay or not self._rules_of_2):
             self._anchor[n] = v
             return True
         assert channel.max_rate is not None
         reach = channel.max_rate * self._age[n]
         moved = v - self._anchor[n]
         if moved > reach + channel.noise or -moved > reach + channel.noise:
-            if not seen:
+            if not settled:
                 self._anchor[n] = v
                 self._age[n] = 0.0
             elif fresh:
                 self._rejected[n] = (self._rejected[n] + 1) % (1 << 32)
             return False
-        if not seen and self._age[n] < 0.5 * self.table.thermal_cycle_s:
+        if not settled and self._age[n] < 0.5 * self.table.thermal_cycle_s:
             return False
         self._anchor[n] = self._anchor[n] + reach if moved > reach else self._anchor[n] - reach if -moved > reach else v
         return True

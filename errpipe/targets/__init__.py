@@ -1,6 +1,6 @@
 """Controller formats. A new one is one file here and one entry in TARGETS.
 
-A target sees a `CompensationTable`, never a recording or a model: what cannot be said in the table cannot leave.
+A target gets a `CompensationTable`, never a recording or a model: it can export only what a table expresses.
 """
 
 from __future__ import annotations

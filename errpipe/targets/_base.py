@@ -1,7 +1,7 @@
 """What a target is: a controller's file format, its sign in words, its limits, and a reader like the controller's own.
 
-A target sees a `CompensationTable` and nothing else. `write` gives the files; `read_back` parses them the way
-the controller would and says what that controller would *add to the command*. The difference to the table is
+A target gets a `CompensationTable` and nothing else. `write` gives the files; `read_back` parses them the way
+the controller would and returns what that controller would *add to the command*. The difference to the table is
 the loss of the format, in micrometres, and is always reported.
 """
 
@@ -18,17 +18,17 @@ from errpipe.errors import GateError, VerifyError
 from errpipe.targets._text import plain
 
 Confidence = Literal["verified", "documented", "experimental"]
-# What a format can say: an axis over its own position (one curve, or one for each direction of travel), an axis over
+# What a format expresses: an axis over its own position (one curve, or one for each direction of travel), an axis over
 # another one, Z over a bed, lost motion alone, a straight line per kelvin.
 Holds = Literal["screw", "both directions", "cross", "bed", "reversal", "temperature"]
-# What the files of an experimental format say of themselves, as a comment.
+# Warning comment in the files of an experimental format.
 CAUTION = "experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use"
 
-REMARK = "errpipe remark: "  # how a comment begins that says where a file comes from
+REMARK = "errpipe remark: "  # prefix of the comment with a file's origin
 
 
 class NothingToAddError(GateError):
-    """A format has nothing to say beside the others that were asked for."""
+    """A format adds nothing to the other targets that were requested."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ class ReadBack:
                 total = total + p.at(positions[p.over[0]], positions[p.over[1]])
         for line in self.lines:
             if line.axis == axis:
-                warm = sensors[line.sensor] - line.reference
-                total = total + warm * (line.level + line.slope * (positions.get(axis, line.zero) - line.zero))
+                rise = sensors[line.sensor] - line.reference
+                total = total + rise * (line.level + line.slope * (positions.get(axis, line.zero) - line.zero))
         return total
 
 
@@ -176,7 +176,7 @@ class Target:
 
     @classmethod
     def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
-        """As `write`, without what the files of `others` (names of targets that go with this one) say already."""
+        """As `write`, without what the files of `others` (targets of the same controller) hold already."""
         return cls.write(table)
 
     @classmethod
@@ -186,8 +186,8 @@ class Target:
         for name in files:
             form = next((form for end, form in cls.remark.items() if name.endswith(end)), None)
             if form is not None:
-                first, rest = files[name].split("\n", 1)
-                out[name] = "\n".join([first, *(form.format(f"{REMARK}{plain(line)}") for line in lines), rest])
+                first, body = files[name].split("\n", 1)
+                out[name] = "\n".join([first, *(form.format(f"{REMARK}{plain(line)}") for line in lines), body])
         return out
 
     @classmethod
@@ -215,9 +215,9 @@ class Target:
 
 def _is_remark(line: str, form: str) -> bool:
     """Whether a line is a remark in this form of comment, and nothing besides."""
-    _, mark, said = line.partition(REMARK)
-    said = said[: len(said) - len(form.partition("{}")[2])]
-    return bool(mark) and line == form.format(REMARK + plain(said))
+    _, mark, content = line.partition(REMARK)
+    content = content[: len(content) - len(form.partition("{}")[2])]
+    return bool(mark) and line == form.format(REMARK + plain(content))
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ class Points:
 
 
 def too_many(target: str, found: int, most: int, error_um: float) -> GateError:
-    """The one form in which a format says that it is full."""
+    """The error of a format whose points do not suffice."""
     return GateError(
         f"{target}: {found} points are needed, {most} fit; with {most} the error would be {error_um:.3g} um. "
         "Allow a larger error, or choose a target that holds more."

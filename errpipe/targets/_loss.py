@@ -36,8 +36,8 @@ class Loss:
 
 
 def losses(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss]:
-    """Per axis, what a controller makes of the files against what the table says."""
-    found = bounds(table, read)
+    """Per axis, difference between the files as the controller reads them and the table."""
+    by_axis = bounds(table, read)
     states, side = _states(table, np.random.default_rng(seed))
     names, start = _sample.positions_of(table), _sample.middle(table)
     at = {axis: states[name] for axis, name in names.items()}
@@ -47,7 +47,7 @@ def losses(table: CompensationTable, read: ReadBack, seed: int = 1) -> list[Loss
     for axis in _sample.outputs_by_axis(table):
         want = _sample.corrections(table, axis, states, side)
         gap = UM * (read.correction(axis, at, side, sensors) - want)
-        out.append(Loss(axis, found[axis].bound, float(np.abs(gap).max()), _rms(gap), UM * _rms(want)))
+        out.append(Loss(axis, by_axis[axis].bound, float(np.abs(gap).max()), _rms(gap), UM * _rms(want)))
     return out
 
 
@@ -68,7 +68,7 @@ def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[st
 
 
 def travel(table: CompensationTable) -> dict[str, tuple[float, float]]:
-    """Axis -> where a loss is looked for: its profiles' range inside validity, with room to run up to each point."""
+    """Axis -> range of the loss: its profiles' range inside validity, with room to run up to each point."""
     out = {}
     for i in table.inputs:
         if i.kind == "position":
@@ -94,15 +94,15 @@ def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Larges
         for axis, grid in zip(q.over, q.positions, strict=True):
             more.setdefault(axis, []).append(grid)
     tables = [table, *([read.table] if isinstance(read, WholeTable) else [])]
-    room = Expansion(travel(table), more, tables, run_up=_sample.RUN_UP)
-    out, moved = {}, _moved(room, table)
+    expansion = Expansion(travel(table), more, tables, run_up=_sample.RUN_UP)
+    out, by_table = {}, _moved(expansion, table)
     if isinstance(read, WholeTable):
-        theirs = _moved(room, read.table)
+        by_files = _moved(expansion, read.table)
     else:
-        theirs = {axis: _read(room, table, read, axis) for axis in axes}
+        by_files = {axis: _read(expansion, table, read, axis) for axis in axes}
     for axis in axes:
-        gap = [*scaled(theirs.get(axis, []), UM), *scaled(moved[axis], -UM)]
-        out[axis] = maximum.largest(collected(gap), room.knots)
+        gap = [*scaled(by_files.get(axis, []), UM), *scaled(by_table[axis], -UM)]
+        out[axis] = maximum.largest(collected(gap), expansion.knots)
     return out
 
 

@@ -1,4 +1,4 @@
-"""A table asked as a metrologist would ask the machine: curves in both directions, per kelvin, and on a lattice."""
+"""A table sampled as a machine is measured: curves in both directions, per kelvin, and on a grid of two axes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ MACHINE_UNITS = {"mm": 1.0, "um": 1e-3, "deg": 1.0, "urad": math.degrees(1e-6), 
 
 def outputs_by_axis(table: CompensationTable) -> dict[str, tuple[Output, ...]]:
     """Axis letter -> its outputs, whose corrections add up; outputs that move no axis are left out."""
-    found: dict[str, tuple[Output, ...]] = {}
+    by_axis: dict[str, tuple[Output, ...]] = {}
     for output in table.outputs:
         if output.axis:
-            found[output.axis] = (*found.get(output.axis, ()), output)
-    return found
+            by_axis[output.axis] = (*by_axis.get(output.axis, ()), output)
+    return by_axis
 
 
 def positions_of(table: CompensationTable) -> dict[str, str]:
@@ -37,8 +37,8 @@ def positions_of(table: CompensationTable) -> dict[str, str]:
 
 def axes_of(table: CompensationTable) -> list[str]:
     """Letters of all axes that the table reads or moves, in the order X Y Z A B C U V W."""
-    found = set(positions_of(table)) | set(outputs_by_axis(table))
-    return sorted(found, key=lambda letter: ("XYZABCUVW".find(letter[0]), letter))
+    letters = set(positions_of(table)) | set(outputs_by_axis(table))
+    return sorted(letters, key=lambda letter: ("XYZABCUVW".find(letter[0]), letter))
 
 
 def own_first(table: CompensationTable, axis: str) -> list[str]:
@@ -111,11 +111,11 @@ def curve(table: CompensationTable, axis: str, over: str, points: np.ndarray, *,
 def at_nodes(table: CompensationTable, axis: str, over: str, x: np.ndarray, *, relative: bool = False) -> Curve:
     """`curve` on a grid that may reach beyond the range of an axis.
 
-    The first node beyond an end lies on the line that is right at the end itself; nodes further out hold its value.
+    The first node beyond an end extrapolates so that interpolation is exact at the end; further nodes hold its value.
     """
     low, high = span(table, over)
-    found = curve(table, axis, over, np.clip(x, low, high), relative=relative)
-    sides = [_beyond(_beyond(v, x, high), -x, -low, backwards=True) for v in (found.up, found.down)]
+    inside = curve(table, axis, over, np.clip(x, low, high), relative=relative)
+    sides = [_beyond(_beyond(v, x, high), -x, -low, backwards=True) for v in (inside.up, inside.down)]
     return Curve(axis, over, x, sides[0], sides[1])
 
 
@@ -136,7 +136,7 @@ def _beyond(values: np.ndarray, x: np.ndarray, end: float, *, backwards: bool = 
 def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um: float) -> tuple[Points, float]:
     """The coarsest uniform grid of at most `most` points within `error_um`, and its largest error in um.
 
-    A grid of the table itself is taken where no coarser one does: it holds the targets of a measurement. Where even
+    A grid of the table itself is used where no coarser one suffices: its nodes are the measured targets. Where even
     `most` points do not suffice, they are given with the error they leave.
     """
     low, high = span(table, over)
@@ -194,8 +194,10 @@ def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
 def moves_with(table: CompensationTable, axis: str, over: str, least_um: float = 0.01) -> bool:
     """Whether the correction of `axis` changes along `over` by more than `least_um`."""
     low, high = span(table, over)
-    found = curve(table, axis, over, np.linspace(low, high, 101))
-    return float(max(np.ptp(found.up), np.ptp(found.down), np.abs(found.up - found.down).max())) * 1e3 > least_um
+    sampled = curve(table, axis, over, np.linspace(low, high, 101))
+    return (
+        float(max(np.ptp(sampled.up), np.ptp(sampled.down), np.abs(sampled.up - sampled.down).max())) * 1e3 > least_um
+    )
 
 
 def lost_motion(table: CompensationTable) -> dict[str, float]:
@@ -203,16 +205,16 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
 
     Axes where this is below `LEAST_REVERSAL` are left out.
     """
-    found = {}
+    means = {}
     for axis in outputs_by_axis(table):
         if axis in positions_of(table):
             c = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
-            found[axis] = float((c.up - c.down).mean())
-    return {axis: value for axis, value in found.items() if abs(value) >= LEAST_REVERSAL}
+            means[axis] = float((c.up - c.down).mean())
+    return {axis: value for axis, value in means.items() if abs(value) >= LEAST_REVERSAL}
 
 
 def reversal(axis: str, lost: float, low: float, high: float) -> Curve:
-    """What one reversal value does to an axis: half of it either way, mm (deg)."""
+    """Deviation by a reversal value: plus or minus half of it by direction, mm (deg)."""
     half = np.full(2, lost / 2)
     return Curve(axis, axis, np.array([low, high]), half, -half)
 

@@ -1,4 +1,4 @@
-"""What all formats share that hold one curve per axis over the axis' own position: a screw map."""
+"""Base of formats with one curve per axis over the axis' own position: screw maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Titles and names as text of a comment: what stands in a file for people can never become a part of its program."""
+"""Titles and names as text of a comment: no title can become a part of a file's program."""
 
 from __future__ import annotations
 

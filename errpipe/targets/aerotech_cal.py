@@ -49,11 +49,11 @@ class AerotechCal(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        found = re.search(
+        match = re.search(
             r"^:START1D REFAXIS=(\d+) OUTAXIS=\1 .*OFFSET=(\S+) SAMPLEDIST=(\S+)$((?:\n[-\d.]+)+)\n:END$", text, re.M
         )
-        expect(found is not None, name, "has no table between :START1D and :END")
-        assert found is not None
-        value = np.array(found[4].split(), dtype=float)
+        expect(match is not None, name, "has no table between :START1D and :END")
+        assert match is not None
+        value = np.array(match[4].split(), dtype=float)
         axis = name.partition(".")[0]
-        return Curve(axis, axis, float(found[2]) + float(found[3]) * np.arange(value.size), value, value)
+        return Curve(axis, axis, float(match[2]) + float(match[3]) * np.arange(value.size), value, value)

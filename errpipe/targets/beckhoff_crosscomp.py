@@ -75,11 +75,11 @@ def _text(axes: list[str], axis: str, over: str, curve: Curve) -> str:
 
 
 def _read(name: str, text: str) -> Curve:
-    found = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
-    count = int(found["kw.crosscomp.last_index"]) + 1
+    settings = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
+    count = int(settings["kw.crosscomp.last_index"]) + 1
     expect(2 <= count <= MOST, name, f"{count} nodes (2 to {MOST} are taken)")
     column = {
-        key: np.array([int(found[f"kw.crosscomp.table[{n}].{key}"]) for n in range(count)]) * TENTH_UM
+        key: np.array([int(settings[f"kw.crosscomp.table[{n}].{key}"]) for n in range(count)]) * TENTH_UM
         for key in ("setpoint", "correction")
     }
     expect(bool(np.all(np.diff(column["setpoint"]) > 0)), name, "set points are not ascending")

@@ -80,13 +80,13 @@ def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
 
 
 def _read(name: str, text: str) -> Curve:
-    found = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
-    count, start, step = (int(found[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
+    settings = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
+    count, start, step = (int(settings[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
     expect(2 <= count <= MOST and step > 0, name, f"{count} nodes (2 to {MOST} are taken)")
     tables = []
     for side in ("pos", "neg"):
-        values = [found.get(f"kw.ssfk.table[{n}].{side}") for n in range(count)]
+        values = [settings.get(f"kw.ssfk.table[{n}].{side}") for n in range(count)]
         expect(all(v is not None and re.fullmatch(r"-?\d+", v) for v in values), name, f"a node of {side} is missing")
         tables.append(-np.array([int(v) for v in values if v is not None]) * TENTH_UM)
-    axis = found["kopf.log_achs_name"]
+    axis = settings["kopf.log_achs_name"]
     return Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])

@@ -53,11 +53,11 @@ class CRuntime(Target):
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        found = re.search(r"ect_table\[(\d+)\] = \{([\d,\s]*)\};", files.get("table.c", ""))
-        if found is None:
+        match = re.search(r"ect_table\[(\d+)\] = \{([\d,\s]*)\};", files.get("table.c", ""))
+        if match is None:
             raise VerifyError("table.c: holds no table")
-        data = bytes(int(v) for v in found[2].split(","))
-        expect(len(data) == int(found[1]), "table.c", f"{len(data)} bytes of {found[1]}")
+        data = bytes(int(v) for v in match[2].split(","))
+        expect(len(data) == int(match[1]), "table.c", f"{len(data)} bytes of {match[1]}")
         table, plain_files = ect.loads(data), cls.bare(files)
         for name, text in cls.write(table).items():
             expect(plain_files.get(name) == text, name, "is missing or was changed")

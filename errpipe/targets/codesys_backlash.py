@@ -41,16 +41,16 @@ class CodesysBacklash(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        found = _sample.lost_motion(table)
-        if not found:
+        backlash = _sample.lost_motion(table)
+        if not backlash:
             raise GateError("codesys_backlash: no axis of the table has lost motion")
-        for axis, value in found.items():
+        for axis, value in backlash.items():
             if value < 0:
                 raise GateError(
                     f"codesys_backlash: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals"
                 )
-        blocks = "".join(f"    fb{axis} : SMC_BacklashCompensation;\n" for axis in found)
-        calls = "".join(_call(axis, value) for axis, value in found.items())
+        blocks = "".join(f"    fb{axis} : SMC_BacklashCompensation;\n" for axis in backlash)
+        calls = "".join(_call(axis, value) for axis, value in backlash.items())
         head = f"(* {CAUTION} *)\nPROGRAM PRG_Backlash\nVAR\n    bExecute : BOOL;\n"
         return {FILE: f"{head}{blocks}END_VAR\n{calls}END_PROGRAM\n"}
 

@@ -59,11 +59,11 @@ class FagorLscrw(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        found = re.findall(r"^P(\d+) (\S+) (\S+) (\S+)$", text, re.M)
+        points = re.findall(r"^P(\d+) (\S+) (\S+) (\S+)$", text, re.M)
         announced = re.search(r"^; axis (\w+), (\d+) points", text, re.M)
-        expect(announced is not None and len(found) == int(announced[2]), name, "has not the points that it announces")
+        expect(announced is not None and len(points) == int(announced[2]), name, "has not the points that it announces")
         assert announced is not None
-        _, x, up, down = np.array(found, dtype=float).T
+        _, x, up, down = np.array(points, dtype=float).T
         expect(bool(np.all(np.diff(x) > 0)), name, "positions are not ascending")
         if not np.any(down):
             down = up

@@ -55,8 +55,8 @@ class FanucPitch(ScrewMap):
         most = MOST // (2 * len(axes))
         lines, first = ["%", f"({CAUTION.upper()})"], 0
         for number, axis in enumerate(axes, 1):
-            points, left = _sample.uniform(table, axis, axis, most - SPARE, 0.5)
-            curve = _whole_steps(table, axis, points, most, left)
+            points, error = _sample.uniform(table, axis, axis, most - SPARE, 0.5)
+            curve = _whole_steps(table, axis, points, most, error)
             lines += _block(number, axis, first, curve)
             first += 2 * (curve.positions.size - 1)
         return {FILE: "\n".join([*lines, "%", ""])}

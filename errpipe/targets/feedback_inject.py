@@ -60,10 +60,10 @@ class FeedbackInject(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        moved = _sample.outputs_by_axis(table)
-        if not moved:
+        by_axis = _sample.outputs_by_axis(table)
+        if not by_axis:
             raise GateError("feedback_inject: no output of the table moves an axis")
-        for axis, outputs in moved.items():
+        for axis, outputs in by_axis.items():
             units = sorted({o.correction_unit for o in outputs})
             if units not in (["mm"], ["deg"]):
                 raise GateError(f"feedback_inject: corrections of {axis} in {' and '.join(units)} (mm or deg)")
@@ -71,10 +71,10 @@ class FeedbackInject(Target):
         facts = {
             "header": header,
             "source": source.replace('#include "feedback_inject.h"\n', ""),
-            "most": f"{max(map(_largest, moved.values())):.6f}",
-            "axes": [{"letter": axis.lower(), "number": n} for n, axis in enumerate(moved)],
+            "most": f"{max(map(_largest, by_axis.values())):.6f}",
+            "axes": [{"letter": axis.lower(), "number": n} for n, axis in enumerate(by_axis)],
             "crc": ect.fingerprint(table),
-            "names": ",".join(f"errpipe-inject.{axis.lower()}" for axis in moved),
+            "names": ",".join(f"errpipe-inject.{axis.lower()}" for axis in by_axis),
         }
         files = dict(zip(CORE, (header, source), strict=True))
         runtime = resources.files("errpipe.tables").joinpath("runtime")
@@ -91,11 +91,11 @@ class FeedbackInject(Target):
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        found = re.search(r"inject_table\[(\d+)\] = \{([\d,\s]*)\};", files.get(TABLE, ""))
-        if found is None:
+        match = re.search(r"inject_table\[(\d+)\] = \{([\d,\s]*)\};", files.get(TABLE, ""))
+        if match is None:
             raise VerifyError(f"{TABLE}: holds no table")
-        data = bytes(int(v) for v in found[2].split(","))
-        expect(len(data) == int(found[1]), TABLE, f"{len(data)} bytes of {found[1]}")
+        data = bytes(int(v) for v in match[2].split(","))
+        expect(len(data) == int(match[1]), TABLE, f"{len(data)} bytes of {match[1]}")
         table, plain_files = ect.loads(data), cls.bare(files)
         for name, text in cls.write(table).items():
             expect(plain_files.get(name) == text, name, "is missing or was changed")

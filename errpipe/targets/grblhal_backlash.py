@@ -42,15 +42,15 @@ class GrblhalBacklash(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        found = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in LETTERS}
-        if not found:
+        backlash = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in LETTERS}
+        if not backlash:
             raise GateError("grblhal_backlash: no axis of the table has lost motion")
-        for axis, value in found.items():
+        for axis, value in backlash.items():
             if value < 0:
                 raise GateError(
                     f"grblhal_backlash: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals"
                 )
-        return {FILE: "".join(f"${FIRST + LETTERS.index(a)}={v:.6f}\n" for a, v in sorted(found.items()))}
+        return {FILE: "".join(f"${FIRST + LETTERS.index(a)}={v:.6f}\n" for a, v in sorted(backlash.items()))}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

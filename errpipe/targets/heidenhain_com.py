@@ -50,10 +50,10 @@ class HeidenhainCom(Target):
         axes = list(_sample.positions_of(table))
         corrected = list(_sample.outputs_by_axis(table))
         files, whole = {}, {}
-        moved = {over: [a for a in corrected if _sample.moves_with(table, a, over)] for over in axes}
+        corrected_over = {over: [a for a in corrected if _sample.moves_with(table, a, over)] for over in axes}
         for axis in corrected:  # what stands still is in one curve of an axis only: its own, else the first
-            whole[axis] = next((o for o in _sample.own_first(table, axis) if axis in moved[o]), "")
-        for over, own in moved.items():
+            whole[axis] = next((o for o in _sample.own_first(table, axis) if axis in corrected_over[o]), "")
+        for over, own in corrected_over.items():
             if own:
                 files[f"{over}.COM"] = _com(table, over, own, whole)
         if not files:

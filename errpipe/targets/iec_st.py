@@ -80,22 +80,22 @@ class IecSt(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        room = room_for(table)
-        units = {name: unit(name, room) for name in (*TYPES, *FUNCTIONS, *BLOCKS)}
+        capacities = room_for(table)
+        units = {name: unit(name, capacities) for name in (*TYPES, *FUNCTIONS, *BLOCKS)}
         data = ect.dumps(table)
         files = {"ect.st": "\n".join([*units.values(), _data_unit(data, table)]), "example_twincat.st": _example(table)}
         for name, text in units.items():
             files[f"{name}.{'TcDUT' if name in TYPES else 'TcPOU'}"] = _twincat(name, text)
-        files[f"{DATA}.TcGVL"] = _twincat(DATA, _data_block(data, table, room))
+        files[f"{DATA}.TcGVL"] = _twincat(DATA, _data_block(data, table, capacities))
         files["ect.plcopen.xml"] = _plcopen(units)
         files["errpipe.plcproj"] = _library()
         return files
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        found = [_bytes_of(name, files[name]) for name in ("ect.st", f"{DATA}.TcGVL") if name in files]
-        expect(len(found) == 2 and found[0] == found[1], cls.name, "the files do not hold one and the same table")
-        table, plain_files = ect.loads(found[0]), cls.bare(files)
+        tables = [_bytes_of(name, files[name]) for name in ("ect.st", f"{DATA}.TcGVL") if name in files]
+        expect(len(tables) == 2 and tables[0] == tables[1], cls.name, "the files do not hold one and the same table")
+        table, plain_files = ect.loads(tables[0]), cls.bare(files)
         for name, text in cls.write(table).items():
             expect(plain_files.get(name) == text, name, "is missing or was changed")
         return WholeTable.of(table)
@@ -104,14 +104,14 @@ class IecSt(Target):
 def room_for(table: CompensationTable) -> dict[str, int]:
     """Highest index of each array: at least LEAST_ROOM, and twice what the table needs."""
     data = ect.dumps(table)
-    room = {}
+    most = {}
     for number, (what, record) in lay.RECORDS.items():
         needed = len(ect.section(data, number)) // record.size
-        room[_NAMES.get(what, what.upper())] = max(LEAST_ROOM[what], 2 * needed, 1) - 1
-    room["FACTORS"] = 4 * (room["TERMS"] + 1) - 1
+        most[_NAMES.get(what, what.upper())] = max(LEAST_ROOM[what], 2 * needed, 1) - 1
+    most["FACTORS"] = 4 * (most["TERMS"] + 1) - 1
     sizes = {_NAMES.get(what, what.upper()): record.size for what, record in lay.RECORDS.values()}
-    room["BYTES"] = lay.HEADER_SIZE + sum(-(-(room[name] + 1) * size // 8) * 8 for name, size in sizes.items())
-    return room
+    most["BYTES"] = lay.HEADER_SIZE + sum(-(-(most[name] + 1) * size // 8) * 8 for name, size in sizes.items())
+    return most
 
 
 def unit(name: str, room: Mapping[str, int]) -> str:
@@ -189,17 +189,17 @@ def _example(table: CompensationTable) -> str:
     As read from Beckhoff's manuals (TF50x0 NC PTP, position correction; Tc2_MC2, AXIS_REF); not run here.
     """
     arrays: Any = (table.inputs, table.outputs)
-    moved = next((o for o in table.outputs if o.axis), table.outputs[0])
+    output = next((o for o in table.outputs if o.axis), table.outputs[0])
     names = "\n".join(
         f"    {number}: DWORD#16#{name_number(part.name):08X} {plain(part.name)}"
         for parts in arrays
         for number, part in enumerate(parts)
     )
     text = resources.files("errpipe.targets").joinpath("st", "P_EctExample.st").read_text(encoding="utf-8")
-    first = next((i for i in table.inputs if i.kind == "position"), table.inputs[0] if table.inputs else moved)
+    first = next((i for i in table.inputs if i.kind == "position"), table.inputs[0] if table.inputs else output)
     for mark, value in {
         "@names@": names,
-        "@output@": f"DWORD#16#{name_number(moved.name):08X}",
+        "@output@": f"DWORD#16#{name_number(output.name):08X}",
         "@input@": f"DWORD#16#{name_number(first.name):08X}",
     }.items():
         text = text.replace(mark, value)
@@ -208,10 +208,10 @@ def _example(table: CompensationTable) -> str:
 
 def _bytes_of(name: str, text: str) -> bytes:
     size = re.search(r"nFileSize : DINT := (\d+);", text)
-    found = re.search(r"(?:aFile|aBytes) : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];", text)
-    if size is None or found is None:
+    match = re.search(r"(?:aFile|aBytes) : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];", text)
+    if size is None or match is None:
         raise VerifyError(f"{name}: holds no table")
-    values = [int(v) for v in found[1].split(",")]
+    values = [int(v) for v in match[1].split(",")]
     expect(len(values) == int(size[1]) and all(v < 256 for v in values), name, f"{len(values)} bytes of {size[1]}")
     return bytes(values)
 
@@ -282,10 +282,10 @@ def _type(name: str, low: str | None, high: str | None) -> str:
 
 
 def _variable(line: str) -> str:
-    found = _VARIABLE.match(line)
-    if found is None:
+    match = _VARIABLE.match(line)
+    if match is None:
         raise ValueError(f"not a declaration this file can turn into XML: {line!r}")
-    name, low, high, base, initial = found.groups()
+    name, low, high, base, initial = match.groups()
     first = ""
     if initial is not None:
         values = "".join(f'<value><simpleValue value="{v.strip()}"/></value>' for v in initial.split(","))

@@ -111,18 +111,18 @@ def _read_mesh(text: str) -> Plane:
 
 def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping) -> str:
     """Straight part of X over Y, X over Z and Y over Z."""
-    found = {}
+    skew = {}
     for key, (axis, over) in SKEWS.items():
         if axis in corrected and over in axes and _sample.moves_with(table, axis, over, LEAST_UM):
             x = np.linspace(*_sample.span(table, over), 41)
             curve = _sample.curve(table, axis, over, x, relative=True)
-            found[key] = -float(np.polyfit(x, (curve.up + curve.down) / 2, 1)[0])
-    if not found:
+            skew[key] = -float(np.polyfit(x, (curve.up + curve.down) / 2, 1)[0])
+    if not skew:
         return ""
     # Klipper itself knows no end of a skew; the travel is where the table vouches for it, and where it is checked.
-    ends = {over: _sample.span(table, over) for key, (_, over) in SKEWS.items() if key in found}
+    ends = {over: _sample.span(table, over) for key, (_, over) in SKEWS.items() if key in skew}
     lines = [f"# travel {over} {low:.6f} {high:.6f}" for over, (low, high) in ends.items()]
-    lines += ["[skew_correction errpipe]", *(f"{k} = {found.get(k, 0.0) + 0.0:.12f}" for k in SKEWS)]
+    lines += ["[skew_correction errpipe]", *(f"{k} = {skew.get(k, 0.0) + 0.0:.12f}" for k in SKEWS)]
     return "\n".join(lines) + "\n\n"
 
 

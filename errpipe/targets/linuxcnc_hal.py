@@ -82,11 +82,11 @@ class LinuxcncHal(Target):
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> WholeTable:
-        found = _TABLE.search(files[COMPONENT])
-        expect(found is not None and files[COMPONENT].rstrip().endswith("}"), COMPONENT, "holds no whole table")
-        assert found is not None
-        data = bytes(int(v, 16) for v in re.findall(r"0x([0-9a-f]{2})", found[2]))
-        expect(len(data) == int(found[1]), COMPONENT, f"{len(data)} bytes of table where {found[1]} are announced")
+        match = _TABLE.search(files[COMPONENT])
+        expect(match is not None and files[COMPONENT].rstrip().endswith("}"), COMPONENT, "holds no whole table")
+        assert match is not None
+        data = bytes(int(v, 16) for v in re.findall(r"0x([0-9a-f]{2})", match[2]))
+        expect(len(data) == int(match[1]), COMPONENT, f"{len(data)} bytes of table where {match[1]} are announced")
         table = ect.loads(data)
         return WholeTable.of(table)
 
@@ -230,8 +230,8 @@ def hal(name: str) -> str:
 def _identifier(name: str, taken: set[str]) -> str:
     """Lower-case letters, digits and single underscores, unique among `taken`."""
     base = re.sub("_+", "_", re.sub("[^a-z0-9]", "_", name.lower())).strip("_")[:LONGEST_PIN].rstrip("_") or "pin"
-    found, n = base, 2
-    while found in taken:
-        found, n = f"{base}_{n}", n + 1
-    taken.add(found)
-    return found
+    identifier, n = base, 2
+    while identifier in taken:
+        identifier, n = f"{base}_{n}", n + 1
+    taken.add(identifier)
+    return identifier

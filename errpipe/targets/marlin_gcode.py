@@ -56,17 +56,19 @@ class MarlinGcode(Target):
         text = files[FILE]
         expect(text.rstrip().endswith("; end"), FILE, "is cut off")
         ends = np.array([0.0, 1.0])  # mm; held beyond
-        found = re.search(r"^M425 F1(.*)$", text, re.M)
-        lost = re.findall(r" ([A-Z])([\d.]+)", found[1]) if found else []
+        match = re.search(r"^M425 F1(.*)$", text, re.M)
+        lost = re.findall(r" ([A-Z])([\d.]+)", match[1]) if match else []
         curves = tuple(Curve(a, a, ends, np.full(2, float(v) / 2), np.full(2, -float(v) / 2)) for a, v in lost)
         return ReadBack(curves=curves, planes=_read_mesh(text))
 
 
 def _backlash(table: CompensationTable) -> list[str]:
-    found = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in "XYZ"}
-    if any(value < 0 for value in found.values()):
-        raise GateError(f"marlin_gcode: {' and '.join(a for a, v in found.items() if v < 0)}: lost motion below zero")
-    return ["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(found.items()))] if found else []
+    backlash = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in "XYZ"}
+    if any(value < 0 for value in backlash.values()):
+        raise GateError(
+            f"marlin_gcode: {' and '.join(a for a, v in backlash.items() if v < 0)}: lost motion below zero"
+        )
+    return ["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(backlash.items()))] if backlash else []
 
 
 def _mesh(plane: Plane) -> list[str]:

@@ -52,12 +52,12 @@ class PmacComp(ScrewMap):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         blocks = []
         for number, axis in cls.own_axes(table):
-            points, left = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
+            points, error = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
             low, high = _sample.span(table, axis)
             step = int(np.ceil(points.step * COUNTS - 1e-6))
             at = _sample.around_zero(low, high, step / COUNTS)
             if at.size > 2 * cls.most:
-                raise too_many(cls.name, at.size, 2 * cls.most, left)
+                raise too_many(cls.name, at.size, 2 * cls.most, error)
             blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))
         return {FILE: "\n".join([f"; {CAUTION}", "CLOSE", *blocks[::-1], "I51=1", ""])}
 
@@ -79,9 +79,9 @@ def _block(number: int, axis: str, step: int, at: np.ndarray, curve: Curve) -> s
     order = np.r_[zero + 1 : at.size, 0 : zero + 1]  # from one spacing above zero, rolled over, zero last
     lines = [f"; #{number} = {axis}, {at[0]} to {at[-1]} spacings", f"I{number}86={constant}", f"#{number}"]
     for word, values in (("BLCOMP", backlash), ("COMP", comp)):
-        found = values[order].tolist()
+        entries = values[order].tolist()
         lines.append(f"DEFINE {word} {at.size},{at.size * step}")
-        lines += [" ".join(map(str, found[k : k + PER_LINE])) for k in range(0, len(found), PER_LINE)]
+        lines += [" ".join(map(str, entries[k : k + PER_LINE])) for k in range(0, len(entries), PER_LINE)]
     return "\n".join(lines)
 
 

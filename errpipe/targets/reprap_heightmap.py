@@ -63,8 +63,8 @@ class ReprapHeightmap(Target):
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         ends = np.array([0.0, 1.0])  # mm; held beyond
-        found = re.search(r"^M425(.*)$", files.get(MACRO, ""), re.M)
-        lost = re.findall(r" ([A-Z])([\d.]+)", found[1]) if found else []
+        match = re.search(r"^M425(.*)$", files.get(MACRO, ""), re.M)
+        lost = re.findall(r" ([A-Z])([\d.]+)", match[1]) if match else []
         curves = tuple(Curve(a, a, ends, np.full(2, float(v) / 2), np.full(2, -float(v) / 2)) for a, v in lost)
         return ReadBack(curves=curves, planes=(_read_map(files[MAP]),) if MAP in files else ())
 

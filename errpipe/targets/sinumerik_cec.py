@@ -96,17 +96,17 @@ class SinumerikCec(Target):
             raise GateError("sinumerik_cec: no axis of the table is corrected over a position")
         if len(blocks) > TABLES:
             raise GateError(f"sinumerik_cec: {len(blocks)} tables are needed, {TABLES} fit")
-        told = ""
-        room = (TABLES - len(blocks)) // PER_PRODUCT
-        for factors in _products(table)[:room] if room else ():
-            told += (
+        remarks = ""
+        most_products = (TABLES - len(blocks)) // PER_PRODUCT
+        for factors in _products(table)[:most_products] if most_products else ():
+            remarks += (
                 f"; tables {len(blocks)} to {len(blocks) + 3}: a product for AX{axes.index(factors.axis) + 1}, in two "
                 "pairs whose own values cancel: experimental, the manual\n"
                 ";   does not say whether tables that multiply add their own values too; enable all four or none\n"
             )
             blocks += _four(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
-        return {FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n" + named + told + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
+        return {FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n" + named + remarks + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
@@ -154,11 +154,11 @@ def _beside_its_mean(curve: Curve) -> Curve:
 
 def _products(table: CompensationTable) -> list[_Factors]:
     """What no sum of curves over one axis each can say, as products; the largest first."""
-    found = []
+    factors = []
     for axis in _sample.outputs_by_axis(table):
         for over in combinations(_sample.positions_of(table), 2):
-            found += _separated(table, axis, over)
-    return sorted(found, key=lambda f: -f.rms)
+            factors += _separated(table, axis, over)
+    return sorted(factors, key=lambda f: -f.rms)
 
 
 def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> list[_Factors]:
@@ -166,8 +166,8 @@ def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> li
     n = PRODUCT_POINTS  # odd: its middle is where the curves over single axes are taken
     grids = _sample.exact(_sample.even(table, over[0], n)), _sample.exact(_sample.even(table, over[1], n))
     plane = _sample.plane(table, axis, over, grids)
-    rest = plane.values - plane.values[n // 2] - plane.values[:, n // 2][:, None] + plane.values[n // 2, n // 2]
-    left, sizes, right = np.linalg.svd(rest)
+    centred = plane.values - plane.values[n // 2] - plane.values[:, n // 2][:, None] + plane.values[n // 2, n // 2]
+    left, sizes, right = np.linalg.svd(centred)
     out = []
     for k in range(MOST_TERMS):
         rms = float(sizes[k]) / n
@@ -201,8 +201,8 @@ def _cancel(tables: list[Curve]) -> None:
         key = (c.axis, c.over, c.positions.tobytes())
         total[key] = total.get(key, 0.0) + np.array([c.up, c.down])
     for key, values in total.items():
-        told = f"tables of {key[0]} over {key[1]} that multiply do not cancel: the control may add them"
-        expect(float(np.abs(values).max()) < 1e-9, FILE, told)
+        problem = f"tables of {key[0]} over {key[1]} that multiply do not cancel: the control may add them"
+        expect(float(np.abs(values).max()) < 1e-9, FILE, problem)
 
 
 def _product(first: Curve, second: Curve) -> Product:
@@ -226,13 +226,13 @@ def _block(number: int, over: str, axis: str, side: int, points: Points, error: 
 
 def _read(text: str, number: int, letters: dict[str, str]) -> Curve:
     """One table as the file has it: errors, in mm."""
-    found = {int(n): float(v) for n, v in re.findall(rf"\$AN_CEC\[{number},(\d+)\]=(\S+)", text)}
+    points = {int(n): float(v) for n, v in re.findall(rf"\$AN_CEC\[{number},(\d+)\]=(\S+)", text)}
     facts = {k: float(v) for k, v in re.findall(rf"\$AN_CEC_(STEP|MIN|MAX|DIRECTION)\[{number}\]=(\S+)", text)}
     ends = dict(re.findall(rf"\$AN_CEC_(INPUT|OUTPUT)_AXIS\[{number}\]=\((\w+)\)", text))
     expect(len(facts) == 4 and len(ends) == 2, FILE, f"table {number} lacks STEP, MIN, MAX, DIRECTION or its axes")
     count = math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
-    expect(sorted(found) == list(range(count)), FILE, f"table {number} has {len(found)} points, not {count}")
-    value = np.array([found[n] for n in range(count)])
+    expect(sorted(points) == list(range(count)), FILE, f"table {number} has {len(points)} points, not {count}")
+    value = np.array([points[n] for n in range(count)])
     nothing = np.zeros(count)
     up, down = (value if facts["DIRECTION"] >= 0 else nothing), (value if facts["DIRECTION"] <= 0 else nothing)
     x = facts["MIN"] + facts["STEP"] * np.arange(count)

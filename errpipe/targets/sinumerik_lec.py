@@ -76,12 +76,12 @@ def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray) -> str:
 
 
 def _read(name: str, text: str) -> Curve:
-    found = {int(n): float(v) for n, v in re.findall(r"\$AA_ENC_COMP\[0,(\d+),\w+\]=(\S+)", text)}
+    points = {int(n): float(v) for n, v in re.findall(r"\$AA_ENC_COMP\[0,(\d+),\w+\]=(\S+)", text)}
     facts = {k: float(v) for k, v in re.findall(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,\w+\]=(\S+)", text)}
     expect(len(facts) == 3 and facts["STEP"] > 0, name, "STEP, MIN or MAX is missing")
     count = math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1  # not rounded: a control may not do so either
-    expect(sorted(found) == list(range(count)), name, f"{len(found)} points where MIN, MAX and STEP say {count}")
+    expect(sorted(points) == list(range(count)), name, f"{len(points)} points where MIN, MAX and STEP say {count}")
     expect(text.rstrip().endswith("M17"), name, "does not end with M17")
-    value = -np.array([found[n] for n in range(count)])
+    value = -np.array([points[n] for n in range(count)])
     axis = name.split("_")[1]
     return Curve(axis, axis, facts["MIN"] + facts["STEP"] * np.arange(count), value, value)

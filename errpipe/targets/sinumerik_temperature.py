@@ -45,9 +45,9 @@ class SinumerikTemperature(Target):
         for axis in _sample.outputs_by_axis(table):
             low, high = _sample.reach(table, axis)
             for sensor in _sample.sensors_of(table):
-                found = _sample.line(table, axis, sensor)
-                if 1e3 * (abs(found.level) + abs(found.slope) * (high - low) / 2) >= LEAST_UM:
-                    lines.append((f"AX{axes.index(axis) + 1}", found))
+                fitted_line = _sample.line(table, axis, sensor)
+                if 1e3 * (abs(fitted_line.level) + abs(fitted_line.slope) * (high - low) / 2) >= LEAST_UM:
+                    lines.append((f"AX{axes.index(axis) + 1}", fitted_line))
         if not lines:
             raise GateError("sinumerik_temperature: no axis of the table moves with a temperature")
         return {FILE: _text(lines)}

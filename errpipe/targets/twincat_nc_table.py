@@ -89,10 +89,10 @@ def _read(name: str, text: str) -> Curve:
     axis = name.split(".")[0].split("_")[-1]
     sides = []
     for side in SIDES:
-        found = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
-        if found is None:
+        match = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
+        if match is None:
             raise VerifyError(f"{name}: has no array for {SIDES[side]}")
-        rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(found[2])]
-        expect(len(rows) == int(found[1]) + 1, name, f"{len(rows)} elements in an array of {int(found[1]) + 1}")
+        rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(match[2])]
+        expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
         sides.append(np.array(rows))
     return Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])

@@ -55,19 +55,19 @@ class WeihongAxeserr(ScrewMap):
         expect(
             bool(lines) and re.fullmatch(r"unit\s*=\s*mm", lines[0]) is not None, FILE, "does not begin with unit = mm"
         )
-        found: dict[str, list[list[float]]] = {}
+        by_axis: dict[str, list[list[float]]] = {}
         axis = ""
         for line in lines[1:]:
             if line.startswith("["):
                 axis = line.strip("[] ").upper()
-                found[axis] = []
+                by_axis[axis] = []
                 continue
             row = [float(v) for v in line.split(",")]
             expect(axis != "" and len(row) == 3, FILE, f"line {line!r} is not position, forward, backward")
-            expect(not found[axis] or row[0] > found[axis][-1][0], FILE, f"{axis} is not ascending")
-            found[axis].append(row)
+            expect(not by_axis[axis] or row[0] > by_axis[axis][-1][0], FILE, f"{axis} is not ascending")
+            by_axis[axis].append(row)
         curves = []
-        for letter, rows in found.items():
+        for letter, rows in by_axis.items():
             expect(len(rows) >= 2, FILE, f"{letter} has {len(rows)} points")
             x, up, down = np.array(rows).T
             curves.append(Curve(letter, letter, x, -up, -down))

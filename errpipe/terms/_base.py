@@ -84,7 +84,7 @@ class Term(Frozen, ABC):
     family: ClassVar[str] = ""
     compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
     artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
-    nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms so that it does not bend them?
+    nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms as a nuisance?
     simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
     gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
     is_level: ClassVar[bool] = False  # the deviation where everything else is zero: never shrunk
@@ -155,7 +155,7 @@ class Term(Frozen, ABC):
 
     @abstractmethod
     def drivers(self, recording: Recording) -> tuple[str, ...]:
-        """Names of the recording's columns that drive the term, the telling one first."""
+        """Names of the recording's columns that drive the term, the most specific one first."""
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         """The compiled form, or None where a controller cannot or must not compensate this effect."""
@@ -183,14 +183,14 @@ class Term(Frozen, ABC):
         return 0.0
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Iterator[tuple[np.ndarray, float]]:
-        """How reality departs from the textbook form: columns (rows,), and their freedom relative to its size.
+        """Departures from the textbook form: columns (rows,), and their prior standard deviation relative to its size.
 
         base: the term's basis at these non-linear values, shape (rows, linear).
         """
         return iter(())
 
     def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
-        """Ranges of columns outside of which it is nothing; empty where it acts everywhere."""
+        """Ranges of columns outside of which it is zero; empty where it acts everywhere."""
         return {}
 
     @classmethod
@@ -206,6 +206,6 @@ class Term(Frozen, ABC):
 
 def plain(term: Term) -> dict[str, Any]:
     """The term as declared, without defaults: what an error model stores."""
-    told = term.model_dump(mode="json", exclude_defaults=True)
+    stated = term.model_dump(mode="json", exclude_defaults=True)
     full = term.model_dump(mode="json")  # what is nested stays whole: a union needs its `kind` and `op`
-    return {key: value for key, value in full.items() if key in told or key == "term"}
+    return {key: value for key, value in full.items() if key in stated or key == "term"}

@@ -14,7 +14,7 @@ COMPONENTS = {"EXX": "um", "EYX": "um", "E_X": "um", "E_R": "um", "F_X": "N"}
 def rows(step: float = 15.0) -> Recording:
     """A milling machine that circles in X and Y, warms up, cuts and carries; deviations of zero. step: s per row.
 
-    Every column moves, and no two alike, so that a term that reads the wrong one is found out.
+    Every column varies and no two are equal, so that a term that reads the wrong one fails.
     """
     import pandas as pd
 

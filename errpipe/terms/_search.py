@@ -22,13 +22,13 @@ RATIO = 1.6  # from value to value of a scale within its typical range; neighbou
 COARSE_RATIO = 2.5  # and outside of it
 TYPICAL_WIDTH = 5.0  # factor beyond the typical range that counts as one standard deviation
 CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
-FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are a bow, not a wave
+FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
 STRONGEST = 12  # waves kept of each signal
 
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals in which waves are looked for: judged rows (indices into the recording) and values there."""
+    """Signals in which waves are searched: judged rows (indices into the recording) and values there."""
 
     rows: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     values: tuple[np.ndarray, ...] = ()
@@ -41,8 +41,8 @@ def resolved_times(recording: Recording) -> tuple[float, float]:
     step = step[step > 0]
     if not step.size:
         return 1.0, 1.0
-    lasting = max(float(np.ptp(t[session == s])) for s in np.unique(session))
-    return float(np.median(step)), max(lasting, float(np.median(step)))
+    longest = max(float(np.ptp(t[session == s])) for s in np.unique(session))
+    return float(np.median(step)), max(longest, float(np.median(step)))
 
 
 def resolved_lengths(recording: Recording, axis: str) -> tuple[float, float]:
@@ -118,8 +118,8 @@ class Times(Scale):
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
         """Smallest and largest value that the recording resolves."""
-        step, lasting = resolved_times(recording)
-        return step, 1.5 * lasting
+        step, longest = resolved_times(recording)
+        return step, 1.5 * longest
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...
     """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart.
 
     From twice the step between places to the positions covered over FEWEST_TURNS. Periodogram of the means of narrow
-    cells, padded fourfold; slow shapes (a cubic) are taken away first.
+    cells, padded fourfold; a cubic is subtracted first.
     """
     places = np.unique(at)
     span = float(places[-1] - places[0]) if places.size > 1 else 0.0

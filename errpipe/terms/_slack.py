@@ -1,4 +1,4 @@
-"""How reality departs from a textbook form: columns that a term adds beside its own, each with its freedom.
+"""Departures from a textbook form: slack columns beside a term's own, each with its freedom.
 
 A lead error is not quite straight, a wall has more than one time constant, the loop rings before a spike is gone.
 A freedom is the prior standard deviation of the column's coefficient relative to the size of the textbook form.
@@ -49,7 +49,7 @@ def uneven_waves(waves: np.ndarray, x: np.ndarray) -> Slack:
         yield wave * polynomials[:, 2], 0.15
 
 
-LEAST_TURNS = 6.0  # of a wave, from which its harmonics are offered: of fewer they could draw any bump
+LEAST_TURNS = 6.0  # of a wave, from which its harmonics are offered: with fewer turns they could fit any bump
 
 
 def higher_harmonics(x: np.ndarray, period: float) -> Slack:
@@ -68,7 +68,7 @@ def difference_of_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:
 def start_states(recording: Recording, tau: float, first: float, later: float) -> Slack:
     """Decay of an unknown state at the start of each session, time constant tau in s.
 
-    Of many sessions only what they have in common: a state for each would absorb whatever differs between sessions.
+    Of many sessions only what they have in common: a state for each would absorb all differences between sessions.
     first, later: freedom in the first session and in each further one.
     """
     session, t = sessions(recording), recording.time()
@@ -94,5 +94,5 @@ def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack
     side, x = direction(recording, axis), position(recording, axis)
     move, _ = resolved_lengths(recording, axis)
     for length in (0.25 * move, move, 4.0 * move):  # closed at once, as seen, or over a few rows
-        late = responses.approach(sessions(recording), x, side, length) - side
-        yield step * side * late, 0.6
+        lagging = responses.approach(sessions(recording), x, side, length) - side
+        yield step * side * lagging, 0.6

@@ -69,7 +69,7 @@ class AirRefraction(Term):
         return np.column_stack(columns)
 
     def log_prior_odds(self) -> float:
-        return -4.0  # two sensors and a datum bend to most slopes
+        return -4.0  # prior odds: two sensors and a datum can fit most slopes
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        yield position(recording, self.axis), 0.3  # counted from the weather of an unknown day
+        yield position(recording, self.axis), 0.3  # unknown air state at which the laser was compensated

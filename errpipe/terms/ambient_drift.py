@@ -58,7 +58,7 @@ class AmbientDrift(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield from start_states(recording, nonlinear[0], 1.0, 1.0)
-        for factor in (0.3, 3.0):  # walls and beds are thick: one after the other takes the room's temperature
+        for factor in (0.3, 3.0):  # thick walls have more than one time constant
             yield difference_of_shape(self.basis(recording, nonlinear[0] * factor)[:, 0], base[:, 0]), 0.2
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

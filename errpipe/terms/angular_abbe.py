@@ -77,7 +77,7 @@ class AngularAbbe(Term):
         for k in range(self.order + 1, 7):
             yield polynomials[:, k] * recording.array(self.lever), 0.2
         for k in range(1, self.order + 1):
-            yield polynomials[:, k], 0.2  # wherever the lever is counted from
+            yield polynomials[:, k], 0.2  # the origin of the lever is unknown
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         gains = np.array([parameters[p.name] for p in self.linear()])

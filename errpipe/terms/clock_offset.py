@@ -34,7 +34,7 @@ class ClockOffset(Term):
     artefact = "the clocks of recording and simulation differ: set them right"
     simulated_log_odds = NEVER
     nuisance = False
-    gain_sd = 0.15  # a shift has no size of its own: the difference of the shifted signals counts once
+    gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
     in_part = "never"
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -53,14 +53,14 @@ class CoolantEffect(Term):
     def bind(cls, recording: Recording, component: str) -> Iterator[CoolantEffect]:
         if not component.startswith("E"):
             return
-        found = sensors(recording)
+        candidates = sensors(recording)
         for flow in recording.names("coolant"):
             if recording.frame[flow].nunique() < 2:
                 continue
             yield cls(flow=flow)
-            for sensor in (s for s in found if mentions(recording, s, COOLANT_WORDS)):
+            for sensor in (s for s in candidates if mentions(recording, s, COOLANT_WORDS)):
                 yield cls(flow=flow, sensor=sensor)
-                for other in found:
+                for other in candidates:
                     if other != sensor:
                         yield cls(flow=flow, sensor=sensor, other=other)
 
@@ -85,13 +85,13 @@ class CoolantEffect(Term):
         yield from ((column, 0.25) for column in self._cooled_growth(nonlinear[0], recording))
 
     def _cooled_growth(self, tau: float, recording: Recording) -> Iterator[np.ndarray]:
-        """What coolant takes away from a spindle that has run: the warmer it is, the more."""
+        """Cooling of a warm spindle, in proportion to its temperature rise."""
         on = recording.array(self.flow)
         for name in recording.names("spindle_speed"):
             speed = recording.array(name)
-            warm = drive(Lag(of=Input(name=name), tau_up=1500.0, tau_down=1500.0, start="zero"), recording)
+            warming = drive(Lag(of=Input(name=name), tau_up=1500.0, tau_down=1500.0, start="zero"), recording)
             if speed.max() > 0:
-                cooled = on * warm / speed.max()
+                cooled = on * warming / speed.max()
                 yield responses.lag(sessions(recording), recording.time(), cooled, tau, tau, False)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

@@ -18,7 +18,7 @@ from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Speeds
 from errpipe.terms._slack import Slack, chebyshev
 
-GROWS = 0.3  # freedom of friction that grows along the travel (from taste: guides and covers)
+GROWS = 0.3  # freedom of friction that grows along the travel (guides and covers; chosen, not measured)
 
 
 class CoulombFriction(Term):
@@ -70,7 +70,7 @@ class CoulombFriction(Term):
         if recording.name("position", axis=self.axis) is None:
             return
         place = chebyshev(position(recording, self.axis), 2)
-        yield base[:, 0] * place[:, 1], GROWS  # guides and seals are tighter at one end
+        yield base[:, 0] * place[:, 1], GROWS  # friction of guides and seals varies along the travel
         yield base[:, 0] * place[:, 2], 0.5 * GROWS
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:

@@ -72,7 +72,7 @@ class CuttingCompliance(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if self.overhang:
-            yield recording.array(self.force), 0.4  # what gives way besides the bar
+            yield recording.array(self.force), 0.4  # compliance beside the bar's
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["compliance"])),)

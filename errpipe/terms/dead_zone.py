@@ -33,7 +33,7 @@ class DeadZone(Term):
     compensable = False
     simulated_log_odds = NEVER
     nuisance = False
-    gain_sd = 0.15  # it has no size of its own beside its threshold
+    gain_sd = 0.15  # its size is set by the threshold: gain 1
     in_part = "never"
 
     def linear(self) -> tuple[Parameter, ...]:
@@ -70,4 +70,4 @@ class DeadZone(Term):
         return (Lowered(times(Clip(low=-threshold, high=threshold, of=force), -parameters["share"])),)
 
     def log_prior_odds(self) -> float:
-        return -2.0  # most drives are chosen large enough, and most forces are measured from zero
+        return -2.0  # prior odds: rare, because forces are usually measured from zero

@@ -56,7 +56,7 @@ class FeedHeating(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FeedHeating]:
         if is_radial(component) or component.startswith("E_"):
-            return  # a slow walk over the work space does not warm a screw
+            return  # motion this slow does not warm a screw
         for axis in linear_axes_acting(recording, component):
             known = recording.manifest.axis(axis)
             end = known.drive_end if known is not None and known.drive_end is not None else 0.0
@@ -66,32 +66,32 @@ class FeedHeating(Term):
         """Mean speed from each row to the next in mm/s, shape (rows,).
 
         Where rows only log (no response recorded) the feed is the speed; elsewhere the distance moved over the
-        time passed, for between targets the axis mostly waits.
+        time passed, because the axis dwells between targets.
         """
         if self.column:
             return np.abs(recording.array(self.column))
         run, t = sessions(recording), recording.time()
         step = np.diff(t)
-        moved = travelled(run, position(recording, self.axis))[1:]
-        ahead = np.divide(moved, step, out=np.zeros_like(moved), where=step > 0)
+        distance = travelled(run, position(recording, self.axis))[1:]
+        step_speed = np.divide(distance, step, out=np.zeros_like(distance), where=step > 0)
         feed = recording.name("feed", axis=self.axis) or recording.name("feed")
         errors = recording.names("error")
         if feed is not None and errors:
             logged = np.isnan(np.column_stack([recording.array(n) for n in errors])).all(axis=1)
-            ahead = np.where(logged[1:] & logged[:-1], recording.array(feed)[:-1] / 60.0, ahead)
-            ahead = np.where(logged[1:] & ~logged[:-1], recording.array(feed)[1:] / 60.0, ahead)
-        return np.nan_to_num(np.r_[ahead, 0.0])
+            step_speed = np.where(logged[1:] & logged[:-1], recording.array(feed)[:-1] / 60.0, step_speed)
+            step_speed = np.where(logged[1:] & ~logged[:-1], recording.array(feed)[1:] / 60.0, step_speed)
+        return np.nan_to_num(np.r_[step_speed, 0.0])
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (tau,) = nonlinear
-        warm = responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
-        return (warm * (position(recording, self.axis) - self.fixed_end) * 1e-3)[:, None]
+        warming = responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
+        return (warming * (position(recording, self.axis) - self.fixed_end) * 1e-3)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         x = position(recording, self.axis)
         yield x, 0.2
         yield from bent(base[:, 0], x)
-        # the growth is counted from the fixed end, wherever that is
+        # the position of the fixed end is unknown
         reach = x - self.fixed_end
         level = base[:, 0] / np.where(np.abs(reach) > 1e-9, reach, 1e-9) * (np.nanmax(x) - np.nanmin(x))
         yield np.where(np.abs(reach) > 1e-6, level, 0.0), 0.3
@@ -105,5 +105,5 @@ class FeedHeating(Term):
             return None  # the distance moved between two rows is no operation of a driver
         (tau,) = self.nonlinear_values(parameters)
         slope, end = 1e-3 * parameters["slope"], self.fixed_end
-        warm = Lag(tau_up=tau, tau_down=tau, start="zero", of=times(magnitude(self.column), 0.01))
-        return (Lowered(warm, self.axis, lambda x: slope * (x - end)),)
+        warming = Lag(tau_up=tau, tau_down=tau, start="zero", of=times(magnitude(self.column), 0.01))
+        return (Lowered(warming, self.axis, lambda x: slope * (x - end)),)

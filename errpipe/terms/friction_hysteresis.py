@@ -21,7 +21,7 @@ from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._slack import Slack, bent
 
-OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (from taste, 0.1..1),
+OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (chosen in 0.1..1),
 LARGEST_OVERRUN = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
 
 
@@ -84,7 +84,7 @@ class FrictionHysteresis(Term):
         return (-0.5 * z * share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        for factor in (0.3, 3.0):  # contacts give way one after the other
+        for factor in (0.3, 3.0):  # contacts slip one after the other: a spread of lengths
             yield self.basis(recording, nonlinear[0] * factor)[:, 0] - base[:, 0], 0.25
         if not self.radial:
             yield from bent(base[:, 0], position(recording, self.axis))

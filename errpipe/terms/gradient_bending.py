@@ -41,14 +41,14 @@ class GradientBending(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[GradientBending]:
         if component.startswith("E"):
-            found = sensors(recording)
-            for i, first in enumerate(found):
-                for second in found[i + 1 :]:
+            candidates = sensors(recording)
+            for i, first in enumerate(candidates):
+                for second in candidates[i + 1 :]:
                     yield cls(first=first, second=second)
 
     def log_prior_odds(self) -> float:
         places = f"{self.first} {self.second}".lower()
-        return -3.0 if any(word in places for word in COOLANT_WORDS) else 0.0  # fluid is seldom one side of a body
+        return -3.0 if any(word in places for word in COOLANT_WORDS) else 0.0  # a fluid is rarely one side of a body
 
     def _driver(self) -> Affine:
         return Affine(weights=(1.0, -1.0), of=(Input(name=self.first), Input(name=self.second)))

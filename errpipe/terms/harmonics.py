@@ -17,7 +17,7 @@ from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis
 
-MOST_STARTS = 4000  # trial periods; from taste: a second of search on 10 000 rows
+MOST_STARTS = 4000  # trial periods: about one second of search on 10 000 rows
 
 
 class Harmonics(Term):

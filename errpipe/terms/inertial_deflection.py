@@ -53,7 +53,7 @@ class InertialDeflection(Term):
         return (lean * share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        for tau in (0.004, 0.02):  # what is bent swings a while
+        for tau in (0.004, 0.02):  # the structure's vibration decays in about this time
             yield lagged(recording, base[:, 0], tau) - base[:, 0], 0.25
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:

@@ -54,8 +54,8 @@ class MeasuredPoints(Term):
             nearest = np.argmin(np.abs(x[:, None] - np.array(targets)), axis=1)
             measured = recording.name("direction", axis=self.axis) is not None
             side = direction(recording, self.axis) if measured else np.ones(x.size)
-            seen = [set(side[(nearest == k) & np.isfinite(x)].tolist()) >= {-1.0, 1.0} for k in range(len(targets))]
-            both = tuple(t for t, yes in zip(targets, seen, strict=True) if yes)
+            sides = [set(side[(nearest == k) & np.isfinite(x)].tolist()) >= {-1.0, 1.0} for k in range(len(targets))]
+            both = tuple(t for t, in_both in zip(targets, sides, strict=True) if in_both)
         return self.model_copy(update={"targets": targets, "both": both})
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -35,7 +35,7 @@ class MovingMass(Term):
         return (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)
 
     def log_prior_odds(self) -> float:
-        return -6.0  # hardly a simulation of a drive force leaves it out
+        return -6.0  # prior odds: nearly every simulation of a drive force holds it
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column,)

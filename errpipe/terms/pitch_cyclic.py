@@ -73,7 +73,7 @@ class PitchCyclic(Term):
         return wave(position(recording, self.axis), period) * share(recording, self.axis, self.radial)[:, None]
 
     def log_prior_odds(self) -> float:
-        return 0.0 if self.fixed else -3.0  # the strongest of some hundred waves is picked
+        return 0.0 if self.fixed else -3.0  # prior odds: the strongest of about a hundred waves is chosen
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:

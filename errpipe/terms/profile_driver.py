@@ -53,12 +53,12 @@ class Factor(Frozen):
         return self.unit if self.power in (None, 1.0) else f"{self.unit}{self.power:g}"
 
 
-def _which(value: Any) -> str:
-    found = value.get("op") if isinstance(value, dict) else getattr(value, "op", None)
-    return "driver" if found else "factor"
+def _tag_of(value: Any) -> str:
+    operation = value.get("op") if isinstance(value, dict) else getattr(value, "op", None)
+    return "driver" if operation else "factor"
 
 
-AnyFactor = Annotated[Annotated[Factor, Tag("factor")] | Annotated[d.Driver, Tag("driver")], Discriminator(_which)]
+AnyFactor = Annotated[Annotated[Factor, Tag("factor")] | Annotated[d.Driver, Tag("driver")], Discriminator(_tag_of)]
 
 
 class ProfileDriver(Term):
@@ -100,19 +100,19 @@ class ProfileDriver(Term):
         )
 
     def _lagged(self) -> list[tuple[str, Factor]]:
-        late = [f for f in self.driver if isinstance(f, Factor) and f.lag]
-        if len(late) == 1:
-            return [("tau", late[0])]
+        lagged = [f for f in self.driver if isinstance(f, Factor) and f.lag]
+        if len(lagged) == 1:
+            return [("tau", lagged[0])]
         return [
-            (f"tau_{f.input}" + (f"_{k}" if [g.input for g in late].count(f.input) > 1 else ""), f)
-            for k, f in enumerate(late)
+            (f"tau_{f.input}" + (f"_{k}" if [g.input for g in lagged].count(f.input) > 1 else ""), f)
+            for k, f in enumerate(lagged)
         ]
 
     def _driver(self, taus: tuple[float, ...] | list[float]) -> d.Driver:
-        left = list(taus)
+        remaining = list(taus)
         nodes = []
         for f in self.driver:
-            nodes.append((f.driver(left.pop(0) if f.lag else None)) if isinstance(f, Factor) else f)
+            nodes.append((f.driver(remaining.pop(0) if f.lag else None)) if isinstance(f, Factor) else f)
         if not nodes:
             return d.ONE
         return nodes[0] if len(nodes) == 1 else d.Product(of=tuple(nodes))

@@ -23,7 +23,7 @@ from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Listed, Times
 from errpipe.terms._slack import Slack
 
-LONGEST_SHARE = 1 / 3  # of the time between turns: what lasts longer is no spike but the whole other side
+LONGEST_SHARE = 1 / 3  # of the time between turns: a longer one is a step between directions
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
 
 
@@ -35,11 +35,11 @@ class GoneBeforeTheNextTurn(Times):
         """Smallest and largest value that the recording resolves."""
         low, high = super().limits(term, recording)
         turns = recording.time()[1:][np.diff(direction(recording, term.axis)) != 0]
-        apart = np.diff(turns)
-        apart = apart[apart > 0]
-        if not apart.size:
+        gaps = np.diff(turns)
+        gaps = gaps[gaps > 0]
+        if not gaps.size:
             return low, high
-        return low, min(high, LONGEST_SHARE * float(np.quantile(apart, 0.9)))  # at rest a sign may flicker
+        return low, min(high, LONGEST_SHARE * float(np.quantile(gaps, 0.9)))  # at rest the sign may alternate
 
 
 class ReversalSpike(Term):
@@ -116,7 +116,7 @@ class ReversalSpike(Term):
         return (-size * share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        # a real spike takes a moment to rise, and the loop swings before it is gone: Laguerre's shapes
+        # a real spike has a rise time and rings: Laguerre functions
         since = np.minimum(self.since_turn(recording) / nonlinear[0], 1e3)
         for k in (1, 2, 3):
             yield base[:, 0] * since**k, 0.4

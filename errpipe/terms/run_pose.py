@@ -61,7 +61,7 @@ class RunPose(Term):
         lever = (
             position(recording, second) * -UM_PER_URAD_MM if is_first else position(recording, first) * UM_PER_URAD_MM
         )
-        here = np.column_stack(
+        columns = np.column_stack(
             [np.full(len(recording), float(is_first)), np.full(len(recording), float(not is_first)), lever]
         )
-        return np.hstack([here * (names == run)[:, None] for run in self.runs])
+        return np.hstack([columns * (names == run)[:, None] for run in self.runs])

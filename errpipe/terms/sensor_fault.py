@@ -123,15 +123,15 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
         out += [ab for ab in _stretches(finite & (np.abs(values) < 0.05 * typical)) if ab[1] - ab[0] + 1 >= least]
-    calm = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
-    still = [ab for ab in _stretches(calm & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
+    stuck = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
+    stuck_stretches = [ab for ab in _stretches(stuck & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
     strongest = jumps[np.argsort(-step[jumps - 1], kind="stable")][:5]
     edges = np.sort(strongest)
     for i, a in enumerate(edges):
         out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
         out += [(int(a), n - 1)] if n - a >= least else []
-        out += [(int(s), int(a) - 1) for s, e in still if s < a <= e + least]
-    out += still[:3]
+        out += [(int(s), int(a) - 1) for s, e in stuck_stretches if s < a <= e + least]
+    out += stuck_stretches[:3]
     return sorted(set(out))[:24]
 
 

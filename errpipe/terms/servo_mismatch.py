@@ -40,9 +40,9 @@ class ServoMismatch(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ServoMismatch]:
-        found = axes(recording)[:2]
-        if is_radial(component) and len(found) == 2 and all(recording.name("velocity", axis=a) for a in found):
-            yield cls(first=found[0], second=found[1])
+        letters = axes(recording)[:2]
+        if is_radial(component) and len(letters) == 2 and all(recording.name("velocity", axis=a) for a in letters):
+            yield cls(first=letters[0], second=letters[1])
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         along = [

@@ -42,11 +42,11 @@ class Squareness(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Squareness]:
-        found = axes(recording)
-        if is_radial(component) and len(found) >= 2:
-            yield cls(axis=found[1], radial=True)
+        letters = axes(recording)
+        if is_radial(component) and len(letters) >= 2:
+            yield cls(axis=letters[1], radial=True)
         elif own_axis(component) is None and direction_of(component) is not None:
-            for axis in found:
+            for axis in letters:
                 if axis != direction_of(component):
                     yield cls(axis=axis)
 

@@ -59,9 +59,9 @@ class Straightness(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Straightness]:
         pointing = direction_of(component)
-        found = axes(recording)[:2]
-        if is_radial(component) and len(found) == 2:
-            for axis, across in (found, found[::-1]):
+        letters = axes(recording)[:2]
+        if is_radial(component) and len(letters) == 2:
+            for axis, across in (letters, letters[::-1]):
                 x = position(recording, axis)
                 yield cls(axis=axis, low=float(np.nanmin(x)), high=float(np.nanmax(x)), across=across)
         if pointing is None:

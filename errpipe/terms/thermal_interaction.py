@@ -46,9 +46,9 @@ class ThermalInteraction(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ThermalInteraction]:
         if component.startswith("E"):
-            found = sensors(recording)
-            for i, first in enumerate(found):
-                for second in found[i:]:
+            candidates = sensors(recording)
+            for i, first in enumerate(candidates):
+                for second in candidates[i:]:
                     yield cls(first=first, second=second)
 
     def _driver(self) -> Product:

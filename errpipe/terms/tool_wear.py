@@ -18,7 +18,7 @@ from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
 
 MOST_TOOLS = 40  # runs; more are not tools
-OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools (from taste: tool lives scatter so)
+OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools (chosen, not measured)
 
 
 class ToolWear(Term):
@@ -59,7 +59,7 @@ class ToolWear(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ToolWear]:
-        if component.startswith(("E", "F")):  # a blunt edge cuts too little, and takes more force
+        if component.startswith(("E", "F")):  # a worn edge removes less and needs more force
             for column in recording.names("cut_length"):
                 values = recording.array(column)
                 if np.nanmax(values) > np.nanmin(values):

@@ -1,8 +1,8 @@
-"""Champion against challengers: who holds on groups left out whole. Doing nothing runs too, and wins ties.
+"""Champion against challengers on left-out groups. Doing nothing competes too, and wins ties.
 
 A candidate wins only if it makes no left-out group worse than doing nothing; of those, the least error; within 1 %
-the one listed earlier (the simpler). Learners without a compiled form may compete, but a win of theirs is refused:
-what a table cannot say cannot leave.
+the one listed earlier (the simpler). Learners without a compiled form may compete, but cannot win: a table
+cannot express them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from errpipe.fitting import thermal_causes, thermal_season
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.thermal_arithmetic import rms, since_start_of
 
-TIE = 0.01
+TIE = 0.01  # of the least rms: within it the simpler candidate wins
 LAGS = (900.0, 3600.0, 14400.0)  # s, of the lagged rises that the learners are given
-SEED = 20240101
+SEED = 20240101  # of the learners that draw random numbers
 NETWORK = {"hidden_layer_sizes": (16,), "alpha": 1.0, "early_stopping": True, "max_iter": 300, "random_state": SEED}
 
 
@@ -39,7 +39,7 @@ Fitter = Callable[[Recording, str, np.ndarray], Fitted]
 
 @dataclass(frozen=True)
 class Candidate:
-    """One way to predict. compiled: whether a table can say it."""
+    """A model that competes. compiled: whether a table can express it."""
 
     name: str
     fit: Fitter
@@ -60,7 +60,7 @@ def nothing(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
 
 
 def season(options: thermal_season.SeasonOptions, gain: float = 1.0) -> Fitter:
-    """The season model, or a share of it."""
+    """The season model, times a gain."""
 
     def fit(recording: Recording, component: str, rows: np.ndarray) -> Fitted:
         model = thermal_season.fit(recording, component, options, rows)
@@ -81,8 +81,8 @@ def differences(recording: Recording, component: str, rows: np.ndarray) -> Fitte
     """Least squares on rises over the rise of one sensor; which one (room, bed) spans the same space."""
 
     def columns(r: Recording) -> np.ndarray:
-        found = rises(r)
-        return found[:, 1:] - found[:, :1]
+        values = rises(r)
+        return values[:, 1:] - values[:, :1]
 
     table, y = columns(recording), since_start_of(recording, component)
     good = rows & np.isfinite(y) & np.isfinite(table).all(axis=1)
@@ -106,7 +106,7 @@ def learner(make: Callable[[], Any], lags: Sequence[float]) -> Fitter:
 
 
 def candidates(options: thermal_season.SeasonOptions | None = None) -> tuple[Candidate, ...]:
-    """Everyone who competes, the simplest first."""
+    """All candidates, the simplest first."""
     from sklearn.ensemble import HistGradientBoostingRegressor
     from sklearn.linear_model import LinearRegression, Ridge
     from sklearn.neural_network import MLPRegressor
@@ -139,44 +139,44 @@ def candidates(options: thermal_season.SeasonOptions | None = None) -> tuple[Can
 def compare(
     recording: Recording, component: str, folds: Sequence[Fold], entrants: Sequence[Candidate]
 ) -> dict[str, Any]:
-    """rms per candidate and left-out group, who wins, and why the others do not: plain data.
+    """rms per candidate and left-out group, the winner, and why the others lose, as JSON values.
 
-    Raises DataError where nobody takes part.
+    Raises DataError without a candidate or a group to leave out.
     """
     if not entrants or not folds:
         raise DataError("champion: no candidate or no group to leave out")
     y = since_start_of(recording, component)
-    found: dict[str, dict[str, float]] = {}
+    rms_by_group: dict[str, dict[str, float]] = {}
     for entrant in entrants:
-        found[entrant.name] = {}
+        rms_by_group[entrant.name] = {}
         for fold in folds:
             judged = fold.test & np.isfinite(y)
             value = entrant.fit(recording, component, fold.train).values(recording)
-            found[entrant.name][fold.label] = rms((y - value)[judged])
+            rms_by_group[entrant.name][fold.label] = rms((y - value)[judged])
     base = {f.label: rms(y[f.test & np.isfinite(y)]) for f in folds}
-    return {"groups": base, "rms": found, **decide(base, found, entrants)}
+    return {"groups": base, "rms": rms_by_group, **decide(base, rms_by_group, entrants)}
 
 
 def decide(
     base: Mapping[str, float], found: Mapping[str, Mapping[str, float]], entrants: Sequence[Candidate]
 ) -> dict[str, Any]:
-    """The winner, and a word on everyone else. base: group -> rms without compensation."""
+    """The winner, and a verdict on each candidate. base: group -> rms uncompensated; found: the same by candidate."""
     pooled = {n: float(np.sqrt(np.mean([v**2 for v in g.values()]))) for n, g in found.items()}
-    verdict, fit_to_win = {}, []
+    verdict, never_worse = {}, []
     for entrant in entrants:
         worse = [label for label, value in found[entrant.name].items() if value > base[label] * (1.0 + 1e-9)]
         if worse:
             verdict[entrant.name] = f"worse than doing nothing in {', '.join(worse)}"
         else:
-            fit_to_win.append(entrant)
-    best = min((pooled[e.name] for e in fit_to_win), default=float("inf"))
-    tied = [e for e in fit_to_win if pooled[e.name] <= best * (1.0 + TIE)]
+            never_worse.append(entrant)
+    best = min((pooled[e.name] for e in never_worse), default=float("inf"))
+    tied = [e for e in never_worse if pooled[e.name] <= best * (1.0 + TIE)]
     refused = [e.name for e in tied if not e.compiled]
-    for entrant in fit_to_win:
+    for entrant in never_worse:
         verdict[entrant.name] = "never worse than doing nothing"
     for name in refused:
         verdict[name] = "would win, but has no compiled form: refused"
-    able = [e for e in fit_to_win if e.compiled]
-    best = min((pooled[e.name] for e in able), default=float("inf"))
-    winner = next((e.name for e in able if pooled[e.name] <= best * (1.0 + TIE)), "do nothing")
+    compiled = [e for e in never_worse if e.compiled]
+    best = min((pooled[e.name] for e in compiled), default=float("inf"))
+    winner = next((e.name for e in compiled if pooled[e.name] <= best * (1.0 + TIE)), "do nothing")
     return {"pooled": pooled, "verdict": verdict, "champion": winner}

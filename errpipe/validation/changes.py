@@ -1,8 +1,8 @@
-"""How far two compensations differ: both asked on the same states of a machine, over the validity box of the two.
+"""How far two compensations differ: both evaluated at the same states of a machine, over both validity boxes.
 
 Half of the states are drawn uniformly (the rms is theirs), half with the ends of each range drawn more often. Each is a
 run of its own: the machine stands at rest in the middle of the box (axes anywhere, so that it is approached from both
-sides), jumps to the state, and stays there; it is looked at 1 s, 1 min, 10 min, 1 h, 10 h and 30 years later.
+sides), jumps to the state, and stays there; both are evaluated 1 s, 1 min, 10 min, 1 h, 10 h and 30 years later.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Change:
 
 
 def of_model(model: ErrorModel) -> Compensation:
-    """An error model as it stands, without what fades outside validity."""
+    """An error model as it stands, without the fade outside validity."""
     kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
 
     def values(states: States) -> Mapping[str, np.ndarray]:
@@ -147,17 +147,26 @@ def _asked(of: Compensation, states: States, relative: bool) -> Mapping[str, np.
 
 def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.ndarray) -> Change:
     judged = np.flatnonzero(np.tile(AFTER > 0, STATES) & np.isfinite(old) & np.isfinite(new))
-    gap = (new - old)[judged]
-    if gap.size == 0:
+    difference = (new - old)[judged]
+    if difference.size == 0:
         return Change(component, unit, 0.0, 0.0, {}, 0.0, 0.0, "", 0.0, ())
-    worst = int(judged[np.argmax(np.abs(gap))])
-    name, share, bins = _goes_with({n: v[judged] for n, v in states.readings.items()}, gap)
+    worst = int(judged[np.argmax(np.abs(difference))])
+    name, share, bins = _goes_with({n: v[judged] for n, v in states.readings.items()}, difference)
     at = {n: float(v[worst]) for n, v in states.readings.items()}
     at["seconds after a step"] = float(states.time[worst])
-    uniform = gap[judged < STATES // 2 * AFTER.size]
+    uniform = difference[judged < STATES // 2 * AFTER.size]
     rms = float(np.sqrt(np.mean(uniform**2))) if uniform.size else 0.0
     return Change(
-        component, unit, float(np.abs(gap).max()), rms, at, float(old[worst]), float(new[worst]), name, share, bins
+        component,
+        unit,
+        float(np.abs(difference).max()),
+        rms,
+        at,
+        float(old[worst]),
+        float(new[worst]),
+        name,
+        share,
+        bins,
     )
 
 
@@ -197,11 +206,11 @@ def rows_changed(old: Recording, new: Recording) -> dict[str, dict[str, float]]:
     for name in columns:
         a, b = (part[name].to_numpy(dtype=float) for part in (before, after))
         differ = ~((a == b) | (np.isnan(a) & np.isnan(b)))
-        gap = np.abs(b - a)[differ]
-        gap = gap[np.isfinite(gap)]
+        difference = np.abs(b - a)[differ]
+        difference = difference[np.isfinite(difference)]
         if differ.any():
-            largest = float(gap.max()) if gap.size else 0.0
-            rms = float(np.sqrt(np.sum(gap**2) / a.size))
+            largest = float(difference.max()) if difference.size else 0.0
+            rms = float(np.sqrt(np.sum(difference**2) / a.size))
             out[name] = {"rows": int(differ.sum()), "largest": largest, "rms": rms}
     return out
 
@@ -217,6 +226,6 @@ def _labels(recording: Recording) -> np.ndarray:
 
 
 def _rows_of(recording: Recording, labels: Sequence[str]) -> pd.DataFrame:
-    own = _labels(recording)
-    frame = recording.frame[np.isin(own, labels)]
-    return frame.iloc[np.argsort(own[np.isin(own, labels)], kind="stable")]
+    run_labels = _labels(recording)
+    frame = recording.frame[np.isin(run_labels, labels)]
+    return frame.iloc[np.argsort(run_labels[np.isin(run_labels, labels)], kind="stable")]

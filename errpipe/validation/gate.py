@@ -1,4 +1,4 @@
-"""What may be exported: the components that held-out runs were better with, at the gain that was judged there."""
+"""Gate of an export: the components that improve held-out runs, at the gain that was judged there."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
         else:
             left_out.append(component.component)
     if not kept:
-        told = "; ".join(map(_reason, judged)) or "no component was judged"
-        raise GateError(f"export: not better than nothing on held-out rows ({told}). Nothing was exported.")
+        reasons = "; ".join(map(_reason, judged)) or "no component was judged"
+        raise GateError(f"export: not better than nothing on held-out rows ({reasons}). Nothing was exported.")
     return Passed(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
 
 
@@ -60,5 +60,5 @@ def _brief(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _reason(judged: Mapping[str, Any]) -> str:
-    told = f"{judged['component']} {judged['rms_before']:.3g} -> {judged['rms_after']:.3g} {judged['unit']}"
-    return f"{told}, p = {judged['p_value']:.2g} over {judged['runs']} runs"
+    figures = f"{judged['component']} {judged['rms_before']:.3g} -> {judged['rms_after']:.3g} {judged['unit']}"
+    return f"{figures}, p = {judged['p_value']:.2g} over {judged['runs']} runs"

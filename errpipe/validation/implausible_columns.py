@@ -10,12 +10,12 @@ from errpipe.domain import components
 from errpipe.domain.recording import Recording
 from errpipe.validation.plausibility_finding import Finding
 
-FEWEST_MOVES = 10
+FEWEST_MOVES = 10  # steps or rows; with fewer a check returns nothing
 AT_REST = 1e-3  # of the largest travel: an axis that moves less than that stands still
 FASTEST = {"mm": 10_000.0, "deg": 36_000.0}  # mm/s (linear motors reach 5 m/s), deg/s (100 rev/s)
 ROOM = (-30.0, 150.0)  # degC: what a sensor of a machine tool can read
-COPY = 1e-6  # of its range: the rms of what an affine copy leaves
-OUTSIDE = 0.1  # of the travel: room beyond the travel that a rounded constant may need
+COPY = 1e-6  # of its range: largest rms residual of an affine copy
+OUTSIDE = 0.1  # of the travel: by how much positions may exceed a travel that was stated as a round number
 INCH = 25.4  # mm
 
 
@@ -35,12 +35,12 @@ def axis_of_component(recording: Recording) -> Iterator[Finding]:
         motion = component.kind in ("positioning", "straightness", "angular positioning")
         if not motion or component.axis is None:
             continue
-        own = travels.get(component.axis)
-        if own is None:
+        own_travel = travels.get(component.axis)
+        if own_travel is None:
             has = f"no column holds the position of {component.axis} (found: {', '.join(sorted(travels))})"
             yield Finding("wrong-axis", name, f"{component.name}: {has}", _renamed(component, moving))
-        elif own <= AT_REST * travels[moving]:
-            rests = f"{component.axis} moves {own:.3g} while {moving} moves {travels[moving]:.4g}"
+        elif own_travel <= AT_REST * travels[moving]:
+            rests = f"{component.axis} moves {own_travel:.3g} while {moving} moves {travels[moving]:.4g}"
             yield Finding("wrong-axis", name, f"{component.name}: {rests}", _renamed(component, moving))
 
 
@@ -68,8 +68,8 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
             continue
         agree = float(np.mean(np.sign(step[moved]) == d[1:][moved]))
         if agree <= 0.1:
-            found = f"it says the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
-            yield Finding("reversed-direction", side, found, "+1 when approached from below (the position rises)")
+            evidence = f"it says the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
+            yield Finding("reversed-direction", side, evidence, "+1 when approached from below (the position rises)")
 
 
 def travel(recording: Recording) -> Iterator[Finding]:
@@ -82,16 +82,18 @@ def travel(recording: Recording) -> Iterator[Finding]:
         low, high = sorted(facts.travel)
         if not np.isfinite(x).any() or high <= low:
             continue
-        room = OUTSIDE * (high - low)
-        seen = (float(np.nanmin(x)), float(np.nanmax(x)))
-        if seen[0] < low - room or seen[1] > high + room:
-            found = f"positions from {seen[0]:.6g} to {seen[1]:.6g} leave the travel {low:g} to {high:g} of {axis}"
-            ratio = max(abs(seen[0]), abs(seen[1])) / max(abs(low), abs(high), 1e-12)
-            yield Finding("outside-travel", name, found, _other_unit(ratio))
-        elif 0 < seen[1] - seen[0] < 1.2 / INCH * (high - low):
-            share = 100 * (seen[1] - seen[0]) / (high - low)
-            found = f"positions span {seen[1] - seen[0]:.4g}, {share:.2g} % of the travel of {axis}"
-            yield Finding("outside-travel", name, found, "positions in inch or m that were declared as mm")
+        margin = OUTSIDE * (high - low)
+        extent = (float(np.nanmin(x)), float(np.nanmax(x)))
+        if extent[0] < low - margin or extent[1] > high + margin:
+            evidence = (
+                f"positions from {extent[0]:.6g} to {extent[1]:.6g} leave the travel {low:g} to {high:g} of {axis}"
+            )
+            ratio = max(abs(extent[0]), abs(extent[1])) / max(abs(low), abs(high), 1e-12)
+            yield Finding("outside-travel", name, evidence, _other_unit(ratio))
+        elif 0 < extent[1] - extent[0] < 1.2 / INCH * (high - low):
+            share = 100 * (extent[1] - extent[0]) / (high - low)
+            evidence = f"positions span {extent[1] - extent[0]:.4g}, {share:.2g} % of the travel of {axis}"
+            yield Finding("outside-travel", name, evidence, "positions in inch or m that were declared as mm")
 
 
 def _other_unit(ratio: float) -> str:
@@ -107,8 +109,8 @@ def run_per_row(recording: Recording) -> Iterator[Finding]:
     name = recording.name("run")
     rows = len(recording)
     if name is not None and rows >= FEWEST_MOVES and len(recording.run_labels()) > 0.9 * rows:
-        found = f"{len(recording.run_labels())} labels in {rows} rows"
-        yield Finding("run-per-row", name, found, "another column (this one looks like a row number)")
+        evidence = f"{len(recording.run_labels())} labels in {rows} rows"
+        yield Finding("run-per-row", name, evidence, "another column (this one looks like a row number)")
 
 
 def speed(recording: Recording) -> Iterator[Finding]:
@@ -123,8 +125,10 @@ def speed(recording: Recording) -> Iterator[Finding]:
             rate = np.abs(np.diff(x) / np.diff(t))[np.diff(run) == 0]
         rate = rate[np.isfinite(rate) & (rate > 0)]
         if rate.size >= FEWEST_MOVES and float(np.median(rate)) > FASTEST.get(unit, np.inf):
-            found = f"half of all steps of {name} are faster than {np.median(rate):.4g} {unit}/s"
-            yield Finding("too-fast", time, found, "a time in ms, min or h that was declared as s, or a position in um")
+            evidence = f"half of all steps of {name} are faster than {np.median(rate):.4g} {unit}/s"
+            yield Finding(
+                "too-fast", time, evidence, "a time in ms, min or h that was declared as s, or a position in um"
+            )
 
 
 def temperatures(recording: Recording) -> Iterator[Finding]:
@@ -137,14 +141,14 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
         low, high = float(t.min()), float(t.max())
         if ROOM[0] <= low and high <= ROOM[1]:
             continue
-        found = f"readings from {low:.5g} to {high:.5g} degC"
+        evidence = f"readings from {low:.5g} to {high:.5g} degC"
         if low > 100 and high < 400:
             meant = "tenths of a degree" if low < 250 or high > 340 else "K, or tenths of a degree"
         elif low > 1500 and high < 4000:
             meant = "hundredths of a degree"
         else:
             meant = "another column, or a sensor that failed (clean it, or give the column the role ignore)"
-        yield Finding("temperature-range", name, found, meant)
+        yield Finding("temperature-range", name, evidence, meant)
 
 
 def fahrenheit(recording: Recording) -> Iterator[Finding]:
@@ -158,8 +162,8 @@ def fahrenheit(recording: Recording) -> Iterator[Finding]:
             if name == other or good.sum() < FEWEST_MOVES:
                 continue
             if float(np.median(t[good])) > 50 and np.abs(t[good] - (1.8 * u[good] + 32)).max() < 4.0:
-                found = f"it is 1.8 times {other} plus 32"
-                yield Finding("temperature-range", name, found, "degF that was declared as degC")
+                evidence = f"it is 1.8 times {other} plus 32"
+                yield Finding("temperature-range", name, evidence, "degF that was declared as degC")
                 break
 
 
@@ -179,8 +183,8 @@ def temperature_of_position(recording: Recording) -> Iterator[Finding]:
                 if rows.sum() >= FEWEST_MOVES and turns and np.ptp(t[rows]) > 2.0 and np.ptp(x[rows]) > 0:
                     matches.append(abs(float(np.corrcoef(t[rows], x[rows])[0, 1])))
             if matches and float(np.median(matches)) > 0.8:
-                found = f"it follows {place} back and forth (correlation {np.median(matches):.2f} within the runs)"
-                yield Finding("not-a-temperature", name, found, "the columns of temperature and deviation swapped")
+                evidence = f"it follows {place} back and forth (correlation {np.median(matches):.2f} within the runs)"
+                yield Finding("not-a-temperature", name, evidence, "the columns of temperature and deviation swapped")
                 break
 
 
@@ -198,8 +202,10 @@ def copies(recording: Recording) -> Iterator[Finding]:
             slope = float(x @ y) / float(x @ x)
             levels = np.unique(u[good]).size
             if levels > 5 and float(np.sqrt(np.mean((y - slope * x) ** 2))) < COPY * np.ptp(y):
-                found = f"it is {other} times {slope:.6g} and a constant, row for row"
-                yield Finding("copy-of-column", name, found, "another column: this one holds no measurement of its own")
+                evidence = f"it is {other} times {slope:.6g} and a constant, row for row"
+                yield Finding(
+                    "copy-of-column", name, evidence, "another column: this one holds no measurement of its own"
+                )
                 break
 
 

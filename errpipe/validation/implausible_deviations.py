@@ -55,14 +55,14 @@ def as_large_as_travel(r: Response) -> Finding | None:
     size = float(np.percentile(shape, 97.5) - np.percentile(shape, 2.5))
     if r.span == 0 or size <= LARGEST_SHARE * r.span * r.per_unit:
         return None
-    found = f"the deviation spans {size:.4g} {r.component.unit} over a travel of {r.span:.4g}"
+    evidence = f"the deviation spans {size:.4g} {r.component.unit} over a travel of {r.span:.4g}"
     if _regular(r.deviation) and not _regular(r.position):
         meant = "the columns of position and deviation the other way round (the deviation has equal steps)"
     elif size > 0.5 * r.span * r.per_unit:
         meant = "columns of position and deviation the other way round, or um declared as mm"
     else:
         meant = "a position in m or inch that was declared as mm, or um declared as mm for the deviation"
-    return Finding("as-large-as-travel", r.column, found, meant)
+    return Finding("as-large-as-travel", r.column, evidence, meant)
 
 
 def too_small(r: Response) -> Finding | None:
@@ -72,8 +72,10 @@ def too_small(r: Response) -> Finding | None:
     largest, least = float(np.abs(r.deviation).max()), max(SMALLEST_UM, SMALLEST_SHARE * 1e3 * r.span)
     if largest == 0.0 or largest >= least:
         return None
-    found = f"no deviation exceeds {largest:.3g} um over {r.span:.4g} mm of travel, finer than a laser can read in air"
-    return Finding("too-small", r.column, found, "readings in mm that were declared as um (or um declared as nm)")
+    evidence = (
+        f"no deviation exceeds {largest:.3g} um over {r.span:.4g} mm of travel, finer than a laser can read in air"
+    )
+    return Finding("too-small", r.column, evidence, "readings in mm that were declared as um (or um declared as nm)")
 
 
 def constant(r: Response) -> Finding | None:
@@ -149,11 +151,11 @@ def reversed_sign(r: Response) -> Finding | None:
     match = float(np.corrcoef(true[good], r.deviation[good])[0, 1])
     slope = _slope(true[good], r.deviation[good])
     if match < -0.9:
-        found = f"it is minus the difference of {actual} and {command} (correlation {match:.2f})"
-        return Finding("reversed-sign", r.column, found, "error = actual - commanded: turn the sign")
+        evidence = f"it is minus the difference of {actual} and {command} (correlation {match:.2f})"
+        return Finding("reversed-sign", r.column, evidence, "error = actual - commanded: turn the sign")
     if match > 0.99 and not 0.9 < slope < 1.1:
-        found = f"it is {slope:.4g} times {actual} minus {command}"
-        return Finding("reversed-sign", r.column, found, "another unit of the error, or of one of the positions")
+        evidence = f"it is {slope:.4g} times {actual} minus {command}"
+        return Finding("reversed-sign", r.column, evidence, "another unit of the error, or of one of the positions")
     return None
 
 
@@ -198,11 +200,14 @@ def worse_with_compensation(r: Response) -> Finding | None:
             continue
         before, after = (float(np.sqrt(np.mean(r.deviation[k] ** 2))) for k in (off, on))
         if after > 1.3 * before:
-            found = (
+            evidence = (
                 f"with the compensation on the deviation is {after:.3g} {r.component.unit} rms, without it {before:.3g}"
             )
             return Finding(
-                "worse-with-compensation", r.column, found, "the other sign, here or in the parameter of the controller"
+                "worse-with-compensation",
+                r.column,
+                evidence,
+                "the other sign, here or in the parameter of the controller",
             )
     return None
 
@@ -254,7 +259,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
 
 
 def _line(r: Response) -> tuple[float, float]:
-    """Slope of the deviation over the position, and rms of what the line leaves (the mean of each direction apart)."""
+    """Slope of the deviation over the position, and rms residual from the line (each direction about its own mean)."""
     group = np.zeros(r.rows.size) if r.direction is None else np.asarray(r.direction)
     position = np.asarray(r.position)
     x, y = position - _means(position, group), r.deviation - _means(r.deviation, group)
@@ -291,13 +296,13 @@ def _regular(values: np.ndarray) -> bool:
 
 def _alike(r: Response, key: np.ndarray, label: float) -> bool:
     """Whether one group's curve over position has the shape of the others'."""
-    mine, others = key == label, key != label
+    in_group, outside_group = key == label, key != label
     levels = np.round(np.asarray(r.position), 3)
-    shared = np.intersect1d(levels[mine], levels[others])
+    shared = np.intersect1d(levels[in_group], levels[outside_group])
     if shared.size < 5:
         return False
-    a = np.array([r.deviation[mine & (levels == x)].mean() for x in shared])
-    b = np.array([r.deviation[others & (levels == x)].mean() for x in shared])
+    a = np.array([r.deviation[in_group & (levels == x)].mean() for x in shared])
+    b = np.array([r.deviation[outside_group & (levels == x)].mean() for x in shared])
     return np.ptp(a) > 0 and np.ptp(b) > 0 and float(np.corrcoef(a, b)[0, 1]) > 0.8
 
 

@@ -1,11 +1,11 @@
 """Which sensor drifts, and since when: leave-one-sensor-out residuals per run in a two-sided CUSUM.
 
 Each temperature is predicted from the others by least squares on the runs before (recursive residuals: Brown, Durbin
-and Evans 1975; self-starting as in Hawkins 1987): a season that the reference runs never saw is learnt on the way, and
-a sensor that leaves the others is not, for from an alarm on nothing is learnt. The residual, averaged per run and
-divided by the scatter between reference runs left out in turn, goes into a cumulative sum (Page 1954), whose threshold
-allows for a scatter known from few runs. One sensor that drifts also moves the predictions of the others, so each
-suspect is taken out in turn: it is blamed where the others are then quiet.
+and Evans 1975; self-starting as in Hawkins 1987), so a season that the reference runs lack enters the regression as it
+comes. A drifting sensor does not: the regression is no longer updated from an alarm on. The residual, averaged per run
+and divided by the scatter between reference runs left out in turn, goes into a cumulative sum (Page 1954), whose
+threshold allows for a scatter known from few runs. One drifting sensor also moves the predictions of the others, so
+each suspect is left out in turn: the drift is its own where the others then show none.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ import numpy as np
 from errpipe.domain.recording import Recording
 
 REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
-FALSE_ALARMS = 0.02  # of quiet years that see one, all sensors together, on normal scatter; measured: docs/registry.md
+FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/registry.md
 HORIZON = 365  # runs for which that holds: a year of nights
-SIMULATED = 4000  # quiet years behind a threshold
+SIMULATED = 4000  # simulated years without drift behind a threshold
 LEAST_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
 LEAST_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
-QUIETER = 0.2  # what is left without the blamed sensor: chosen on simulated sensors, seeds 1 to 3 of the unit test
+QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
 SIGNS = np.array([1.0, -1.0])  # up and down
 FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A column that left the reference. since: label of the run where its excursion began; size: K, mean since then."""
+    """A column that drifted from the reference. since: label of the run where its excursion began; size: K, mean."""
 
     column: str
     since: str
@@ -41,7 +41,7 @@ class Drift:
 
 
 def sensor_drift(recording: Recording, reference: np.ndarray) -> list[Drift]:
-    """Temperatures whose residual against the others left the reference runs; the blamed one first.
+    """Temperatures whose leave-one-sensor-out residual drifts from the reference runs; the faulty one first.
 
     reference: rows that fitted the champion, (rows,). Empty where there are fewer than two sensors, fewer than four
     reference runs, or no run after them.
@@ -53,34 +53,34 @@ def sensor_drift(recording: Recording, reference: np.ndarray) -> list[Drift]:
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
     readings = np.column_stack([recording.array(n) for n in names])
-    z, sd, limit = _standardised(readings, run, old, new)
-    found = {}
+    z, sd, limit = _standardised_residuals(readings, run, old, new)
+    drift_of = {}
     for k, name in enumerate(names):
         alarm, begin = cusum(z[:, k])
         if alarm >= limit:
-            found[k] = Drift(
+            drift_of[k] = Drift(
                 name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm, False
             )
-    if not found:
+    if not drift_of:
         return []
-    blamed = _blamed(readings, run, old, new, {k: d.statistic / limit for k, d in found.items()})
-    drifts = [Drift(d.column, d.since, d.size, d.statistic, k == blamed) for k, d in found.items()]
+    blamed = _faulty_sensor(readings, run, old, new, {k: d.statistic / limit for k, d in drift_of.items()})
+    drifts = [Drift(d.column, d.since, d.size, d.statistic, k == blamed) for k, d in drift_of.items()]
     return sorted(drifts, key=lambda d: (not d.blamed, -d.statistic))
 
 
-def _blamed(readings, run, old, new, suspects: Mapping[int, float]) -> int | None:
-    """The sensor without which the others are quietest, where that quietens them enough."""
+def _faulty_sensor(readings, run, old, new, suspects: Mapping[int, float]) -> int | None:
+    """The sensor without which the largest CUSUM of the others is least; None where it is still too large."""
     if readings.shape[1] < 3:
         return None  # two sensors that disagree do not say which of them is wrong
     loudest = {}
     for k in suspects:
-        z, _, limit = _standardised(np.delete(readings, k, axis=1), run, old, new)
+        z, _, limit = _standardised_residuals(np.delete(readings, k, axis=1), run, old, new)
         loudest[k] = max(cusum(z[:, j])[0] / limit for j in range(z.shape[1]))
     best = min(loudest, key=lambda k: loudest[k])
     return best if loudest[best] < max(1.0, QUIETER * max(suspects.values())) else None
 
 
-def _standardised(
+def _standardised_residuals(
     readings: np.ndarray, run: np.ndarray, old: Sequence[int], new: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Mean residual of each new run over its standard error, (new, sensors), scatter between runs, K, threshold."""
@@ -92,11 +92,11 @@ def _standardised(
     z, sd = np.zeros((len(new), count)), np.zeros(count)
     for k in range(count):
         design = np.column_stack([np.ones(len(centred)), np.delete(centred, k, axis=1)])
-        z[:, k], sd[k] = _recursive(design, centred[:, k], rows, len(old), limit)
+        z[:, k], sd[k] = _recursive_residuals(design, centred[:, k], rows, len(old), limit)
     return z, sd, limit
 
 
-def _recursive(
+def _recursive_residuals(
     design: np.ndarray, target: np.ndarray, rows: Sequence[np.ndarray], references: int, limit: float
 ) -> tuple[np.ndarray, float]:
     """Standardised recursive residuals of the new runs, (new,), and the scatter of the reference runs, K."""
@@ -105,20 +105,23 @@ def _recursive(
     means = [design[r].mean(axis=0) if r.size else np.zeros(design.shape[1]) for r in rows]
     a, b, spans = (sum(part[:references], np.zeros_like(part[0])) for part in (normal, moment, _outer(means)))
 
-    def left(number: int, a: np.ndarray, b: np.ndarray) -> float:
-        mine = rows[number]
-        return float(np.mean(target[mine] - design[mine] @ _solved(a, b))) if mine.size else 0.0
+    def mean_residual(number: int, a: np.ndarray, b: np.ndarray) -> float:
+        rows_of_run = rows[number]
+        return (
+            float(np.mean(target[rows_of_run] - design[rows_of_run] @ _solve_normal(a, b))) if rows_of_run.size else 0.0
+        )
 
-    own = [left(n, a - normal[n], b - moment[n]) for n in range(references)]  # each judged by the others
-    sd = max(float(np.sqrt(np.mean(np.square(own)))), LEAST_SD)
-    z, totals = np.zeros(len(rows) - references), np.zeros(2)
+    # leave-one-run-out: each reference run is predicted from the other reference runs
+    reference_residuals = [mean_residual(n, a - normal[n], b - moment[n]) for n in range(references)]
+    sd = max(float(np.sqrt(np.mean(np.square(reference_residuals)))), LEAST_SD)
+    z, cusums = np.zeros(len(rows) - references), np.zeros(2)
     for number in range(references, len(rows)):
-        leverage = float(means[number] @ _solved(spans, means[number]))
-        value = left(number, a, b) / (sd * np.sqrt(1.0 + max(leverage, 0.0)))
+        leverage = float(means[number] @ _solve_normal(spans, means[number]))
+        value = mean_residual(number, a, b) / (sd * np.sqrt(1.0 + max(leverage, 0.0)))
         z[number - references] = value
-        totals = np.maximum(0.0, totals + value * SIGNS - REFERENCE)
-        if totals.max() >= limit:
-            limit = 0.0  # nothing is learnt from an alarm on
+        cusums = np.maximum(0.0, cusums + value * SIGNS - REFERENCE)
+        if cusums.max() >= limit:
+            limit = 0.0  # no run from the alarm on updates the regression
         else:
             a, b, spans = a + normal[number], b + moment[number], spans + np.outer(means[number], means[number])
     return z, sd
@@ -128,7 +131,7 @@ def _outer(vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [np.outer(v, v) for v in vectors]
 
 
-def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least-norm solution of normal equations, columns scaled alike."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return scale * (np.linalg.pinv(scale[:, None] * normal * scale, 1e-10, hermitian=True) @ (scale * right))
@@ -136,7 +139,7 @@ def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 @lru_cache
 def threshold(freedom: int, share: float, seed: int = 1) -> float:
-    """What the CUSUM of a year of runs without drift exceeds in a share of the years, standard errors.
+    """Threshold of the CUSUM, standard errors: a year of runs without drift exceeds it in a share of the years.
 
     freedom: degrees of freedom of the scatter by which residuals are divided.
     """

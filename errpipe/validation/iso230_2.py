@@ -83,20 +83,22 @@ def figures(recording: Recording, axis: str | None = None, component: str | None
         "cycles": cycles,
         "notes": _notes(recording, axis, targets, cycles),
     }
-    facts |= {NAMES[d]: found for d, found in directions.items()}
+    facts |= {NAMES[d]: direction for d, direction in directions.items()}
     if len(directions) == 2:
         facts |= _both(directions[1], directions[-1])
     return Report(**facts)
 
 
 def _positioning(recording: Recording) -> str:
-    found = [c for c in recording.components() if components.parse(c).kind in ("positioning", "angular positioning")]
-    if len(found) != 1:
+    candidates = [
+        c for c in recording.components() if components.parse(c).kind in ("positioning", "angular positioning")
+    ]
+    if len(candidates) != 1:
         raise DataError(
-            f"ISO 230-2 needs one positioning deviation, such as EXX (found: {', '.join(found) or 'none'}; "
+            f"ISO 230-2 needs one positioning deviation, such as EXX (found: {', '.join(candidates) or 'none'}; "
             f"the recording holds {', '.join(recording.components()) or 'no response'})"
         )
-    return found[0]
+    return candidates[0]
 
 
 def _rows(recording: Recording, axis: str, component: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -104,8 +106,8 @@ def _rows(recording: Recording, axis: str, component: str) -> tuple[np.ndarray, 
     where = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     side = recording.name("direction", axis=axis)
     error = recording.name("error", component=component)
-    for found, what in ((where, f"position of {axis}"), (side, f"direction of {axis}"), (error, f"error {component}")):
-        if found is None:
+    for name, what in ((where, f"position of {axis}"), (side, f"direction of {axis}"), (error, f"error {component}")):
+        if name is None:
             raise DataError(f"ISO 230-2: the recording has no column for the {what}")
     columns = [recording.array(str(n)) for n in (where, side, error)]
     kept = np.all(np.isfinite(columns), axis=0)

@@ -118,12 +118,12 @@ def evaluate(recording: Recording) -> tuple[CircularTest, ...]:
 
 def _plane(runs: list[Circle]) -> CircularTest:
     name = "".join(runs[0].plane)
-    whole = [c for c in runs if is_full(c)]
+    full = [c for c in runs if is_full(c)]
     figures = Figures(
         name,
-        {c.label: minimum_zone(c.angle, c.deviation, c.radius) for c in whole},
-        _bidirectional(whole),
-        _hysteresis(whole),
+        {c.label: minimum_zone(c.angle, c.deviation, c.radius) for c in full},
+        _bidirectional(full),
+        _hysteresis(full),
         {c.label: (float(c.deviation.max()), float(c.deviation.min())) for c in runs},
     )
     effects, noise = read(runs)
@@ -146,18 +146,18 @@ def minimum_zone(angle: np.ndarray, deviation: np.ndarray, radius: float) -> flo
         ray = points - centre
         size = np.linalg.norm(ray, axis=1)
         unit = ray / size[:, None]
-        far = (size - radius) * 1e3
-        one = np.ones(len(far))
-        upper = np.column_stack([-unit, -one, 0 * one])
-        lower = np.column_stack([unit, 0 * one, one])
-        found = linprog(
+        excess = (size - radius) * 1e3
+        ones = np.ones(len(excess))
+        upper = np.column_stack([-unit, -ones, 0 * ones])
+        lower = np.column_stack([unit, 0 * ones, ones])
+        solution = linprog(
             [0, 0, 1, -1],
             A_ub=np.vstack([upper, lower]),
-            b_ub=np.r_[-far, far],
+            b_ub=np.r_[-excess, excess],
             bounds=[(None, None)] * 4,
             method="highs",
         )
-        centre = centre + found.x[:2] * 1e-3
+        centre = centre + solution.x[:2] * 1e-3
     size = np.linalg.norm(points - centre, axis=1)
     return float(np.ptp(size) * 1e3)
 
@@ -166,20 +166,20 @@ def _bidirectional(runs: list[Circle]) -> float | None:
     if {c.sense for c in runs} != {1, -1}:
         return None
     angle = np.concatenate([c.angle for c in runs])
-    centred = [c.deviation - _setup(c)[1] for c in runs]
+    centred = [c.deviation - _centre_fit(c)[1] for c in runs]
     return minimum_zone(angle, np.concatenate(centred), runs[0].radius)
 
 
-def _setup(circle: Circle) -> tuple[np.ndarray, np.ndarray]:
+def _centre_fit(circle: Circle) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares centre of a run, and what it does to the deviation, um."""
-    one = np.column_stack([np.cos(circle.angle), np.sin(circle.angle), np.ones(len(circle.angle))])
-    found, *_ = np.linalg.lstsq(one, circle.deviation, rcond=None)
-    return found, one[:, :2] @ found[:2]
+    design = np.column_stack([np.cos(circle.angle), np.sin(circle.angle), np.ones(len(circle.angle))])
+    coefficients, *_ = np.linalg.lstsq(design, circle.deviation, rcond=None)
+    return coefficients, design[:, :2] @ coefficients[:2]
 
 
 def centred(circle: Circle) -> np.ndarray:
     """Radial deviation about the run's own least-squares centre, um; of part of a circle, as it was read."""
-    return circle.deviation - _setup(circle)[1] if is_full(circle) else circle.deviation
+    return circle.deviation - _centre_fit(circle)[1] if is_full(circle) else circle.deviation
 
 
 def is_full(circle: Circle) -> bool:
@@ -189,16 +189,16 @@ def is_full(circle: Circle) -> bool:
 
 def _hysteresis(runs: list[Circle]) -> float | None:
     """Largest difference of the two senses at one angle, each about its own centre, um."""
-    ways = {s: [c for c in runs if c.sense == s] for s in (1, -1)}
-    if not ways[1] or not ways[-1]:
+    by_sense = {s: [c for c in runs if c.sense == s] for s in (1, -1)}
+    if not by_sense[1] or not by_sense[-1]:
         return None
     grid = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     mean = {}
-    for s, own in ways.items():
+    for s, circles_of_sense in by_sense.items():
         curves = []
-        for c in own:
+        for c in circles_of_sense:
             order = np.argsort(c.angle)
-            curves.append(np.interp(grid, c.angle[order], (c.deviation - _setup(c)[1])[order], period=2 * np.pi))
+            curves.append(np.interp(grid, c.angle[order], (c.deviation - _centre_fit(c)[1])[order], period=2 * np.pi))
         mean[s] = np.mean(curves, axis=0)
     return float(np.abs(mean[1] - mean[-1]).max())
 
@@ -219,32 +219,36 @@ def read(runs: list[Circle]) -> tuple[tuple[Effect, ...], float]:
     if len({c.sense for c in runs}) == 2:
         v = np.concatenate([np.full(len(c.angle), 1.0 if c.speed is None else c.speed) for c in runs])
         columns.append(0.5 * sense * v * np.sin(2 * angle))
-    own = []
+    setup_columns = []
     for c in runs:
         mask = np.concatenate([np.full(len(d.angle), float(d is c)) for d in runs])
-        own += [mask, mask * np.cos(angle), mask * np.sin(angle)]
-    design = np.column_stack(columns + own)
-    found, *_ = np.linalg.lstsq(design, y, rcond=None)
-    left = y - design @ found
-    noise = float(np.sqrt(left @ left / max(1, len(y) - design.shape[1])))
-    error = noise * np.sqrt(np.maximum(np.diag(np.linalg.pinv(design.T @ design)), 0.0) * _fewer(runs, left))
+        setup_columns += [mask, mask * np.cos(angle), mask * np.sin(angle)]
+    design = np.column_stack(columns + setup_columns)
+    coefficients, *_ = np.linalg.lstsq(design, y, rcond=None)
+    residual = y - design @ coefficients
+    noise = float(np.sqrt(residual @ residual / max(1, len(y) - design.shape[1])))
+    error = noise * np.sqrt(
+        np.maximum(np.diag(np.linalg.pinv(design.T @ design)), 0.0) * _variance_inflation(runs, residual)
+    )
     plane, known = runs[0].plane, None not in speeds
     effects = [
-        _effect(kind, plane, float(found[i]), float(error[i]), float(np.ptp(columns[i] * found[i])), known)
+        _effect(
+            kind, plane, float(coefficients[i]), float(error[i]), float(np.ptp(columns[i] * coefficients[i])), known
+        )
         for i, kind in enumerate(("squareness", "scale", "first", "second", "servo")[: len(columns)])
     ]
     return tuple(sorted(effects, key=lambda e: -e.peak_to_peak)), noise
 
 
-def _fewer(runs: list[Circle], left: np.ndarray) -> float:
+def _variance_inflation(runs: list[Circle], left: np.ndarray) -> float:
     """By how much the variance grows because neighbours on a circle are alike (first-order autocorrelation)."""
-    together, alone, row = 0.0, 1e-300, 0
+    lagged_product, square, row = 0.0, 1e-300, 0
     for c in runs:
-        own = left[row : row + len(c.angle)]
-        together += float(own[1:] @ own[:-1])
-        alone += float(own @ own)
+        residual = left[row : row + len(c.angle)]
+        lagged_product += float(residual[1:] @ residual[:-1])
+        square += float(residual @ residual)
         row += len(c.angle)
-    rho = min(max(together / alone, 0.0), 0.98)
+    rho = min(max(lagged_product / square, 0.0), 0.98)
     return (1.0 + rho) / (1.0 - rho)
 
 
@@ -254,20 +258,22 @@ def _effect(kind: str, plane: tuple[str, str], value: float, error: float, size:
     if kind == "squareness":
         value *= LEAN.get(name, 1.0)
         lean = "minus" if value * LEAN.get(name, 1.0) > 0 else "plus"
-        told = f"{NORMAL.get(name, 'squareness')} = {value:.1f} urad: +{b} leans towards {lean} {a}"
+        sentence = f"{NORMAL.get(name, 'squareness')} = {value:.1f} urad: +{b} leans towards {lean} {a}"
         effect, where, unit = "squareness", NORMAL.get(name, name), "urad"
     elif kind == "scale":
         longer, shorter = (a, b) if value > 0 else (b, a)
-        told = f"scale of {longer} is {abs(value):.1f} um/m longer than that of {shorter}"
+        sentence = f"scale of {longer} is {abs(value):.1f} um/m longer than that of {shorter}"
         effect, where, unit = "scale_error", f"{a}-{b}", "um/m"
     elif kind in ("first", "second"):
         axis = a if kind == "first" else b
-        told = f"backlash of {axis} is {value:.1f} um" + ("" if value >= 0 else " (over-compensated)")
+        sentence = f"backlash of {axis} is {value:.1f} um" + ("" if value >= 0 else " (over-compensated)")
         effect, where, unit = "backlash", axis, "um"
     else:
         unit = "ms" if speed_known else "um"
         behind = a if value > 0 else b
-        told = f"{behind} lags the other axis by {abs(value):.2f} {unit}"
+        sentence = f"{behind} lags the other axis by {abs(value):.2f} {unit}"
         effect, where = "servo_mismatch", name
     half = 1.96 * error
-    return Effect(effect, where, value, (value - half, value + half), unit, size, f"{told} ({size:.1f} um of the plot)")
+    return Effect(
+        effect, where, value, (value - half, value + half), unit, size, f"{sentence} ({size:.1f} um of the plot)"
+    )

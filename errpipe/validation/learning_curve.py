@@ -1,7 +1,7 @@
 """How much characterisation is enough: out-of-season error against hours of data and number of duty cycles.
 
-The group that judges never fits. Runs come in the order they were taken (what a workshop would have had by then),
-or in several random orders, whose spread tells luck from progress.
+The judging group is held out of every fit. Runs come in the order they were taken (what a workshop would have had by
+then), or in several random orders, whose spread shows how much of an improvement is chance.
 """
 
 from __future__ import annotations
@@ -65,6 +65,6 @@ def hours(recording: Recording, rows: np.ndarray) -> float:
 
 def _orders(recording: Recording, fold: Fold, orders: int, seed: int) -> list[np.ndarray]:
     run = recording.run_codes()
-    taken = np.array(list(dict.fromkeys(run[fold.train])))
+    recorded_order = np.array(list(dict.fromkeys(run[fold.train])))
     rng = np.random.default_rng(seed)
-    return [taken, *(rng.permutation(taken) for _ in range(orders))]
+    return [recorded_order, *(rng.permutation(recorded_order) for _ in range(orders))]

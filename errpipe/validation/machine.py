@@ -1,4 +1,4 @@
-"""An identified machine judged on whole groups of its measurements that sat out, each axis beside doing nothing."""
+"""Leave-one-group-out validation of an identified machine, each axis beside doing nothing."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.direct import Laser
 from errpipe.models.direct import Direct
 
-TIE = 0.01  # doing nothing wins within 1 %, as everywhere
-MOST_HARM = 0.01  # probability that the machine gets worse
+TIE = 0.01  # of the uncompensated rms: within it doing nothing wins
+MOST_HARM = 0.01  # largest allowed probability that the machine gets worse
 
 
 def judged(
@@ -26,31 +26,31 @@ def judged(
     tests: Mapping[str, Recording],
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> dict[str, Any]:
-    """What each test says of an identification from the rest: its groups, and rms before and after by linear axis.
+    """Held-out figures of each test, identified from the others: groups, and rms before and after by linear axis.
 
-    document: the identification with its procedure. Readings at the tool sit out by line, circle, plate or socket;
-    records of components by run or target. A test without a second group is not in the result.
+    document: the identification with its procedure. Readings at the tool are held out by line, circle, plate or
+    socket, records of components by run or target. A test without a second group is not in the result.
     """
-    chain, how = compile_chain(machine), document["procedure"]
-    lasers = {n: Laser(**beam) for n, beam in how["lasers"].items()}
-    every, counts = readings.of_tests(chain, tests, lasers, how["squares"])
-    model = identify.Parametrisation.of(chain, how["modes"], tuple(how["without"]))
+    chain, procedure = compile_chain(machine), document["procedure"]
+    lasers = {n: Laser(**beam) for n, beam in procedure["lasers"].items()}
+    all_readings, counts = readings.of_tests(chain, tests, lasers, procedure["squares"])
+    model = identify.Parametrisation.of(chain, procedure["modes"], tuple(procedure["without"]))
     out: dict[str, Any] = {}
     start = 0
     for name, count in counts.items():
-        own = np.arange(start, start + count)
+        rows_of_test = np.arange(start, start + count)
         start += count
-        number, labels = held_out.groups(chain, every.take(own))
-        group = np.full(len(every), -1)
-        group[own] = number
-        left = held_out.judge(model, every, group, labels, progress)
-        if left:
-            out[name] = _at_the_tool(chain, every, left)
+        number, labels = held_out.groups(chain, all_readings.take(rows_of_test))
+        group = np.full(len(all_readings), -1)
+        group[rows_of_test] = number
+        held = held_out.judge(model, all_readings, group, labels, progress)
+        if held:
+            out[name] = _at_the_tool(chain, all_readings, held)
     for name, recording in tests.items():
         if name not in counts:
-            family = _family(machine, how, recording)
-            found = _of_components(chain, family, recording, progress)
-            out |= {name: found} if found else {}
+            family = _family(machine, procedure, recording)
+            figures = _of_components(chain, family, recording, progress)
+            out |= {name: figures} if figures else {}
     return out
 
 
@@ -58,13 +58,13 @@ def _at_the_tool(chain: Chain, every: Any, left: list[held_out.Left]) -> dict[st
     """Figures of readings at the tool, um."""
     rows = np.concatenate([one.rows for one in left])
     share = held_out.shares(chain, every.take(rows))
-    both = {k: np.concatenate([getattr(one, k) for one in left]) for k in ("before", "after")}
+    values = {k: np.concatenate([getattr(one, k) for one in left]) for k in ("before", "after")}
     axes = {}
     for a, axis in enumerate(remaining.linear_axes(chain)):
         if share[:, a].sum() > 1e-9:
-            axes[axis] = {f"rms_{k}": float(np.sqrt(share[:, a] @ v**2 / share[:, a].sum())) for k, v in both.items()}
+            axes[axis] = {f"rms_{k}": float(np.sqrt(share[:, a] @ v**2 / share[:, a].sum())) for k, v in values.items()}
     groups = [{"label": one.label, "rows": len(one.rows)} | _rms(one.before, one.after) for one in left]
-    return {"groups": groups, "axes": axes} | _rms(**both)
+    return {"groups": groups, "axes": axes} | _rms(**values)
 
 
 def _rms(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
@@ -80,25 +80,25 @@ def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> D
 def _of_components(chain: Chain, family: Direct, recording: Recording, progress: Any) -> dict[str, Any]:
     """Figures of records of single components: each counts with its mean square arm in the volume, um."""
     _, folds = family.folds(recording, None)
-    found: dict[str, list[HeldOut]] = {}
+    by_component: dict[str, list[HeldOut]] = {}
     groups = []
     for number, fold in enumerate(folds):
         progress(number / len(folds), f"without {fold.label}")
         judged_now = family.judge(recording, fold)
         for component, one in judged_now.items():
-            found.setdefault(component, []).append(one)
+            by_component.setdefault(component, []).append(one)
         if judged_now:
             groups.append({"label": fold.label, "rows": int(sum(one.rows.size for one in judged_now.values()))})
-    if not found:
+    if not by_component:
         return {}
     q = remaining.places(chain)
-    ways = np.linalg.pinv(remaining.linear_motion(chain, q))
-    arms = np.mean((ways @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
+    to_axes = np.linalg.pinv(remaining.linear_motion(chain, q))
+    arms = np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
     axes: dict[str, dict[str, float]] = {}
     total = {"rms_before": 0.0, "rms_after": 0.0}
     for a, axis in enumerate(remaining.linear_axes(chain)):
         square = {"rms_before": 0.0, "rms_after": 0.0}
-        for component, parts in found.items():
+        for component, parts in by_component.items():
             weight = float(arms[a, chain.index(component)])
             for key, values in (("rms_before", [p.before for p in parts]), ("rms_after", [p.after for p in parts])):
                 square[key] += weight * float(np.mean(np.concatenate(values) ** 2))
@@ -121,20 +121,20 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
             "export: nothing has judged this identification on measurements that sat out (add a `validate` stage "
             "after it, or say `ungated: true` to export it all the same)"
         )
-    told = document["volumetric"]
-    kept = {n: a for n, a in told["axes"].items() if a["effect_rms_um"] > document["noise_um"]}
+    volumetric = document["volumetric"]
+    kept = {n: a for n, a in volumetric["axes"].items() if a["effect_rms_um"] > document["noise_um"]}
     wrong = [] if kept else ["no axis has an identified error above the noise of a reading"]
-    for name, figures in ({"the machine": told} | kept).items():
+    for name, figures in ({"the machine": volumetric} | kept).items():
         wrong += [] if figures["probability_worse"] <= MOST_HARM else [_harmful(name, figures)]
     for test, figures in (item for validation in validations for item in validation.items()):
         parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}
-        wrong += [_not_better(name, part) for name, part in parts.items() if _worse(part)]
+        wrong += [_not_better(name, part) for name, part in parts.items() if _not_improved(part)]
     if wrong:
         raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}")
     return tuple(kept)
 
 
-def _worse(figures: Mapping[str, float]) -> bool:
+def _not_improved(figures: Mapping[str, float]) -> bool:
     return not figures["rms_after"] < (1.0 - TIE) * figures["rms_before"]
 
 

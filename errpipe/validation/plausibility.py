@@ -20,13 +20,13 @@ from errpipe.validation.plausibility_finding import FEWEST, Finding, responses
 
 def findings(recording: Recording) -> list[Finding]:
     """Everything implausible about a recording, refusals first; at most one finding per code and column."""
-    found: list[Finding] = []
+    results: list[Finding] = []
     for response in responses(recording):
         if response.deviation.size >= FEWEST:
-            found += filter(None, (check(response) for check in implausible_deviations.CHECKS))
+            results += filter(None, (check(response) for check in implausible_deviations.CHECKS))
     for check in implausible_columns.CHECKS:
-        found += check(recording)
-    return sorted(found, key=lambda f: (f.level != "refuse", f.column, f.code))
+        results += check(recording)
+    return sorted(results, key=lambda f: (f.level != "refuse", f.column, f.code))
 
 
 def refuse(found: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a plausibility check sees (a response with its axis) and what it says (a finding)."""
+"""What a plausibility check takes (a response with its axis) and returns (a finding)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FEWEST = 6  # finite rows; fewer say nothing about a slope
 
 @dataclass(frozen=True)
 class Finding:
-    """One implausible declaration. code: its name, for `allow`; meant: what was probably meant."""
+    """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: what was probably meant."""
 
     code: str
     column: str
@@ -65,7 +65,7 @@ Check = Callable[[Response], Finding | None]
 
 def responses(recording: Recording) -> list[Response]:
     """Every error column of a recording that has rows."""
-    found = []
+    out = []
     for name in recording.names("error"):
         component = components.parse(str(recording.manifest.columns[name].component))
         d = recording.array(name)
@@ -73,7 +73,7 @@ def responses(recording: Recording) -> list[Response]:
         side = _own(recording, ("direction",), component.axis)
         good = np.isfinite(d) if place is None else np.isfinite(d) & np.isfinite(recording.array(place))
         rows = np.flatnonzero(good)
-        found.append(
+        out.append(
             Response(
                 recording,
                 name,
@@ -85,7 +85,7 @@ def responses(recording: Recording) -> list[Response]:
                 recording.run_codes()[rows],
             )
         )
-    return found
+    return out
 
 
 def _own(recording: Recording, roles: Sequence[str], axis: str | None) -> str | None:

@@ -1,9 +1,9 @@
-"""Champion against challenger on runs that neither has seen, looked at as often as one likes.
+"""Champion against challenger on runs that neither was fitted on; the test may be repeated after every run.
 
 Every new run is scored once, by a model fitted on the runs before it (forward chaining), beside the champion and doing
 nothing. The evidence is an e-process (Ville 1939; Waudby-Smith and Ramdas 2024, betting): each run multiplies a stake
 by 1 + bet * score, where the score lies between -1 and 1 and has a mean of at most zero while the challenger is no
-better. However often it is looked at, the probability that the evidence ever reaches 1 / alpha is then at most alpha.
+better. However often it is evaluated, the probability that the evidence ever reaches 1 / alpha is then at most alpha.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def score_new_runs(
         if not (train & seen).any():  # nothing before them: these runs fit the first model and are not scored
             train = train | test
             continue
-        for component, left in family.judge(recording, Fold("new runs", train, test)).items():
-            out += _scores(recording, component, left, champion[component], keys)
+        for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
+            out += _scores(recording, component, judged, champion[component], keys)
         train = train | test
     return out
 
@@ -117,12 +117,12 @@ def _scores(
     residual = champion_residual(recording, component, left, prediction)
     out = []
     for code in dict.fromkeys(run[left.rows].tolist()):
-        mine = run[left.rows] == code
-        first = int(left.rows[mine][0])
+        of_run = run[left.rows] == code
+        first = int(left.rows[of_run][0])
         groups = {name: str(recording.frame[name].iloc[first]) for name in recording.names("group")}
-        nothing, champion, challenger = (float(np.mean(v[mine] ** 2)) for v in (left.before, residual, left.after))
+        nothing, champion, challenger = (float(np.mean(v[of_run] ** 2)) for v in (left.before, residual, left.after))
         out.append(
-            RunScore(keys[code], labels[code], component, groups, nothing, champion, challenger, int(mine.sum()))
+            RunScore(keys[code], labels[code], component, groups, nothing, champion, challenger, int(of_run.sum()))
         )
     return out
 
@@ -141,12 +141,12 @@ def champion_residual(recording: Recording, component: str, left: HeldOut, predi
     if np.allclose(left.before, measured_rows, rtol=0, atol=1e-9):
         return out
     for code in np.unique(run):
-        mine = run == code
-        shift = measured_rows[mine] - left.before[mine]
+        of_run = run == code
+        shift = measured_rows[of_run] - left.before[of_run]
         constant = float(np.ptp(shift)) < 1e-6
-        from_start = constant and np.isclose(shift[0], np.mean(measured_rows[mine][:FIRST_READINGS]))
-        zero = np.mean(out[mine][:FIRST_READINGS]) if from_start else np.mean(out[mine])
-        out[mine] -= zero
+        from_start = constant and np.isclose(shift[0], np.mean(measured_rows[of_run][:FIRST_READINGS]))
+        zero = np.mean(out[of_run][:FIRST_READINGS]) if from_start else np.mean(out[of_run])
+        out[of_run] -= zero
     return out
 
 
@@ -171,12 +171,12 @@ def decide(scores: Sequence[RunScore], others: Sequence[Gate] = (), *, alpha: fl
     needed = 1.0 / alpha
     value = e_value(per_run(scores))
     runs = len({s.key for s in scores})
-    enough = Gate(
+    evidence = Gate(
         "evidence",
         value >= needed,
         f"e-value {value:.3g} over {runs} new run{'' if runs == 1 else 's'}, {needed:.3g} needed (alpha {alpha:g})",
     )
-    gates = (enough, *_no_group_worse(scores), *others)
+    gates = (evidence, *_no_group_worse(scores), *others)
     return Decision(all(g.passed for g in gates), value, needed, gates)
 
 

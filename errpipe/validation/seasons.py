@@ -1,4 +1,4 @@
-"""The table that a thermal model answers to: each season left out whole, beside doing nothing and its own season.
+"""Leave-one-season-out table of a thermal model, beside doing nothing and the error within the season.
 
     uncompensated   rms of the deviation since the start of the run
     in_season       rms with only the judged run left out: other runs of its season took part
@@ -29,7 +29,7 @@ from errpipe.models import Family
 from errpipe.validation.champion import Fitter
 
 VERSION = 1
-RANDOM_FOLDS = 5
+RANDOM_FOLDS = 5  # folds of random rows, for the optimism gap
 POOLED = ("uncompensated", "out_of_season")
 
 
@@ -49,9 +49,9 @@ def table(
     folds = holdout.groups(recording, scheme)
     y = since_start_of(recording, component)
     runs = holdout.groups(recording, "leave-one-run-out") if in_season else []
-    own = _left_out(recording, component, fit, runs, y)[0] if runs else None
+    in_season_residual = _left_out(recording, component, fit, runs, y)[0] if runs else None
     residual, covered, half = _left_out(recording, component, fit, folds, y)
-    rows = [_row(f, y, residual, covered, half, own) for f in folds]
+    rows = [_row(f, y, residual, covered, half, in_season_residual) for f in folds]
     gap = optimism(recording, component, fit, y, residual) if in_season else None
     chosen = holdout.parse(scheme) if isinstance(scheme, str) else scheme
     return {
@@ -72,10 +72,10 @@ def by_month(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         return []
     out = []
     for month in dict.fromkeys(r["left_out"][:7] for r in rows):
-        own = [r for r in rows if r["left_out"].startswith(month)]
-        size = sum(r["rows"] for r in own)
-        pooled = {k: float(np.sqrt(sum(r["rows"] * r[k] ** 2 for r in own) / size)) for k in POOLED}
-        out.append({"month": month, "days": len(own), "rows": size, **pooled})
+        days = [r for r in rows if r["left_out"].startswith(month)]
+        size = sum(r["rows"] for r in days)
+        pooled = {k: float(np.sqrt(sum(r["rows"] * r[k] ** 2 for r in days) / size)) for k in POOLED}
+        out.append({"month": month, "days": len(days), "rows": size, **pooled})
     return out
 
 
@@ -98,11 +98,11 @@ def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: 
         holdout.check(fold)
         model = fit(recording, component, fold.train)
         if hasattr(model, "predict"):
-            told = model.predict(recording)
-            value = told.predicted
-            inside = (y >= told.lower) & (y <= told.upper)
+            prediction = model.predict(recording)
+            value = prediction.predicted
+            inside = (y >= prediction.lower) & (y <= prediction.upper)
             covered[fold.test] = inside[fold.test]
-            half[fold.test] = 0.5 * (told.upper - told.lower)[fold.test]
+            half[fold.test] = 0.5 * (prediction.upper - prediction.lower)[fold.test]
         else:
             value = model.values(recording)
         residual[fold.test] = (y - value)[fold.test]
@@ -113,22 +113,22 @@ def _row(fold: Fold, y, residual, covered, half, own) -> dict[str, Any]:
     judged = fold.test & np.isfinite(residual)
     if not judged.any():
         raise DataError(f"seasons: no row of {fold.label} can be judged")
-    left, told = residual[judged], covered[judged]
-    out = rms(left)
-    within = rms(own[judged & np.isfinite(own)]) if own is not None else None
+    judged_residual, inside = residual[judged], covered[judged]
+    out = rms(judged_residual)
+    in_season = rms(own[judged & np.isfinite(own)]) if own is not None else None
     return {
         "left_out": fold.label,
         "rows": int(np.count_nonzero(judged)),
         "rows_fitted": int(np.count_nonzero(fold.train)),
         "uncompensated": rms(y[judged]),
-        "in_season": within,
+        "in_season": in_season,
         "out_of_season": out,
-        "ratio": out / within if within else None,
-        "bias": float(np.mean(left)),
-        "scatter": float(np.std(left)),
-        "worst": float(np.abs(left).max()),
-        "coverage": float(np.nanmean(told)) if np.isfinite(told).any() else None,
-        "half_width": float(np.nanmean(half[judged])) if np.isfinite(told).any() else None,
+        "ratio": out / in_season if in_season else None,
+        "bias": float(np.mean(judged_residual)),
+        "scatter": float(np.std(judged_residual)),
+        "worst": float(np.abs(judged_residual).max()),
+        "coverage": float(np.nanmean(inside)) if np.isfinite(inside).any() else None,
+        "half_width": float(np.nanmean(half[judged])) if np.isfinite(inside).any() else None,
     }
 
 
@@ -151,8 +151,8 @@ def text(document: dict[str, Any]) -> str:
         cells = [row["left_out"], *(row[n] for n in names[1:])]
         lines.append("  ".join(f"{_cell(c):>13}" for c in cells))
     for month in document.get("months", ()):
-        told = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f} um over {month['days']} days"
-        lines.append(f"{month['month']}  {told}")
+        figures = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f} um over {month['days']} days"
+        lines.append(f"{month['month']}  {figures}")
     gap = document["optimism"]
     if gap:
         promised, kept = gap["random_rows"], gap["groups_left_out"]

@@ -1,7 +1,7 @@
 """Whether a correction is better than none by more than chance: a paired test over runs, never over rows.
 
 Rows of one run share their thermal state and their noise, so they are one observation, not hundreds. Two paired tests
-over runs are asked, and the smaller p counts twice (Bonferroni): Student's t of the difference of the mean squares, and
+over runs are made, and the smaller p is doubled (Bonferroni): Student's t of the difference of the mean squares, and
 of the logarithm of their ratio, which is the more powerful one where few runs agree.
 """
 
@@ -18,7 +18,7 @@ from errpipe.fitting.judging import HeldOut
 # Largest p of an exported correction. Chosen on: random offsets by run, 3,000 draws for each of 3 to 20 runs, of which
 # the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
 LEVEL = 0.02
-QUIET = 0.1  # of the rms over all runs: runs that are quieter than that have no vote in the ratio
+QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it hardly count there
 FEWEST = 2  # runs; one alone says nothing about the next
 
 
@@ -38,7 +38,7 @@ def independent_runs(recording: Recording, folds: Sequence[HeldOut]) -> int:
 
 
 def _one_sided(gained: np.ndarray) -> float:
-    """p of a mean above zero, by Student's t."""
+    """One-sided p-value of a mean above zero, by Student's t."""
     spread = float(gained.std(ddof=1))
     mean = float(gained.mean())
     if spread <= 1e-12 * max(abs(mean), 1e-300):

@@ -1,4 +1,4 @@
-"""Models told apart by the value of a key, each imported and built when it is first asked for.
+"""Models discriminated by the value of a key, each imported and built when it is first asked for.
 
     TERMS: Choice[type[Term]] = Choice.of_files("errpipe.terms", "term", ("backlash", "offset"))
     class Spec(BaseModel):

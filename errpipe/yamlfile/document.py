@@ -44,26 +44,26 @@ class Document:
         return Problem(self.file, line, column, dotted(place), message)
 
     def raise_problems(self) -> None:
-        """Raises ConfigError where anything was found so far."""
+        """Raises ConfigError where there is any problem so far."""
         if self.problems:
             raise ConfigError(list(dict.fromkeys(self.problems)))
 
     def validate(self, model: type[T] | Any, context: Mapping[str, Any] | None = None) -> T:
         """The value as an instance of a pydantic model. Raises ConfigError with every problem of the file."""
-        found = self.check(model, context)
+        validated = self.check(model, context)
         self.raise_problems()
-        return found  # type: ignore[return-value]
+        return validated  # type: ignore[return-value]
 
     def check(self, model: type[T] | Any, context: Mapping[str, Any] | None = None) -> T | None:
-        """Like `validate`, but what is found is only added to `problems`; None where anything was."""
+        """Like `validate`, but problems are only collected in `problems`; None where there are any."""
         # JSON in strict mode is exactly what is wanted: lists become tuples and texts become paths,
         # but '5' is no number, 1 is no text and 'no' is not false.
         value, wrong = convert_quantities(model, self.value)
         self.problems.extend(self.problem(place, message) for place, message in wrong)
         places = {place for place, _ in wrong}
         try:
-            found = TypeAdapter(model).validate_json(json.dumps(value), strict=True, context=dict(context or {}))
-            return None if wrong else found
+            validated = TypeAdapter(model).validate_json(json.dumps(value), strict=True, context=dict(context or {}))
+            return None if wrong else validated
         except ValidationError as err:
             explained = explain(self.problem, value, model, err.errors(include_url=False))
             reported = {(problem.line, problem.column) for problem in self.problems if problem.line}

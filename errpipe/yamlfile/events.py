@@ -16,7 +16,7 @@ from errpipe.yamlfile.places import Place, Spot, dotted
 
 # Far above what anyone writes by hand and far below what hurts.
 MAX_DEPTH = 40
-MAX_NODES = 200_000  # aliases followed, so a dozen lines cannot stand for a billion
+MAX_NODES = 200_000  # aliases followed, so that a few lines cannot expand to billions of nodes
 MAX_TEXT = 100_000  # characters of one scalar
 
 _NULL = re.compile(r"(?:null|Null|NULL|~|)\Z")
@@ -146,7 +146,7 @@ class Builder:
         return items
 
     def _mapping(self, place: Place, depth: int) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        mapping: dict[str, Any] = {}
         for key in self._events:
             kind = type(key).__name__
             if kind == "MappingEndEvent":
@@ -154,14 +154,14 @@ class Builder:
             if kind != "ScalarEvent":
                 self._stop(key, place, "a key is a list, a mapping or an alias (a text is needed)")
             name = key.value
-            if name in found:
+            if name in mapping:
                 first = (self.spots[(*place, name)].key or (0, 0))[0]
                 self._note(key.start_mark, (*place, name), f"stands twice in one mapping (first in line {first})")
                 self._value(next(self._events), (*place, f"{name} again"), key, depth + 1)
             else:
-                found[name] = None  # so that its own place is known while its value is read
-                found[name] = self._value(next(self._events), (*place, name), key, depth + 1)
-        return found
+                mapping[name] = None  # so that its own place is known while its value is read
+                mapping[name] = self._value(next(self._events), (*place, name), key, depth + 1)
+        return mapping
 
     def _scalar(self, event: Any, place: Place) -> Any:
         text = event.value
@@ -176,7 +176,7 @@ class Builder:
             return ""
         value = text if event.style else plain(text)
         if isinstance(value, str) and self.environment is not None and "$" in value:
-            return _VARIABLE.sub(lambda found: self._variable(found, event, place), value)
+            return _VARIABLE.sub(lambda match: self._variable(match, event, place), value)
         return value
 
     def _variable(self, found: re.Match[str], event: Any, place: Place) -> str:

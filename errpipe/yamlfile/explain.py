@@ -61,7 +61,7 @@ def explain(
     """Place and problem for each place that pydantic complains about. `problem` makes one from place and message."""
     needed: dict[Place, list[str]] = {}
     choices: dict[Place, list[str]] = {}
-    found: list[tuple[Place, Problem]] = []
+    problems: list[tuple[Place, Problem]] = []
     for error in errors:
         trail = _Trail(model, data, error["loc"])
         kind = error["type"]
@@ -72,13 +72,13 @@ def explain(
             choices.setdefault(trail.place, []).extend(map(str, words))
         elif not _only_looks_short(kind, error, _at(data, trail.place)):
             place, message, at = _words(kind, error, trail, _at(data, trail.place))
-            found.append((place, problem(place, message, at=at)))
+            problems.append((place, problem(place, message, at=at)))
     for place in dict.fromkeys([*needed, *choices]):
         # a union of a number and a mapping: where a mapping was written, only the mapping's own faults matter
-        if not any(other[: len(place)] == place for other, _ in found):
+        if not any(other[: len(place)] == place for other, _ in problems):
             kinds, allowed = (list(dict.fromkeys(part.get(place, []))) for part in (needed, choices))
-            found.append((place, problem(place, _wrong_kind(_at(data, place), kinds, allowed))))
-    return list(dict.fromkeys(found))
+            problems.append((place, problem(place, _wrong_kind(_at(data, place), kinds, allowed))))
+    return list(dict.fromkeys(problems))
 
 
 def _only_looks_short(kind: str, error: Mapping[str, Any], value: Any) -> bool:
@@ -123,7 +123,7 @@ def _rest(kind: str, error: Mapping[str, Any], place: Place, value: Any) -> tupl
 
 
 def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> str:
-    """What to say where a value is of the wrong kind, or none of the choices, or both."""
+    """Message for a value of the wrong type, or none of the choices, or both."""
     if not wanted:
         return f"found {_short(value)}{_allowed(choices, value)}{_near(value, choices)}"
     wanted = [*wanted, f"one of {', '.join(choices)}"] if choices else wanted
@@ -143,7 +143,7 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
 
 
 def _allowed(words: Iterable[Any], found: Any = "") -> str:
-    """' (allowed: a, b, c).'; of a long list only what is nearest to what was found."""
+    """' (allowed: a, b, c).'; of a long list only the nearest ones."""
     names = list(map(str, words))
     if len(names) > MAX_CHOICES_LISTED:
         near = difflib.get_close_matches(str(found), names, n=5, cutoff=0.3) or names[:5]

@@ -63,10 +63,10 @@ def convert(text: str, unit: str) -> float:
     # K measures a difference where the field is in K; a point where the field is in degC.
     tables = [table for name, table in _UNITS.items() if unit in table and not (unit == "K" and name == "temperature")]
     allowed = list(tables[0]) if tables else [unit]
-    found = _QUANTITY.match(text)
-    if found is None:
+    match = _QUANTITY.match(text)
+    if match is None:
         raise ValueError(f"found {text!r} (a number or a number with its unit, such as '1 {unit}', is needed)")
-    number, written = Fraction(found[1]), found[2]
+    number, written = Fraction(match[1]), match[2]
     if written != unit and written not in allowed:
         raise ValueError(f"found unit {written!r} (allowed: {', '.join(allowed)}).{did_you_mean(written, allowed)}")
     if written != unit:
@@ -123,8 +123,8 @@ def convert_quantities(model: Any, data: Any, place: Place = ()) -> tuple[Any, l
     if isinstance(data, list):
         new = []
         for number, value in enumerate(data):
-            found, problems = convert_quantities(entry_of(inside, number), value, (*place, number))
-            new.append(found)
+            converted, problems = convert_quantities(entry_of(inside, number), value, (*place, number))
+            new.append(converted)
             wrong += problems
         return new, wrong
     return data, wrong

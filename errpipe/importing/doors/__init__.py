@@ -44,7 +44,7 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
     for door in DOORS:
         if door.sniff(path, head):
             if getattr(door, "binary", False):
-                _tried(door, path, options)
+                _check_in_child_process(door, path, options)
             sheets = door.read(path, options)
             if not any(sheet.rows for sheet in sheets):
                 raise DataError(f"{path}: no rows ({door.name})")
@@ -53,17 +53,17 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
 
 
-def _tried(door: ModuleType, path: Path, options: DoorOptions) -> None:
+def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) -> None:
     """Read a file in a process of its own, bounded in memory and time, before this one does. Raises DataError."""
     if not hasattr(os, "fork") or sys.platform == "darwin":  # no fork, or none that is safe: read unbounded
         return
-    answers, said = os.pipe()
+    answers, pipe_end = os.pipe()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
         os.close(answers)
-        _read_and_say(door, path, options, said)
-    os.close(said)
+        _read_and_report(door, path, options, pipe_end)
+    os.close(pipe_end)
     with os.fdopen(answers, "rb") as stream:
         text = stream.read(1 << 16).decode(errors="replace")
     _, status = os.waitpid(child, 0)
@@ -76,12 +76,12 @@ def _tried(door: ModuleType, path: Path, options: DoorOptions) -> None:
         raise DataError(f"{path}: takes more than {MOST_MEMORY >> 30} GB of memory or {MOST_SECONDS} s to read")
 
 
-def _read_and_say(door: ModuleType, path: Path, options: DoorOptions, said: int) -> None:
+def _read_and_report(door: ModuleType, path: Path, options: DoorOptions, said: int) -> None:
     import resource
 
     code = 1
     try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a library that runs out of memory says so in its own words
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # suppresses a library's own message when memory runs out
         used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGESIZE")
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         for which, most in ((resource.RLIMIT_AS, used + MOST_MEMORY), (resource.RLIMIT_CPU, MOST_SECONDS)):

@@ -33,16 +33,16 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             near = did_you_mean(options.sheet, names)
             raise UsageError(f"{path}: no sheet {options.sheet!r} (sheets: {', '.join(names)}).{near}")
         chosen = [options.sheet] if options.sheet is not None else names
-        found = []
+        sheets = []
         for each in chosen:
             sheet = book.get_sheet_by_name(each)
             affordable(sheet.total_height * sheet.total_width, f"{path}: {each}")
-            found.append(Sheet(each, [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]))
+            sheets.append(Sheet(each, [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]))
     except (UsageError, DataError, MemoryError):
         raise
     except Exception as err:  # calamine raises many kinds, none of them ours
         raise DataError(f"{path}: not a workbook that can be read ({type(err).__name__})") from None
-    return [sheet.limited() for sheet in found if len(sheet.rows) > 1]
+    return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
 
 
 def _cell(value: Any) -> Cell:

@@ -14,7 +14,7 @@ from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 name = "LinuxCNC halsampler"
 suffixes = (".log", ".sampler", ".txt")
 _LINE = re.compile(rb"\s*([+-]?[0-9.]+([eE][+-]?\d+)?[ \t]+)+[+-]?[0-9.]+([eE][+-]?\d+)?\s*")
-FEWEST_SAMPLES = 500  # fewer rows that nothing says are samples (counter, overrun, --period) are a table, not a log
+FEWEST_SAMPLES = 500  # with fewer rows, and no counter, overrun or --period, a file is a table, not a log
 PERIOD = 0.001  # s: the servo period of most LinuxCNC machines
 
 
@@ -54,12 +54,12 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         names = names if len(names) == width else ["t [s]", *names]
     elif len(rows) < FEWEST_SAMPLES and not overruns and options.period is None:
         header = names if len(names) == width else [f"column {i}" for i in range(1, width + 1)]
-        says = (
+        note = (
             []
             if len(names) == width
             else [f"the file names no columns: --names says them, {width}, such as target,error"]
         )
-        return [Sheet(path.stem, [[*row] for row in rows], header, says).limited()]
+        return [Sheet(path.stem, [[*row] for row in rows], header, note).limited()]
     else:
         rows = [[period * i, *r] for i, r in enumerate(rows)]
         names, width = ["t [s]", *names], width + 1

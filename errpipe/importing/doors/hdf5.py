@@ -31,12 +31,12 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         import h5py
     except ImportError:
         raise UsageError(f"{path}: reading HDF5 needs h5py: pip install 'errpipe[hdf]'") from None
-    found: list[tuple[str, Any, str]] = []
+    datasets: list[tuple[str, Any, str]] = []
 
     def visit(key: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.size and len(found) < MOST_SETS:
+        if isinstance(item, h5py.Dataset) and item.size and len(datasets) < MOST_SETS:
             its_own(path, key, item)
-            found.append((key, item[()], _unit(item)))
+            datasets.append((key, item[()], _unit(item)))
 
     try:
         with h5py.File(path, "r") as file:
@@ -45,7 +45,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
         raise DataError(f"{path}: not an HDF5 file that can be read ({type(err).__name__})") from None
-    return [s.limited() for s in sheets_of(found, path.stem) if options.sheet in (None, s.name)]
+    return [s.limited() for s in sheets_of(datasets, path.stem) if options.sheet in (None, s.name)]
 
 
 def its_own(path: Path, key: str, item: Any) -> None:

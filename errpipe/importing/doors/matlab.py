@@ -24,7 +24,7 @@ def sniff(path: Path, head: bytes) -> bool:
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """Variables, and the fields of structures, of one length are the columns of a sheet. Raises DataError."""
     if path.read_bytes()[:20].startswith(b"MATLAB 7.3"):
-        found = _newer(path)
+        arrays = _newer(path)
     else:
         from scipy.io import loadmat
 
@@ -34,11 +34,11 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             raise
         except Exception as err:  # scipy raises ValueError, TypeError, zlib.error, ... for damaged files
             raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
-        found = [part for key, value in file.items() if not key.startswith("__") for part in _parts(key, value)]
-    affordable(sum(array.size for _, _, array in found), path)
+        arrays = [part for key, value in file.items() if not key.startswith("__") for part in _parts(key, value)]
+    affordable(sum(array.size for _, _, array in arrays), path)
     groups: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
     sheets = []
-    for group, key, array in found:
+    for group, key, array in arrays:
         if array.ndim == 1 and array.size > 1:
             groups.setdefault((group, array.size), []).append((key, array))
         elif array.ndim == 2 and array.shape[1] <= 64:
@@ -66,13 +66,13 @@ def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
         import h5py
     except ImportError:
         raise DataError(f"{path}: MATLAB 7.3 needs h5py: pip install 'errpipe[hdf]', or save it with -v7") from None
-    found: list[tuple[str, str, np.ndarray]] = []
+    arrays: list[tuple[str, str, np.ndarray]] = []
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and not key.startswith("#refs#"):
             its_own(path, key, item)
             group, _, leaf = key.rpartition("/")
-            found.append((group, leaf, np.squeeze(item[()]).T))
+            arrays.append((group, leaf, np.squeeze(item[()]).T))
 
     try:
         with h5py.File(path, "r") as file:
@@ -81,4 +81,4 @@ def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError for damaged files
         raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
-    return found
+    return arrays
