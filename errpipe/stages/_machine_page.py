@@ -50,7 +50,7 @@ def solve(stage: Any, context: Context) -> Solved:
     missed = readings.unfollowed(chain, seen, identified.residual)
     document = summary.document(identified, seen, missed=missed)
     document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
-    document["unfollowed_largest"] = readings.unfollowed(chain, seen, found.residual, largest=True)
+    document["unfollowed_largest"] = readings.unfollowed(chain, seen, identified.residual, largest=True)
     if single:
         each = zip(seen.label, seen.noise, strict=True)
         noise = {str(tag).split(" ")[-1]: float(size * identified.noise) for tag, size in each}
