@@ -63,7 +63,7 @@ def test_a_cloud_passes_and_its_figures_are_of_readings_that_sat_out(cloud):
 
 @pytest.mark.parametrize("seed, passes", [(4, True), (1, False)])
 def test_a_part_passes_only_where_its_features_that_sat_out_agree(seed, passes):
-    """Of 20 machines 4 pass (`trials.volumetric`): one of them, truly better, and one that is refused."""
+    """Of 20 machines 5 pass (`trials.volumetric`): one of them, truly better, and one that is refused."""
     chain, recording = measured("part", seed)
     document = identified(chain, recording)
     judged = gate.judged(MACHINE, document, {"test": recording})
