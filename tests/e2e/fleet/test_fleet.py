@@ -135,15 +135,17 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
 
 
 @pytest.mark.slow
-def test_200_machines_on_a_dask_cluster_with_a_worker_killed(tmp_path: Path, capsys: Any) -> None:
+def test_machines_on_a_dask_cluster_with_a_worker_killed(tmp_path: Path, capsys: Any) -> None:
+    """30 machines; FLEET_MACHINES=200 in the environment takes as many (about 10 minutes on two cores)."""
     distributed = pytest.importorskip("distributed")
-    file = site(tmp_path / "site", 200, days=4)
+    number = int(os.environ.get("FLEET_MACHINES", "30"))
+    file = site(tmp_path / "site", number, days=4)
     code, local = run(file, tmp_path / "a", capsys, "--jobs", "2")
-    assert code == 4 and [r["state"] for r in local["machines"]].count("done") == 199
+    assert code == 4 and [r["state"] for r in local["machines"]].count("done") == number - 1
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
 
         def kill_one() -> None:
-            while len(list((tmp_path / "b/machines").glob("*/errpipe.lock"))) < 20:
+            while len(list((tmp_path / "b/machines").glob("*/errpipe.lock"))) < 5:
                 time.sleep(0.2)
             os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
 
