@@ -70,7 +70,7 @@ def test_the_figures_are_what_the_command_prints(command, figures, tmp_path):
         pytest.skip("the real recordings (ERRPIPE_REAL_DATA) are not here")
     words = shlex.split(command.replace("REAL/", f"{REAL}/"))
     words[:1] = {"errpipe": [sys.executable, "-m", "errpipe"], "python": [sys.executable]}[words[0]]
-    if "run" in words:
+    if words[3:4] == ["run"]:
         words += ["--out", str(tmp_path)]
     env = {**os.environ, "ERRPIPE_REAL_DATA": str(REAL)}
     ran = subprocess.run(words, cwd=TOP, env=env, capture_output=True, text=True, check=False)
