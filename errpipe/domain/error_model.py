@@ -11,6 +11,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from errpipe.domain.recording import Frozen
+from errpipe.errors import DataError
 
 
 class FittedParameter(Frozen):
@@ -35,8 +36,19 @@ class FittedTerm(Frozen):
     parameters: tuple[FittedParameter, ...] = Field(description="Its parameters.")
 
     def values(self) -> dict[str, float]:
-        """Parameter name -> value."""
-        return {p.name: p.value for p in self.parameters}
+        """Parameter name -> value; asking for one that the model does not hold raises DataError."""
+        return _Values(self.term.get("term", "?"), {p.name: p.value for p in self.parameters})
+
+
+class _Values(dict[str, float]):
+    """Values of the parameters of one term."""
+
+    def __init__(self, term: str, values: dict[str, float]) -> None:
+        super().__init__(values)
+        self.term = term
+
+    def __missing__(self, name: str) -> float:
+        raise DataError(f"term {self.term}: the model has no parameter {name} (it has: {', '.join(self) or 'none'})")
 
 
 class DatumReadings(Frozen):
