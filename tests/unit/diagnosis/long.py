@@ -6,7 +6,6 @@ python -m tests.unit.diagnosis.long SHAPE        one line of JSON
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from tests.peak_memory import peak_kb
 
 from .machines import recording
 
@@ -120,7 +120,7 @@ def main(shape: str) -> None:
     start, cpu = perf_counter(), process_time()
     found, _ = diagnose(made)
     took = {"seconds": round(perf_counter() - start, 2), "cpu_seconds": round(process_time() - cpu, 2)}
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_kb() / 1024
     first = [r.findings[0].effect if r.findings else "" for r in found.responses]
     print(json.dumps({**took, "peak_mb": round(peak), "columns": len(made.frame.columns), "named": first}))
 

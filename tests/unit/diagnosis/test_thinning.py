@@ -161,8 +161,9 @@ def test_lost_motion_of_a_long_log_is_named() -> None:
 
 
 MILLION = """
-import json, resource, sys, time
+import json, sys, time
 import numpy as np
+from tests.peak_memory import peak_kb
 from tests.unit.diagnosis.test_thinning import log
 from errpipe.diagnosis import diagnose
 made = log(1_000_000, lambda c: 0.6 * np.sin(2 * np.pi * c["x"] / 0.9) - 0.03 * c["v"])
@@ -170,7 +171,7 @@ start = time.process_time()
 found, _ = diagnose(made)
 print(json.dumps({
     "cpu": time.process_time() - start,
-    "mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "mb": peak_kb() / 1024,
     "columns": len(made.frame.columns),
     "named": [f.effect for f in found.responses[0].findings],
     "period": [p.value for f in found.responses[0].findings for p in f.parameters if p.name == "period"],

@@ -353,11 +353,12 @@ with open(out / "recording.csv", "w") as f:
         f.write(line.replace("{t}", str(k)))
 """
 CONVERT = """
-import resource, sys
+import sys
 from pathlib import Path
 from errpipe.formats import manifest_folder
+from tests.peak_memory import peak_kb
 manifest_folder.to_parquet(Path(sys.argv[1]), Path(sys.argv[2]))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+print(peak_kb() // 1024)
 """
 
 
