@@ -28,7 +28,7 @@ def test_every_row_has_a_command_and_a_figure():
     ]
     assert len(rows) == len(COMMANDS) >= 24
     assert all(len(row.strip("|").split(" | ")) == 3 and row.strip("| ").split(" | ")[2].strip() for row in rows)
-    assert len(FIGURES) >= 14
+    assert len(FIGURES) >= 13  # slow figures that an end-to-end test judges already are not bold
 
 
 @pytest.mark.parametrize("command", COMMANDS)
