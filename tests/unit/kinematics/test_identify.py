@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import protocols_played as played
 import pytest
@@ -13,7 +15,7 @@ from errpipe.formats.manifest_folder import read
 from errpipe.kinematics import identify, protocols, synthesis
 from errpipe.simulation import folder, metrology
 
-SEEDS = 200
+SEEDS = int(os.environ.get("IDENTIFY_SEEDS", "50"))  # 200: about 6 minutes on two cores
 PLAYED = [*played.THREE_AXES, *played.FIVE_AXES]
 LOCATED = ("X", "Y", "Z")
 
@@ -69,10 +71,10 @@ def score(build, seeds) -> tuple[float, float, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("build", PLAYED, ids=lambda b: b.__name__)
 def test_intervals_cover_and_the_residual_is_the_propagated_noise(build):
-    """200 machines with smooth random errors that are not in the fitted basis, each with its own set-up errors."""
+    """Machines with smooth random errors that are not in the fitted basis, each with its own set-up errors."""
     inside, constants, ratio = score(build, range(SEEDS))
-    assert 0.92 <= inside <= 0.98
-    assert 0.92 <= constants <= 0.98
+    assert 0.90 <= inside <= 0.99
+    assert 0.90 <= constants <= 0.99
     assert ratio < 1.2
 
 
