@@ -145,8 +145,8 @@ def verify(data: bytes, signature: str, key: PublicKey, shown: str) -> str:
 def sign_file(path: Path, key: SecretKey, trusted_comment: str) -> Path:
     """Write the signature beside a file."""
     data = files.read(path, MAX_SIGNED_BYTES, UsageError)
-    jsonfile.write_text(beside(path), key.sign(data, trusted_comment))
-    return beside(path)
+    jsonfile.write_text(signature_path(path), key.sign(data, trusted_comment))
+    return signature_path(path)
 
 
 def verify_file(path: Path, key: PublicKey) -> str:
@@ -155,14 +155,14 @@ def verify_file(path: Path, key: PublicKey) -> str:
     return verify(data, signature_of(path), key, str(path))
 
 
-def beside(path: Path) -> Path:
+def signature_path(path: Path) -> Path:
     """Where the signature of a file stands."""
     return path.with_name(path.name + SUFFIX)
 
 
 def signature_of(path: Path, signature: Path | None = None) -> str:
     """The text of a file's signature (default: the one beside it). Raises VerifyError where there is none."""
-    place = signature or beside(Path(path))
+    place = signature or signature_path(Path(path))
     if not place.exists():
         raise VerifyError(f"{path}: is not signed (no {place.name} beside it)")
     return _text(place)

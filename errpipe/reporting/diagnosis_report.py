@@ -161,7 +161,7 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
         axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.FLOOR, label="recorded less simulated")
         for name, colour in trace.colours().items():
             values = trace.contributions[name]
-            axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=_carries(name, values, r.unit))
+            axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=_finding_label(name, values, r.unit))
         axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8)
         axes[1].plot(x[rows], trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
         axes[1].sharey(axes[0])
@@ -178,7 +178,7 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
         return svg.to_svg(canvas, f"Mismatch of {r.component} against time, with what each finding carries")
 
 
-def _carries(name: str, values: np.ndarray, unit: str) -> str:
+def _finding_label(name: str, values: np.ndarray, unit: str) -> str:
     """A finding's name and the rms of what it contributes."""
     text = UNNAMED if name == "unknown" else name.replace("_", " ")
     return f"{text}, {float(np.std(values)):.3g} {unit} rms"
@@ -212,7 +212,7 @@ def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
         every = np.atleast_1d(axes).ravel()
         for a, (f, name) in zip(every, drawn, strict=False):
             x, fitted = trace.inputs[name][rows], trace.contributions[f.effect][rows]
-            text = _carries(f.effect, trace.contributions[f.effect], r.unit)
+            text = _finding_label(f.effect, trace.contributions[f.effect], r.unit)
             a.plot(x, trace.after[rows] + fitted, ".", ms=2.5, color=svg.FLOOR, label="recorded, the others removed")
             a.plot(x, fitted, ".", ms=2.0, color=colours[f.effect], label=text)
             a.set_xlabel(trace.label(name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import DatumReadings, ErrorModel
@@ -104,24 +105,12 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
         return TableInput(
             name=name, kind=kind, axis=facts.get("axis", ""), low=-1.0, high=1.0, default=0.0, optional=True
         )
-    default = min(max(sum(seen) / 2 if seen else 0.0, low), high)
+    extra: dict[str, Any] = {"default": min(max(sum(seen) / 2 if seen else 0.0, low), high)}
     if kind == "force":  # missing: no force, so no force correction, and everything else goes on
-        return TableInput(
-            name=name,
-            kind=kind,
-            axis=facts.get("axis") or "",
-            unit=facts.get("unit") or "",
-            low=low,
-            high=high,
-            stale_after_s=stale,
-            hold_s=0.0,
-            default=0.0,
-            fade_on_default=False,
-        )
-    box = {}
-    if seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
+        extra = {"default": 0.0, "hold_s": 0.0, "fade_on_default": False}
+    elif seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
-        box = {"valid": seen, "margin": margin}
+        extra |= {"valid": seen, "margin": margin}
     return TableInput(
         name=name,
         kind=kind,
@@ -130,8 +119,7 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
         low=low,
         high=high,
         stale_after_s=stale,
-        default=default,
-        **box,
+        **extra,
     )
 
 

@@ -51,7 +51,7 @@ class SignOptions(Options):
         from errpipe.registry import minisign, signed
         from errpipe.stages.signing import sign
 
-        key, signature_file = minisign.read_public(self.public_key), minisign.beside(path)
+        key, signature_file = minisign.read_public(self.public_key), minisign.signature_path(path)
         secret = os.environ.get(KEY_VARIABLE)
         if self.signature is not None:
             jsonfile.write_text(signature_file, minisign.signature_of(path, self.signature))

@@ -356,7 +356,7 @@ def _repacked(data: bytes, rng: random.Random) -> bytes:
     return out.getvalue()
 
 
-def beside(folder: Path) -> dict[str, int]:
+def modification_times(folder: Path) -> dict[str, int]:
     """What lies beside the folder and in it, files with the time of their last change: no attempt may touch it."""
     rows = [row for top in (folder.parent, folder) for row in os.scandir(top) if not row.name.startswith(WRITTEN)]
     return {row.path: row.stat().st_mtime_ns if row.is_file() else 0 for row in rows}
@@ -381,9 +381,9 @@ def attack(folder: Path, end: float, rng: random.Random) -> tuple[list[Door], li
         line = rng.choice(door.lines) if door.lines else ["unpack"]
         inside = _unpack if door.file.suffix == ".fmu" else _described
         work = partial(main, line) if door.lines else partial(inside, door, folder)
-        before = beside(folder)
+        before = modification_times(folder)
         code, said = forked(work, folder.parent)
-        touched = {path for path, _ in before.items() ^ beside(folder).items()}
+        touched = {path for path, _ in before.items() ^ modification_times(folder).items()}
         found += [f"{door.name}: {' '.join(line[:1])} touched {path}" for path in sorted(touched)]
         door.file.write_bytes(door.sound)
         door.tried += 1

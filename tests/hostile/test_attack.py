@@ -41,12 +41,12 @@ def test_what_is_planted_is_found(tmp_path: Path) -> None:
 def test_a_file_that_is_touched_beside_is_found(tmp_path: Path) -> None:
     (tmp_path / "doors").mkdir()
     (tmp_path / "precious.txt").write_text("precious")
-    before = attack.beside(tmp_path / "doors")
+    before = attack.modification_times(tmp_path / "doors")
     (tmp_path / "said.txt").write_text("said")
     (tmp_path / "doors" / "o.ngc").write_text("G0 X0")
-    assert attack.beside(tmp_path / "doors") == before
+    assert attack.modification_times(tmp_path / "doors") == before
     (tmp_path / "doors" / "x").mkdir()
-    assert attack.beside(tmp_path / "doors") != before
+    assert attack.modification_times(tmp_path / "doors") != before
     (tmp_path / "doors" / "x").rmdir()
     (tmp_path / "precious.txt").unlink()
-    assert attack.beside(tmp_path / "doors") != before
+    assert attack.modification_times(tmp_path / "doors") != before
