@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -19,26 +20,23 @@ PIPELINE = "pipeline.yaml"
 class Template:
     """sample: function of `simulation.sample_recordings` that makes the recording; None: the pipeline simulates it.
 
-    own: the pipeline for a recording of the user's, where it is another one.
+    own: the pipeline for a recording of the user's, where it is another one. The targets stand in the pipeline.
     """
 
     about: str
     sample: str | None
-    targets: tuple[str, ...] = ()
     machine: str | None = None
     own: str | None = None
 
 
 TEMPLATES = {
-    "laser-iso230": Template(
-        "one axis by laser after ISO 230-2", "laser", ("sinumerik_lec", "linuxcnc_screw", "heidenhain_com")
-    ),
-    "dial-gauge": Template("a hobby machine's axis by dial gauge", "dial_gauge", ("linuxcnc_screw",)),
+    "laser-iso230": Template("one axis by laser after ISO 230-2", "laser"),
+    "dial-gauge": Template("a hobby machine's axis by dial gauge", "dial_gauge"),
     "diagnose-log": Template("a log of the control, diagnosed", "axis_log"),
-    "spindle-drift": Template("spindle drift over seasons", None, ("c_runtime",), own="spindle-drift-own"),
-    "gantry": Template("a gantry's Z reference, warming up", "gantry", ("linuxcnc_hal",)),
-    "drilled-plate": Template("a planar map from drilled plates", "drilled_plate", ("linuxcnc_hal",)),
-    "five-axis": Template("a five-axis machine, identified", None, (), "five-axis.machine.yaml"),
+    "spindle-drift": Template("spindle drift over seasons", None, own="spindle-drift-own"),
+    "gantry": Template("a gantry's Z reference, warming up", "gantry"),
+    "drilled-plate": Template("a planar map from drilled plates", "drilled_plate"),
+    "five-axis": Template("a five-axis machine, identified", None, "five-axis.machine.yaml"),
 }
 
 
@@ -82,9 +80,7 @@ def _texts(
     from errpipe.stages import STAGES
 
     texts = {
-        PIPELINE: _filled(
-            _data(f"{(template.own if recording else None) or name}.txt"), template, folder, recording, targets
-        ),
+        PIPELINE: _filled(_data(f"{(template.own if recording else None) or name}.txt"), folder, recording, targets),
         "Makefile": _data("Makefile.txt"),
         ".gitignore": _data("gitignore.txt"),
         ".github/workflows/errpipe.yml": _data("workflow.txt"),
@@ -101,11 +97,10 @@ def _data(file: str) -> str:
     return (resources.files("errpipe.stages") / "templates" / file).read_text(encoding="utf-8")
 
 
-def _filled(text: str, template: Template, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
+def _filled(text: str, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@."""
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}"
-    words["TARGETS"] = f"[{', '.join(targets or template.targets)}]"
     backlash = True
     if recording is not None:
         facts = _facts(Path(recording))
@@ -114,6 +109,8 @@ def _filled(text: str, template: Template, folder: Path, recording: Path | None,
         words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)
+    if targets:
+        text = re.sub(r"(?m)^(\s*targets: ).*", rf"\g<1>[{', '.join(targets)}]", text)
     kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
     return "\n".join([*kept, ""])
 

@@ -182,7 +182,7 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
                 rms_before=figures["rms_before"],
                 rms_after=figures["rms_after"],
                 noise_floor=figures["noise_floor"],
-                terms=[_term(t) for t in component.terms if _is_informative(t)],
+                terms=_terms(component),
                 table=[_group(g) for g in figures["groups"]],
                 scheme=validation["scheme"],
                 notes=_notes(component, figures),
@@ -216,19 +216,19 @@ def _columns(recording: Any, model: Any, index: Any) -> dict[str, Any]:
     return {f"{n} in {columns[n].unit}": recording.array(n)[index] for n in numbers}
 
 
-def _term(fitted: Any) -> dict[str, Any]:
+def _terms(component: Any) -> list[dict[str, Any]]:
+    """What each term of a component says, for those that have something to say."""
     from errpipe.fitting.components import term_of
 
-    term = term_of(fitted)
+    terms = [(term_of(fitted), fitted) for fitted in component.terms]
+    return [_term(term, fitted) for term, fitted in terms if term.has_message(fitted.values())]
+
+
+def _term(term: Any, fitted: Any) -> dict[str, Any]:
     equation = re.search(r"Equation\s+(.*)", type(term).__doc__ or "")
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
     formula = equation[1].strip() if equation else ""
     return {"says": term.says(fitted.values()), "equation": formula, "parameters": parameters}
-
-
-def _is_informative(fitted: Any) -> bool:
-    """Whether a term's parameters say something; a map's curves have a gain of 1 each and a table of their own."""
-    return not (fitted.term["term"] == "profile_driver" and [p.value for p in fitted.parameters] == [1.0])
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -198,6 +198,10 @@ class Term(Frozen, ABC):
         """A worked case of its own; None: the first of its bindings (see `terms.example_of`)."""
         return None
 
+    def has_message(self, parameters: Mapping[str, float]) -> bool:
+        """Whether the parameters tell a reader something that the table of curves does not."""
+        return True
+
     def says(self, parameters: Mapping[str, float]) -> str:
         """One plain sentence for a person, with numbers and units."""
         parts = [f"{p.name} = {parameters[p.name]:.4g} {p.unit}" for p in (*self.linear(), *self.free())]

@@ -140,6 +140,10 @@ class ProfileDriver(Term):
             return size
         return self.profile.basis(position(recording, self.axis), self.rotary) * size
 
+    def has_message(self, parameters: Mapping[str, float]) -> bool:
+        """Not where a curve is taken as it is, with a gain of 1: the table of curves shows it."""
+        return list(parameters.values()) != [1.0]
+
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         driver = self._driver(self.nonlinear_values(parameters))
         gains = np.array([parameters[p.name] for p in self.linear()])

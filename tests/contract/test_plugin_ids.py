@@ -58,7 +58,11 @@ KINDS = (
             "squareness": {
                 "domain/components.py": "kind of an ISO 230-1 component",
                 "kinematics": "kind of a machine parameter",
+                "validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)",
             },
+            "scale_error": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
+            "backlash": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
+            "servo_mismatch": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "offset": {
                 "kinematics": "kind of a machine parameter",
                 "ncprogram": "shift of a program's coordinates",
@@ -71,18 +75,10 @@ KINDS = (
                 "fitting/recalibration.py": "name of a line's height",
             },
         },
-        pending={
-            "validation/iso230_4.py": "names the causes that a circular test shows",
-            "stages/report.py": "draws one kind of term by its own figure",
-        },
+        pending={},
     ),
     Kind("formats", "FORMATS", {}, {}),
-    Kind(
-        "targets",
-        "TARGETS",
-        {},
-        {"stages/init.py": "the targets that a new project starts with; they should say so themselves"},
-    ),
+    Kind("targets", "TARGETS", {}, {}),
     Kind("cleaning", "RULES", {}, {}),
     # stages are not listed: their kinds (fit, clean, report) are everyday words; they are linked by artefact types
 )
