@@ -5,7 +5,8 @@ python examples/cutting-force/table_1.py
 The reductions come from the printed diameters. The cuts are simulated from the printed speeds, feeds and depths; length
 and stiffness of workpiece and machine and the specific force are not in the paper. The lathe is that of `lathe.py`, the
 specific radial force is chosen so that Type I shows its printed 33.0 um without compensation; nothing else is chosen.
-The cutting parameters of Type III are not printed legibly, so it is not turned. No public recording of cutting force
+The cutting parameters of Type III are not printed: it is turned at the feed of Type II and that constant depth at which it
+shows its printed 27.9 um, so only its last column says something. No public recording of cutting force
 against part size was found: this is a simulation until someone brings one.
 """
 
@@ -42,6 +43,7 @@ PRINTED = {  # mm, of D1, D2, D3: without compensation, then tests 1 to 3
 }
 TEXT = {"I": 85, "II": 78, "III": 67}
 CUTS = {"I": (750.0, 190.5, (1.27, 1.27, 1.27)), "II": (750.0, 127.0, (1.524, 0.889, 0.254))}  # rpm, mm/min, depth mm
+ASSUMED = "III"
 PLACES = np.array([170.0, 120.0, 70.0])  # mm from the chuck: D1, D2, D3 (assumed)
 NOISE = 0.02  # of the force reading
 
@@ -59,8 +61,15 @@ def reduction(kind: str) -> float:
 
 def forces(kind: str, specific: float) -> np.ndarray:
     """Radial force at D1 to D3: specific force x depth x feed per turn, N."""
-    speed, feed, depths = CUTS[kind]
+    speed, feed, depths = CUTS[kind] if kind in CUTS else assumed_cut()
     return specific * np.array(depths) * feed / speed
+
+
+def assumed_cut() -> tuple[float, float, tuple[float, ...]]:
+    """Speed and feed of Type II; the depth that takes Type I's spread to the printed one of Type III."""
+    (_, feed_1, depths), (speed, feed, _) = CUTS["I"], CUTS["II"]
+    depth = depths[0] * feed_1 / feed * spread(PRINTED[ASSUMED][0]) / spread(PRINTED["I"][0])
+    return speed, feed, (depth, depth, depth)
 
 
 def specific_force() -> float:
@@ -101,11 +110,12 @@ def main() -> None:
     specific = specific_force()
     print(f"\nsimulated, specific radial force {specific:.0f} N/mm2 (from Type I); spread of D1 to D3, um")
     print("type  force, N  printed without  simulated without  simulated with")
-    for kind in CUTS:
+    for kind in PRINTED:
         before, after = turned(kind, table, specific)
         force = forces(kind, specific)
-        told = f"{force.min():.0f}..{force.max():.0f}"
-        print(f"{kind:4}  {told}  {spread(PRINTED[kind][0]):.1f}  {np.ptp(before):.1f}  {np.ptp(after):.1f}")
+        span = f"{force.min():.0f}..{force.max():.0f}"
+        print(f"{kind:4}  {span}  {spread(PRINTED[kind][0]):.1f}  {np.ptp(before):.1f}  {np.ptp(after):.1f}")
+    print(f"{ASSUMED}: cut assumed, {assumed_cut()[2][0]:.2f} mm deep at the feed of Type II; the paper prints none")
 
 
 if __name__ == "__main__":

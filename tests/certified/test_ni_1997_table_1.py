@@ -75,7 +75,7 @@ def test_the_compliance_is_that_of_a_truth_without_beam_elements(paper, out):
 def test_cuts_on_the_simulated_lathe_come_out_straight(paper, out):
     table = ect.read(out / "export" / "table.ect")
     specific = paper.specific_force()
-    for kind in paper.CUTS:
+    for kind in paper.PRINTED:
         before, after = paper.turned(kind, table, specific)
         assert np.ptp(before) > 20 and np.abs(after).max() < 0.1 * np.abs(before).max()
 
