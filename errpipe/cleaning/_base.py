@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class Rule(Options, ABC):
     """Base of the cleaning rules. A subclass sets `rule: Literal[name]` and finds its actions."""
 
     rule: str
+    splits_runs: ClassVar[bool] = False  # whether it may give rows another run label
 
     @abstractmethod
     def find(self, recording: Recording) -> list[Action]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ class Gaps(Rule):
     """
 
     rule: Literal["gaps"] = "gaps"
+    splits_runs: ClassVar[bool] = True
     hold: float = Field(
         300.0, ge=0, json_schema_extra={"unit": "s"}, description="A sensor's hole up to this long is held."
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -202,6 +202,21 @@ def write(recording: Recording, folder: Path) -> int:
     starts = range(0, len(recording), CHUNK_ROWS)
     chunks = (Recording(recording.manifest, recording.frame.iloc[s : s + CHUNK_ROWS]) for s in starts)
     return _write(recording.manifest, chunks, Path(folder))
+
+
+def write_pieces(pieces: Iterator[Recording], written: Manifest, settled: Callable[[], Manifest], folder: Path) -> int:
+    """Write a recording folder piece by piece. Returns the rows.
+
+    written: the manifest of every piece; settled: gives that of the folder when all pieces are written, a column in
+    the role `ignore` where it turned out not to be needed.
+    """
+    chunks = (
+        Recording(p.manifest, p.frame.iloc[s : s + CHUNK_ROWS]) for p in pieces for s in range(0, len(p), CHUNK_ROWS)
+    )
+    rows = _write(written, chunks, folder)
+    kept = settled().model_copy(update={"tables": (TABLE,)})
+    jsonfile.write_text(folder / MANIFEST, manifest_text(kept))
+    return rows
 
 
 def to_parquet(path: Path, out: Path) -> int:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.cleaning import DEFAULT, RULES, Rule
+from errpipe.cleaning import DEFAULT, RULES, CleaningReport, Rule
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 
@@ -22,6 +23,13 @@ class Clean(Stage):
 
     kind: Literal["clean"]
     rules: tuple[AnyRule, ...] = Field(DEFAULT, description="Rules in their order; default: the usual ones.")
+    rows_in_memory: int = Field(
+        1_000_000,
+        ge=1000,
+        description="A longer recording, of which no run is longer, is cleaned some whole runs at a time: the shares "
+        "that rules may remove are then those of these rows.",
+        json_schema_extra={"unit": "1"},
+    )
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
     gives: ClassVar[tuple[str, ...]] = ("recording", "cleaning")
 
@@ -32,9 +40,32 @@ class Clean(Stage):
         from errpipe.cleaning import clean
         from errpipe.formats import manifest_folder
 
-        recording = _artefacts.recording_in(context.needed("recording"))
+        folder = context.needed("recording")
         context.progress(0.2, "cleaning")
-        cleaned, report = clean(recording, self.rules)
-        manifest_folder.write(cleaned, context.folder)
+        if self._in_pieces(folder):
+            report = self._piece_by_piece(folder, context.folder)
+        else:
+            cleaned, report = clean(_artefacts.recording_in(folder), self.rules)
+            manifest_folder.write(cleaned, context.folder)
         context.write_json("cleaning.json", {**report.plain(), "inputs": context.fingerprint})
         return {"rows": report.rows_after, "removed": report.rows_before - report.rows_after}
+
+    def _in_pieces(self, folder: Path) -> bool:
+        from errpipe.cleaning import pieces
+        from errpipe.formats import manifest_folder
+
+        if manifest_folder.rows_written(folder) <= self.rows_in_memory:
+            return False
+        run = manifest_folder.load_manifest(folder).names("run")
+        longest = pieces.longest_run(manifest_folder.iter_batches(folder, run)) if run else None
+        return longest is not None and longest <= self.rows_in_memory
+
+    def _piece_by_piece(self, folder: Path, out: Path) -> CleaningReport:
+        from errpipe.cleaning import pieces
+        from errpipe.formats import manifest_folder
+
+        manifest = manifest_folder.canonical(manifest_folder.load_manifest(folder))
+        cleaning = pieces.Cleaning(self.rules, manifest)
+        runs = pieces.whole_runs(manifest_folder.iter_batches(folder), self.rows_in_memory // 2)
+        manifest_folder.write_pieces(cleaning.pieces(runs), cleaning.written(), cleaning.manifest, out)
+        return cleaning.report()

@@ -5,9 +5,9 @@ python examples/cutting-force/table_1.py
 The reductions come from the printed diameters. The cuts are simulated from the printed speeds, feeds and depths; length
 and stiffness of workpiece and machine and the specific force are not in the paper. The lathe is that of `lathe.py`, the
 specific radial force is chosen so that Type I shows its printed 33.0 um without compensation; nothing else is chosen.
-The cutting parameters of Type III are not printed: it is turned at the feed of Type II and that constant depth at which it
-shows its printed 27.9 um, so only its last column says something. No public recording of cutting force
-against part size was found: this is a simulation until someone brings one.
+The cutting parameters of Type III are not printed: it is turned at the feed of Type II and that constant depth at which
+it shows its printed 27.9 um, so only its last column says something. No public recording of cutting force against part
+size was found: this is a simulation until someone brings one.
 """
 
 from __future__ import annotations
