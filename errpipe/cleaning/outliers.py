@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, stretches
+from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_runs, stretches
 from errpipe.domain.recording import Recording
 
 SIDE = 4  # readings on either side: the median of 8 shrugs off 3 other outliers
@@ -76,8 +76,8 @@ def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: floa
     values, run, t: shape (rows,). step: display step of the values; the scatter is at least half of it.
     """
     found = []
-    for code in np.unique(run):
-        rows = np.flatnonzero((run == code) & np.isfinite(values))
+    for run_rows in rows_of_runs(run):
+        rows = run_rows[np.isfinite(values[run_rows])]
         if rows.size >= FEWEST:
             found.append(rows[_in_run(values[rows], _parts(t[rows]), threshold, step)])
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
@@ -138,9 +138,12 @@ def _median(windows: np.ndarray) -> np.ndarray:
 
 def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
     """Robust standard deviation of the residuals: the run's, or a rough stretch's own where that is larger."""
-    whole = NORMAL * np.median(np.abs(residual))
-    starts = range(0, max(residual.size - BLOCK // 2, 1), BLOCK)
-    blocks = [NORMAL * np.median(np.abs(residual[i : i + BLOCK])) for i in starts]
+    size = np.abs(residual)
+    whole = NORMAL * np.median(size)
+    whole_blocks = size.size // BLOCK * BLOCK
+    blocks = NORMAL * np.median(size[:whole_blocks].reshape(-1, BLOCK), axis=1)
+    if not blocks.size or size.size - whole_blocks > BLOCK // 2:
+        blocks = np.r_[blocks, NORMAL * np.median(size[whole_blocks:])]
     local = np.repeat(blocks, BLOCK)
     local = np.r_[local, np.full(max(residual.size - local.size, 0), local[-1])][: residual.size]
     return np.maximum(np.maximum(whole, local), max(step / 2, 1e-12))

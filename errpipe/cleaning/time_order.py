@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from errpipe.cleaning._base import Action, Rule
+from errpipe.cleaning._base import Action, Rule, rows_of_runs
 from errpipe.domain.recording import Recording
 
 
@@ -35,8 +35,8 @@ class TimeOrder(Rule):
         t, run = recording.array(time), recording.run_codes()
         without = np.flatnonzero(np.isnan(t))
         back = []
-        for code in np.unique(run):
-            rows = np.flatnonzero((run == code) & ~np.isnan(t))
+        for run_rows in rows_of_runs(run):
+            rows = run_rows[~np.isnan(t[run_rows])]
             if np.any(np.diff(t[rows]) < 0):
                 back.append(rows[~_longest_rise(t[rows])])
         earlier = np.sort(np.concatenate(back)) if back else without[:0]
