@@ -65,6 +65,7 @@ def faults(first: int = 0) -> np.ndarray:
     return whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_reference(number, capsys):
     """Then the other table: this one is taken off first (`off`), and the other comes in from 0, as both runs show."""

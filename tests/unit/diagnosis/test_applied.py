@@ -83,6 +83,7 @@ def test_the_terms_are_those_of_a_fit_stage(done) -> None:
     assert not any(t.free() for t in spec.components[0].terms)  # every parameter is stated
 
 
+@pytest.mark.slow
 @pytest.mark.toolchain
 @pytest.mark.skipif(shutil.which("cc") is None or not importlib.util.find_spec("fmpy"), reason="needs cc and FMPy")
 def test_the_fmu_says_the_same_as_the_python_patch(tmp_path: Path) -> None:

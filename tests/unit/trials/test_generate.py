@@ -22,6 +22,7 @@ def drawn(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes(tmp_path):
     for name in ("one", "other"):
         generate(tmp_path / name, seed=3, cases=8)
@@ -31,6 +32,7 @@ def test_same_seed_same_bytes(tmp_path):
     assert len(one) == 8 * 3 + 1
 
 
+@pytest.mark.slow
 def test_another_seed_draws_other_cases(drawn, tmp_path):
     ids = generate(tmp_path / "other", seed=4, cases=3, tiers=["plain"])
     assert not {p.name for p in (drawn / "cases").iterdir()} & set(ids)

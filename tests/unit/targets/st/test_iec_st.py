@@ -107,6 +107,7 @@ def test_a_damaged_file_is_never_loaded(block):
         assert block.load(bytes(broken))[0] != 0
 
 
+@pytest.mark.slow
 @needs_gcc
 @pytest.mark.toolchain
 def test_it_refuses_what_the_other_readers_refuse_and_runs_the_rest_within_its_arrays(tmp_path):
@@ -350,6 +351,7 @@ def test_the_library_project_lists_every_type_and_block_and_its_version(tmp_path
     assert f'version="{iec_st.LIBRARY_VERSION}"' in files["ect.plcopen.xml"]
 
 
+@pytest.mark.slow
 def test_the_example_and_the_calls_of_nc_tables_parse():
     parse = pytest.importorskip("blark.parse").parse_source_code
     example = iec_st.IecSt.write(ten_um_too_long())["example_twincat.st"]
