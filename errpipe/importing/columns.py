@@ -10,38 +10,8 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
+from errpipe.importing.words import CORRECTION, DOWN, UP, WORDS, plain
 
-CORRECTION = r"\b(corrections?|korrektur(en|wert|werte)?|corr)\b"  # minus the deviation
-
-# What headers are called -> what they hold; English and German. The first pattern that fits wins.
-WORDS: tuple[tuple[str, str], ...] = (
-    (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
-    (r"(zeit|time|datum|date|stamp|uhr)", "time"),
-    (r"^(t|ts|sec|sek)$", "time"),
-    (r"(temp|^t[_ .]|[_ ]t$|tmp|thermo|^pt100|nut_t|°c|degc)", "temperature"),
-    (r"(dir(ection)?|richtung|approach|anfahr|sense|sinn)\b", "direction"),
-    (r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass|serie|trial)\b", "run"),
-    (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc)", "counts"),
-    (r"(torque|drehmoment|moment)", "torque"),
-    (r"(current|strom|\biq\b|\bi_q\b|ampere)", "current"),
-    (r"(force|kraft)", "force"),
-    (r"(spindle ?speed|drehzahl|rpm|s_act)", "spindle_speed"),
-    (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
-    (r"(press|druck|baro)", "pressure"),
-    (r"(humid|feucht)", "humidity"),
-    (r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw)", "error"),
-    (CORRECTION, "error"),
-    (r"(straightness|geradheit)", "error"),
-    (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
-    (r"(accel|beschl)", "acceleration"),
-    (r"(target|soll|nominal|nennwert|command|\bcmd|_cmd|setpoint|demand|sollwert|ref(erence)?\b)", "command"),
-    (
-        r"(actual|\bist\b|istwert|measured|_meas\b|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|_fb|\bact\b|_act\b|encoder"
-        r"|laser|dial|indicator|uhr)",
-        "actual",
-    ),
-    (r"(position|\bpos|^[xyzabcuvw]\d?$|^[xyz]$|weg|^[xyz] ?(axis|achse|-achse))", "position"),
-)
 KIND_OF_UNIT = {
     "degC": "temperature",
     "degF": "temperature",
@@ -63,15 +33,6 @@ KIND_OF_UNIT = {
 _AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE)
 _AXIS_ABOVE = re.compile(
     r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
-)
-# Words of a cell or header -> from which side a target was approached; umlauts are transcribed before the comparison.
-UP = re.compile(
-    r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
-    r"|increasing|steigend|below|unten|aller"
-)
-DOWN = re.compile(
-    r"-1?|↓|←|<+|d|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
-    r"|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben"
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
@@ -99,7 +60,7 @@ class ColumnGuess:
 
 def guess(column: RawColumn) -> ColumnGuess:
     """What a column probably is. A column that fits nothing is `ignore`."""
-    text = column.header.lower()
+    text = plain(column.header)
     axis = axis_in(column.header)
     for pattern, kind in WORDS:
         if re.search(pattern, text):
@@ -125,6 +86,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
     if kind == "direction" and _side(column) is None:
         return "ignore", "called a direction, but its values are no two signs"
+    if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
+        return "ignore", "called a compensation, but of two values: it says whether one is on"
     if kind not in ("time", "run", "direction") and not column.numeric:
         return "ignore", "its values are no numbers"
     if kind in ("position", "command", "actual") and unit == "counts":
@@ -136,8 +99,12 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
 
 def _too_large_for_a_deviation(column: RawColumn) -> bool:
     """Whether values in um span more than any deviation does: positions that were logged in um."""
-    known = column.values[np.isfinite(column.values)]
+    known = _known(column)
     return column.unit == "um" and known.size > 0 and float(np.ptp(known)) > FARTHEST_UM
+
+
+def _known(column: RawColumn) -> np.ndarray:
+    return column.values[np.isfinite(column.values)]
 
 
 def axis_in(text: str) -> str | None:
@@ -167,7 +134,7 @@ def other_component(text: str, moved: str) -> str | None:
         (r"\b(pitch|nick\w*)\b", "pitch"),
         (r"\b(yaw|gier\w*)\b", "yaw"),
     ):
-        if re.search(pattern, word.replace("_", " ")):
+        if re.search(pattern, word):
             about = ANGLES.get(moved[0], {}).get(name)
             if about is None:
                 raise DataError(f"column {text!r}: about which axis? Say it with --component, such as EBZ")
@@ -184,17 +151,9 @@ def axis_above(lines: list[str]) -> str | None:
     return None
 
 
-def plain(text: object) -> str:
-    """A text in small letters without umlauts and the Unicode minus."""
-    word = str(text).strip().lower()
-    for letter, written in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("−", "-"), ("–", "-")):
-        word = word.replace(letter, written)
-    return word
-
-
 def side(text: object) -> float | None:
     """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
-    word = plain(text).removesuffix(".0").rstrip(".:")
+    word = re.sub(r"^([+-])ve$", r"\1", plain(text).removesuffix(".0").rstrip(".:"))
     words = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
     word = words[0] if len(words) == 1 else word
     return 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None

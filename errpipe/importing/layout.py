@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, number
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
+MOST_REMARKS = 50
+SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
@@ -56,7 +59,9 @@ UNITS = {
     ),
     **dict.fromkeys(("kg",), "kg"),
 }
+_NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _BRACKET = re.compile(r"\s*[\[(]\s*([^\[\]()]{1,14})\s*[\])]\s*")
+_WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
@@ -83,6 +88,7 @@ class Layout:
     columns: list[RawColumn]
     above: list[str]
     notes: list[str] = field(default_factory=list)
+    below: list[str] = field(default_factory=list)  # lines of text among and below the rows
 
     def column(self, header: str) -> RawColumn | None:
         """The column of a header, or None."""
@@ -114,47 +120,122 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
 
     stated: names of the columns of a file without a header, by a person.
     """
-    rows = sheet.rows
+    rows, unit_in_cells = _without_units([row for row in sheet.rows if _filled(row)])
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
         return _layout(sheet, [*sheet.header], [], rows, comma, [], notes)
     numbers = [[number(c, comma) for c in row] for row in rows]
-    start = _first_data_row(sheet, numbers)
+    start = _first_data_row(sheet.name, rows, numbers)
     head_rows = _header_rows(rows, numbers, start)
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
+    above += [f"Axis: {sheet.name}"] if re.fullmatch(r"[XYZABCUVW]\d?", sheet.name) else []
     if not used and stated:
         names = [*stated, *names[len(stated) :]]
     elif not used:
         notes.append("the file has no header: columns are numbered")
-    return _layout(sheet, names, units, rows[start:], comma, [a for a in above if a], notes)
+    units = [u or unit_in_cells.get(i) for i, u in enumerate(units)]
+    remarks = [
+        i for i, row in enumerate(rows[start:], start) if _filled(row) and not any(v is not None for v in numbers[i])
+    ]
+    below = [" ".join(map(str, _filled(rows[i]))) for i in remarks[:MOST_REMARKS]]
+    if used:
+        names, rows = _blocks(names, rows, numbers, start, notes)
+    else:
+        rows = rows[start:]
+    laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
+    laid.below = below
+    return laid
 
 
-def _first_data_row(sheet: Sheet, numbers: list[list[float | None]]) -> int:
+def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, str]]:
+    """The rows without units behind their numbers (`12,5 µm`), and the unit of each column that had one."""
+    found: dict[int, Counter[str]] = {}
+    for row in rows[:SAMPLE_ROWS]:
+        for i, cell in enumerate(row):
+            if isinstance(cell, str) and (match := _NUMBER_AND_UNIT.fullmatch(cell)) and unit_of(match.group(2)):
+                found.setdefault(i, Counter())[match.group(2)] += 1
+    written = {i: c.most_common(1)[0][0] for i, c in found.items() if len(c) == 1 and c.total() > 2}
+    if not written:
+        return rows, {}
+
+    def bare(i: int, cell: Cell) -> Cell:
+        match = _NUMBER_AND_UNIT.fullmatch(cell) if i in written and isinstance(cell, str) else None
+        return match.group(1) if match and match.group(2) == written[i] else cell
+
+    units = {i: unit for i, text in written.items() if (unit := unit_of(text)) is not None}
+    return [[bare(i, cell) for i, cell in enumerate(row)] for row in rows], units
+
+
+def _blocks(
+    names: list[str], rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Names and rows up to the header of a second table; blocks below the same header are runs, one after another."""
+    starts = [r for r in range(start + 1, len(rows) - 1) if _starts_table(rows[r], numbers[r], numbers[r + 1 : r + 3])]
+    again = [r for r in starts if _filled(rows[r]) == _filled(rows[start - 1])]
+    other = next((r for r in starts if r not in again and r - 1 not in again), None)
+    if other is not None and not any(r > other for r in again):
+        text = " ".join(map(str, _filled(rows[other])))[:60]
+        notes.append(f"a second table below ({text!r}) was left out with its {len(rows) - other - 1} rows")
+        rows = rows[:other]
+    if not again or any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
+        return names, [row for r, row in enumerate(rows[start:], start) if r not in again]
+    notes.append(f"the header stands {len(again) + 1} times: the rows below it are a run each time")
+    titles = [" ".join(map(label, _filled(rows[r - 1]))) if r else "" for r in (start - 1, *again)]
+    titled = len(set(titles)) == len(titles)
+    block, numbered = 0, []
+    for r, row in enumerate(rows[start:], start):
+        block += r in again
+        if r not in again:
+            numbered.append([*row, *[None] * (len(names) - len(row)), titles[block] if titled else float(block + 1)])
+    return [*names, "run"], numbered
+
+
+def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:
+    """Whether a row is words alone, at least two, with numbers in the rows below."""
+    words = [c for c in row if isinstance(c, str) and c]
+    plain = len(words) >= 2 and not any(v is not None for v in numbers)
+    return plain and any(sum(v is not None for v in row) >= 2 for row in below)
+
+
+def _filled(row: list[Cell]) -> list[Cell]:
+    return [c for c in row if c not in (None, "")]
+
+
+def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float | None]]) -> int:
     """The first row of a run of rows of the usual width that hold numbers."""
-    filled = [sum(c not in (None, "") for c in row) for row in sheet.rows]
+    filled = [len(_filled(row)) for row in rows]
     counts = [sum(v is not None for v in row) for row in numbers]
     widths = Counter(n for n, c in zip(filled, counts, strict=True) if c >= 2 or (c and n <= 2))
     if not widths:
-        raise DataError(f"{sheet.name}: no row with two numbers (a table of measurements is needed)")
+        raise DataError(f"{name}: no row with two numbers (a table of measurements is needed)")
     width = max(widths, key=lambda n: (widths[n] * n, n))
     for r in range(min(len(filled), DEEPEST_HEADER)):
         block = range(r, min(r + 3, len(filled)))
         full = all(filled[i] >= max(2, 0.6 * width) and counts[i] >= max(1, 0.4 * filled[i]) for i in block)
-        if full and not _is_header(sheet.rows[r], numbers, r):
+        if full and not _is_header(rows[r], numbers, r):
             return r
-    raise DataError(f"{sheet.name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines")
+    raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines")
 
 
 def _is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
     """A row with a word above a column of numbers is a header even where its other cells are numbers (run 1, 2, 3)."""
     below = numbers[r + 1 : r + 6]
     for c, cell in enumerate(row):
-        word = isinstance(cell, str) and bool(cell) and numbers[r][c] is None
+        word = isinstance(cell, str) and _WORD.match(cell) is not None and numbers[r][c] is None
         if word and below and sum(len(b) > c and b[c] is not None for b in below) >= 0.8 * len(below):
             return True
-    return False
+    return _counts_runs(row, numbers, r)
+
+
+def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
+    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with nothing above the column of targets."""
+    counts, below = [v for v in numbers[r] if v is not None], numbers[r + 1 : r + 6]
+    gap = not row or row[0] not in (None, "") or not all(b and b[0] is not None for b in below) or not below
+    if gap or len(counts) < 2 or len(counts) < len(_filled(row)) or r == 0 or any(numbers[r - 1]):
+        return False
+    return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
 
 
 def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
@@ -176,7 +257,7 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
     """Header texts, units, and how many rows they took."""
     if not head:
         return [f"column {i + 1}" for i in range(width)], [None] * width, 0
-    texts = [[str(c).strip() if c not in (None, "") else "" for c in rows[r]] + [""] * width for r in head]
+    texts = [[label(c) for c in rows[r]] + [""] * width for r in head]
     units: list[str | None] = [None] * width
     used = len(head)
     if len(texts) > 1:
@@ -189,7 +270,11 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
         texts = texts[-2:]
     if len(texts) == 2:
         filled = sum(bool(t) for t in texts[0][:width])
-        if filled < 0.34 * width and not any(texts[0][1:width]):
+        if (
+            (filled < 0.34 * width and not any(texts[0][1:width]))
+            or _are_positions(texts[1])
+            or _is_preamble(texts[0], texts[1][:width])
+        ):
             used -= 1
             texts = texts[-1:]
     if len(texts) == 2:
@@ -202,6 +287,22 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
     else:
         names = texts[0][:width]
     return [n or f"column {i + 1}" for i, n in enumerate(names)], units, used
+
+
+def _is_preamble(group: list[str], names: list[str]) -> bool:
+    """Whether a row above the names is a fact (`Machine;VMC 3`), not a group of columns."""
+    cells = [i for i, text in enumerate(group) if text]
+    words = [n for n in names if n]
+    complete = len(set(words)) == len(words) and all(_WORD.match(n) for n in words)
+    return complete and len(words) > 2 and cells in ([0], [0, 1])
+
+
+def _are_positions(header: list[str]) -> bool:
+    """Whether the names of most columns are rising or falling numbers, and no count: a column per target."""
+    values = [v for text in header if text and (v := number(text, "," in text)) is not None]
+    steps = np.diff(values)
+    counted = np.array_equal(values, 1.0 + np.arange(len(values)))
+    return len(values) > 3 and not counted and bool((steps > 0).all() or (steps < 0).all())
 
 
 def _layout(

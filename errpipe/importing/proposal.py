@@ -21,6 +21,7 @@ from errpipe.importing.sheet import label
 # Units of readings which the manifest does not have -> the unit it has, and the factor.
 PLAIN_UNITS = {
     "inch": ("mm", 25.4),
+    "m": ("mm", 1000.0),
     "thou": ("mm", 0.0254),
     "tenths of a thou": ("mm", 0.00254),
     "1/100 mm": ("mm", 0.01),
@@ -30,6 +31,7 @@ PLAIN_UNITS = {
 def propose(layout: Layout, options: ImportOptions) -> Proposal:
     """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
     layout = wide.turned(_rows_of_one_axis(layout, options))
+    layout.columns = [part for c in layout.columns for part in wide.split_labels(c)]
     proposal = Proposal(notes=list(layout.notes))
     if not layout.columns:
         raise DataError("no column has a value")
@@ -126,6 +128,9 @@ def _long(
         RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
     ]
     for column in parts:
+        odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
+        if odd and column.numeric:
+            p.notes.append(f"{len(odd)} cells of {column.header!r} are no numbers (the first: {odd[0]!r}): left empty")
         add_column(column, guesses[column.header], axis, options, p)
     settle.settle_positions(p, axis)
     settle.finish(p, layout, axis, options)
@@ -171,6 +176,7 @@ def _wide_readings(
     layout: Layout, found: wide.Wide, values: np.ndarray, axis: str, options: ImportOptions, p: Proposal
 ) -> None:
     component = options.component or components.positioning(axis)
+    headers = tuple(c.header for c, _, _ in found.readings)
     stated = [c.unit for c, _, _ in found.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
@@ -182,7 +188,9 @@ def _wide_readings(
     if unit is None:
         unit = unit_by_size(values) if components.unit(component) == "um" else components.unit(component)
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
-    p.put(component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis)
+    p.put(
+        component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis, _headers=headers
+    )
 
 
 def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> np.ndarray:
@@ -287,7 +295,7 @@ def _response(
         odd = re.search(r"[\[(]([^\[\]()]{1,14})[\])]", c.header)
         why += f"; {odd.group(1)!r} is no known unit" if odd else ""
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
-    p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis)
+    p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis, _headers=(c.header,))
 
 
 def component_in(text: str) -> str | None:

@@ -44,6 +44,7 @@ class Proposal:
     def put(self, name: str, values: Any, why: str = "", **entry: Any) -> str:
         """Add a column under a name that is free; returns that name."""
         base, n = slug(name), 2
+        base = entry["role"] if base == "c_" else base
         unique = base
         while unique in self.entries:
             unique, n = f"{base}_{n}", n + 1

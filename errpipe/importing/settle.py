@@ -7,13 +7,11 @@ reversed there, and the manifest states it.
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from errpipe.domain import components, units
 from errpipe.errors import DataError
-from errpipe.importing import columns as guessing
+from errpipe.importing import words
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
 
@@ -21,12 +19,6 @@ DENSE_ROWS = 500  # rows: a log, not a test of targets
 DENSE_PLACES = 100  # different commands: a log, not a test of targets
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
 SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
-_REVERSED = re.compile(
-    r"(soll\w*|nominal|nennwert|target|command\w*|cmd)\s*(-|–|−|minus|less)\s*(ist\w*|actual|measured|mess\w*|reading)"
-)
-_STRAIGHT = re.compile(
-    r"(ist\w*|actual|measured|mess\w*|reading)\s*(-|–|−|minus|less)\s*(soll\w*|nominal|nennwert|target|command\w*|cmd)"
-)
 
 
 def settle_positions(p: Proposal, axis: str) -> None:
@@ -50,6 +42,7 @@ def settle_positions(p: Proposal, axis: str) -> None:
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
     """The error of the axis, its sign, directions, runs, and what a log of an axis needs besides."""
     turn_readings(p)
+    leave_corrections(p)
     turn_signs(p, layout, options)
     readings_as_errors(p, axis)
     derive_error(p, axis, options)
@@ -61,7 +54,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             + "".join(f"; {note}" for note in layout.notes if "--names" in note)
         )
     for name, entry in p.entries.items():
-        letter = entry.pop("_axis", None)
+        letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
@@ -76,18 +69,32 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
 
 
+def leave_corrections(p: Proposal) -> None:
+    """A column of corrections beside one of deviations is left out."""
+    errors = [n for n, e in p.entries.items() if e["role"] == "error"]
+    corrections = [n for n in errors if any(map(words.is_correction, p.entries[n].get("_headers", (n,))))]
+    for name in corrections if len(corrections) < len(errors) else []:
+        p.entries[name] = {"role": "ignore"}
+        p.guesses[name] = "corrections beside deviations: only the deviations are used"
+
+
 def turn_signs(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Every error column as actual minus commanded, by the options, the two positions or the file's header."""
     for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
-        texts = " ".join([name.replace("_", " "), *(c.header for c in layout.columns), *layout.above]).lower()
-        reversed_, straight = _REVERSED.search(texts), _STRAIGHT.search(texts)
+        headers = p.entries[name].get("_headers", (name,))
+        texts = words.plain(
+            " ".join([*headers, name, *(c.header for c in layout.columns), *layout.above, *layout.below])
+        )
+        reversed_ = words.COMMANDED_LESS_MEASURED.search(texts)
+        straight = words.MEASURED_LESS_COMMANDED.search(texts)
+        corrections = any(map(words.is_correction, headers)) or any(map(words.titles_corrections, layout.above))
         sign, reason = options.sign, ""
         shown = _sign_shown(p, name) if sign is None else None
         if shown is not None:
             turn, difference = shown
             sign = "commanded-minus-actual" if turn else "actual-minus-commanded"
             reason = f"it is minus {difference}: the sign is turned" if turn else f"its sign is that of {difference}"
-        elif sign is None and re.search(guessing.CORRECTION, name.replace("_", " ").lower()):
+        elif sign is None and corrections:
             sign, reason = "commanded-minus-actual", "a correction is minus the deviation: the sign is turned"
         elif sign is None and reversed_ and not straight:
             sign = "commanded-minus-actual"

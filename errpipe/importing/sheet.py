@@ -10,10 +10,12 @@ from errpipe.errors import DataError
 
 Cell = str | float | None
 MOST_CELLS = 12_000_000  # about 1 GB of Python objects at 80 bytes each would be 12 million
-MINUS = str.maketrans({"−": "-", "–": "-", "\u00a0": "", "\u202f": ""})
+MINUS = str.maketrans({"−": "-", "–": "-", "\u00a0": "", "\u202f": "", "\u2009": ""})
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
+_GROUPED_BY_MARKS = re.compile(r"[+-]?\d{1,3}(['’]\d{3})+([.,]\d+)?")
+_MINUS_BEHIND = re.compile(r"[\d.,]*[.,]\d+-")
 _GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
 
@@ -58,6 +60,10 @@ def number(cell: Any, comma: bool) -> float | None:
     text = str(cell).strip().translate(MINUS).replace(" ", "")
     if len(text) > 40:
         return None
+    if _MINUS_BEHIND.fullmatch(text):  # as some planning systems write: 5,2-
+        text = f"-{text[:-1]}"
+    if _GROUPED_BY_MARKS.fullmatch(text):
+        text = text.replace("'", "").replace("’", "")
     if comma and (_COMMA.fullmatch(text) or _GROUPED.fullmatch(text)):
         text = text.replace(".", "").replace(",", ".")
     elif not comma and _GROUPED_BY_COMMAS.fullmatch(text):

@@ -14,7 +14,8 @@ from errpipe.importing.sheet import label, number
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
-    r"|max\w*|min\w*|sum\w*|[smrb](?= |$))"
+    r"|max\w*|min\w*|sum\w*|[smrb](?= |$)|\d ?s(igma)?|standard\w*"
+    r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
@@ -38,7 +39,7 @@ class Wide:
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
     """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
-    tokens = _TOKEN.findall(guessing.plain(header))
+    tokens = _TOKEN.findall(re.sub(r"([+-])ve\b", r"\1", guessing.plain(header)))
     letters = [t for t in tokens if not t.isdigit()]
     numbers = [t for t in tokens if t.isdigit()]
     lone = len(letters) == 1 and len(tokens) <= 2  # `F1`, `1u`: elsewhere a letter is an axis or a unit
@@ -54,21 +55,28 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
 
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
     """The wide layout of a table, or None where a row is one reading."""
-    numeric = [c for c in layout.columns if c.numeric]
+    numeric, repeated = [c for c in layout.columns if c.numeric], []
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     targets = [c for c in places if run_and_side(c.header) == (None, None)]
     targets = targets or [c for c in places if run_and_side(c.header)[0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
         targets = numeric[:1]
+    if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):
+        repeated, targets = targets[1:], targets[:1]  # tables side by side, each with the targets
     if len(targets) != 1:
         return None
     readings: list[tuple[RawColumn, str, float | None]] = []
     statistics = []
     for c in numeric:
         run, side = run_and_side(c.header)
-        if c is targets[0] or guesses[c.header].kind not in KINDS or (run is None and side is None):
+        if (
+            c is targets[0]
+            or any(c is r for r in repeated)
+            or guesses[c.header].kind not in KINDS
+            or (run is None and side is None)
+        ):
             continue
-        if _STATISTIC.search(guessing.plain(c.header)):
+        if statistic(c.header):
             statistics.append(c)
         else:
             readings.append((c, run or "1", side))
@@ -87,6 +95,11 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             )
         return None
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None)
+
+
+def statistic(name: str) -> bool:
+    """Whether a header or the name of a row is that of a figure over the runs: a mean, a standard deviation."""
+    return _STATISTIC.search(guessing.plain(name)) is not None
 
 
 def _rises(c: RawColumn) -> bool:
@@ -128,6 +141,7 @@ def turned(layout: Layout) -> Layout:
     counted = not others and np.array_equal(x, x[:1] + np.arange(x.size))  # 1, 2, 3 ...: numbers of columns
     if not ordered or counted or any(c.numeric and guessing.guess(c).kind in MEASURED for c in others):
         return layout
+    others = [part for c in others for part in split_labels(c)]
     readings = np.stack([c.values for c in layout.columns if c.header in places], axis=1)
     ways = next((guessing.sides(c) for c in others if guessing.guess(c).kind == "direction"), None)
     pairs = [
@@ -144,6 +158,21 @@ def turned(layout: Layout) -> Layout:
     columns.append(RawColumn("error", unit_above(layout.above), [float(v) for v in values], values))
     note = f"a row per run, a column per target: {x.size} targets from {x.min():g} to {x.max():g}"
     return Layout(columns, layout.above, [*layout.notes, note])
+
+
+def split_labels(c: RawColumn) -> list[RawColumn]:
+    """A column that names run and side of every row (`Lauf 1 auf`) as two; any other as it is."""
+    if guessing.guess(c).kind not in ("ignore", "run") or c.numeric:
+        return [c]
+    found = [run_and_side(label(cell)) for cell in c.cells]
+    if any(run is None or way is None for run, way in found):
+        return [c]
+    no_numbers = np.full(len(found), np.nan)
+    ways: list[str | float | None] = ["+" if way == 1.0 else "-" for _, way in found]
+    return [
+        RawColumn("run", None, [run for run, _ in found], no_numbers),
+        RawColumn("direction", None, ways, no_numbers),
+    ]
 
 
 def _place(header: str) -> float | None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from errpipe.importing.sheet import DoorOptions
 
 TABLE = "recording.csv"
+MOST_NAMED = 6  # other sheets that are named beside the one that is imported
 DIGITS = 12  # of a number in the table: more than any instrument has
 
 
@@ -23,34 +24,41 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
 
     Raises DataError for a file that cannot be read, UsageError for an option that does not fit.
     """
+    parts, sources = [], []
+    for file in files:
+        proposal, source = _of_known_format(Path(file)), "a format with a door of its own"
+        if proposal is None:
+            proposal, source = _of_any_sheet(Path(file), door, options)
+        parts.append(proposal)
+        sources.append({"file": Path(file).name, "kind": source, "rows": proposal.rows})
+    complete = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
+    shown = _shown(complete, sources)
+    return complete, {**shown, "checks": _plausible(complete, options)}
+
+
+def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tuple[Proposal, str]:
+    """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
+    from errpipe.importing.across import upright
     from errpipe.importing.doors import open_file
     from errpipe.importing.layout import lay_out
     from errpipe.importing.proposal import propose
 
-    parts, sources = [], []
-    for file in files:
-        vendor = _of_known_format(Path(file))
-        if vendor is not None:
-            parts.append(vendor)
-            sources.append({"file": Path(file).name, "kind": "a format with a door of its own", "rows": vendor.rows})
-            continue
-        kind, sheets = open_file(Path(file), door)
-        proposal, problems = None, []
-        for sheet in sheets:
-            try:
-                proposal = propose(lay_out(sheet, door.names), options)
-            except DataError as err:
-                problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
-                continue
-            where = f"{kind}, {sheet.name}" if len(sheets) > 1 else kind
-            sources.append({"file": Path(file).name, "kind": where, "rows": proposal.rows})
+    kind, sheets = open_file(file, door)
+    found, problems = [], []
+    for sheet in sheets:
+        if len(found) > MOST_NAMED:
             break
-        if proposal is None:
-            raise DataError(f"{file}: {'; '.join(problems)}")
-        parts.append(proposal)
-    complete = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
-    shown = _shown(complete, sources)
-    return complete, {**shown, "checks": _plausible(complete, options)}
+        try:
+            found.append((propose(lay_out(upright(sheet), door.names), options), sheet.name))
+        except DataError as err:
+            problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
+    if not found:
+        raise DataError(f"{file}: {'; '.join(problems)}")
+    proposal, name = found[0]
+    if len(found) > 1:
+        others = ", ".join(other for _, other in found[1:])
+        proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet says which)")
+    return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
 
 
 def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path]) -> dict[str, Any]:

@@ -79,13 +79,28 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
     elif (wide := _wide(data[: 1 << 14])) is not None and b"\0" in data[: 1 << 14]:
         candidates = [wide]
     else:
-        candidates = ["utf-8-sig", "cp1252", "latin-1"]
+        candidates = ["utf-8-sig", *_east_asian(data[: 1 << 16]), "cp1252", "latin-1"]
     for encoding in candidates:
         try:
-            return {"utf-8-sig": "UTF-8", "cp1252": "Windows-1252"}.get(encoding, encoding), data.decode(encoding)
+            return {"utf-8-sig": "UTF-8", "cp1252": "Windows-1252", "cp932": "Shift JIS"}.get(
+                encoding, encoding
+            ), data.decode(encoding)
         except UnicodeDecodeError:
             continue
     raise DataError(f"{path}: not text (tried {', '.join(candidates)})")
+
+
+def _east_asian(head: bytes) -> list[str]:
+    """Encodings of two bytes a letter, where the bytes beyond ASCII stand in pairs as European letters seldom do.
+
+    Chinese read as Japanese shows half-width katakana, which Japanese files hardly use.
+    """
+    pairs = b"".join(re.findall(rb"[\x81-\xfe][\x80-\xfe](?:[\x81-\xfe][\x40-\xfe])*", head))
+    if sum(byte > 127 for byte in pairs) < 0.7 * sum(byte > 127 for byte in head):
+        return []
+    text = head.decode("cp932", errors="replace")
+    odd = sum("\uff61" <= c <= "\uff9f" or c == "\ufffd" for c in text)
+    return ["gb18030"] if odd > 0.1 * sum(c > "\x7f" for c in text) else ["cp932", "gb18030"]
 
 
 def _separator(lines: list[str]) -> str:

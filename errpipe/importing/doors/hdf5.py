@@ -18,6 +18,7 @@ suffixes = (".h5", ".hdf5", ".hdf", ".nc")
 binary = True
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MOST_SETS = 200
+MOST_COLUMNS = 64  # of a matrix
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -66,7 +67,7 @@ def _unit(item: Any) -> str:
 def sheets_of(found: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
     """(name, array, unit) of every data set as sheets: the columns of one length and group belong together."""
     groups: dict[tuple[str, int], list[tuple[str, Any, str]]] = {}
-    sheets = []
+    matrices = []
     for key, value, unit in found:
         array = np.squeeze(np.asarray(value))
         group, _, leaf = key.rpartition("/")
@@ -75,13 +76,25 @@ def sheets_of(found: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
             groups.setdefault((key, array.size), []).extend(parts)
         elif array.ndim == 1 and array.size > 1:
             groups.setdefault((group, array.size), []).append((leaf, array, unit))
-        elif array.ndim == 2 and array.dtype.kind in "iuf" and array.shape[1] <= 64:
-            sheets.append(Sheet(key, np.asarray(array, dtype=float).tolist()))
+        elif array.ndim == 2 and array.dtype.kind in "iuf" and array.shape[1] <= MOST_COLUMNS:
+            matrices.append((group, leaf, array, unit))
+    sheets = [Sheet(f"{g}/{n}".strip("/"), np.asarray(a, dtype=float).tolist()) for g, n, a, _ in matrices]
+    for (group, length), parts in groups.items():
+        parts += [part for g, *matrix in matrices if g == group for part in columns_of(*matrix, length)]
     for (group, length), parts in groups.items():
         header = [f"{n} [{u}]" if u else n for n, _, u in parts]
         columns = [_cells(a) for _, a, _ in parts]
         sheets.insert(0, Sheet(group or stem, [[c[i] for c in columns] for i in range(length)], header))
     return sorted(sheets, key=lambda s: -sum(map(len, s.rows)))
+
+
+def columns_of(name: str, matrix: np.ndarray, unit: str, length: int) -> list[tuple[str, np.ndarray, str]]:
+    """The columns of a matrix that stands beside vectors of one length: readings of several runs."""
+    if matrix.shape[0] != length and matrix.shape[1] == length:
+        matrix = matrix.T
+    return (
+        [(f"run {k + 1} {name}", matrix[:, k], unit) for k in range(matrix.shape[1])] if len(matrix) == length else []
+    )
 
 
 def _cells(array: np.ndarray) -> list:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.doors.hdf5 import its_own
+from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of, its_own
 from errpipe.importing.sheet import DoorOptions, Sheet, affordable
 
 name = "MATLAB"
@@ -37,13 +37,15 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         arrays = [part for key, value in file.items() if not key.startswith("__") for part in _parts(key, value)]
     affordable(sum(array.size for _, _, array in arrays), path)
     groups: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
-    sheets = []
+    sheets, matrices = [], []
     for group, key, array in arrays:
         if array.ndim == 1 and array.size > 1:
             groups.setdefault((group, array.size), []).append((key, array))
-        elif array.ndim == 2 and array.shape[1] <= 64:
+        elif array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
             sheets.append(Sheet(key, np.asarray(array, dtype=float).tolist()))
+            matrices.append((group, key, array))
     for (group, length), parts in groups.items():
+        parts += [(n, a) for g, key, m in matrices if g == group for n, a, _ in columns_of(key, m, "", length)]
         columns = [np.asarray(a, dtype=float).tolist() for _, a in parts]
         sheets.append(
             Sheet(group or path.stem, [[c[i] for c in columns] for i in range(length)], [n for n, _ in parts])

@@ -1,0 +1,97 @@
+"""Sheets with the targets across and the runs down, as ISO 230-2 prints them: turned into a row per target.
+
+Above the readings stands a row of target positions; from which side they were approached stands in a row below it, or
+in a line above each block of runs.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+from errpipe.importing import columns as guessing
+from errpipe.importing.layout import DEEPEST_HEADER, split_header
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
+from errpipe.importing.wide import run_and_side, statistic
+
+FEWEST_TARGETS = 4
+_TARGETS = re.compile(r"(target|soll|nominal|position|ziel|cible|目標|目标)", re.IGNORECASE)
+_READINGS = re.compile(r"(deviation|abweich|error|fehler|ecart|scostamento|偏差|误差)", re.IGNORECASE)
+
+
+def upright(sheet: Sheet) -> Sheet:
+    """The sheet with a row per target where its targets stand across; any other sheet as it is."""
+    comma = decimal_comma(sheet.rows)
+    rows = [] if sheet.header is not None else sheet.rows[:DEEPEST_HEADER]
+    at = next((r for r, row in enumerate(rows) if _are_targets(row, rows[r + 1 : r + 4], comma)), None)
+    if at is None:
+        return sheet
+    targets = [number(c, comma) for c in sheet.rows[at]]
+    places = [i for i, v in enumerate(targets) if v is not None]
+    sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
+    readings, run, side, title = [], 0, None, ""
+    for row in sheet.rows[at + 1 + (sides is not None) :]:
+        name = label(row[0]) if row else ""
+        figures = [number(row[i], comma) if i < len(row) else None for i in range(len(targets))]
+        if sum(figures[i] is not None for i in places) < 0.5 * len(places):
+            text = " ".join(label(c) for c in row if c)
+            found = run_and_side(text)[1]
+            if found is not None:
+                side, run = found, 0
+            title = text if _READINGS.search(text) else title
+        elif not statistic(name):
+            run += 1
+            own_run, own_side = run_and_side(name)
+            readings.append((own_run, str(run), side if own_side is None else own_side, figures))
+    named = any(own is not None for own, *_ in readings)  # then a row without a number is a figure over the runs
+    readings = [(own or count, way, figures) for own, count, way, figures in readings if own or not named]
+    if not readings:
+        return sheet
+    return _of_readings(sheet, at, title, targets, sides, readings)
+
+
+def _of_readings(sheet, at, title, targets, sides, readings) -> Sheet:
+    """The upright sheet. sides: of every column of the first row where one states them, else None."""
+    unit = split_header(label(sheet.rows[at][0]))[1]
+    reading_unit = split_header(title)[1]
+    mark = {1.0: "+", -1.0: "-", None: ""}
+    header = [f"target [{unit}]" if unit else "target"]
+    columns: list[dict[float, float | None]] = []
+    for run, side, figures in readings:
+        for way in (1.0, -1.0) if sides else (side,):
+            values, place = {}, None
+            for i, target in enumerate(targets):
+                place = target if target is not None else place
+                if place is not None and figures[i] is not None and (sides is None or sides.get(i) == way):
+                    values[place] = figures[i]
+            columns.append(values)
+            header.append(f"run {run} {mark[way]}" + (f" [{reading_unit}]" if reading_unit else ""))
+    rows: list[list[Cell]] = [[t, *(c.get(t) for c in columns)] for t in targets if t is not None]
+    above = [[c for c in row if c is not None] for row in sheet.rows[:at]]
+    note = f"targets across, runs down: {len(rows)} targets, {len(readings)} rows of readings"
+    return Sheet(sheet.name, [*above, *([[title]] if title else []), header, *rows], notes=[*sheet.notes, note])
+
+
+def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
+    """A row of rising or falling numbers behind a word for targets, or above rows that are named by run and side."""
+    if not row or not isinstance(row[0], str):
+        return False
+    named = len(below) > 1 and all(r and None not in run_and_side(label(r[0])) for r in below)
+    if not named and not _TARGETS.search(row[0]):
+        return False
+    values = [v for c in row[1:] if (v := number(c, comma)) is not None]
+    words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in row[1:])
+    steps = [b - a for a, b in pairwise(values)]
+    counted = values == [1.0 + k for k in range(len(values))]  # the numbers of the runs
+    return (
+        len(values) >= FEWEST_TARGETS
+        and not words
+        and not counted
+        and (all(s > 0 for s in steps) or all(s < 0 for s in steps))
+    )
+
+
+def _sides(row: list[Cell], places: list[int]) -> dict[int, float] | None:
+    """The side of each column, where a row below the targets states both."""
+    found = {i: s for i, c in enumerate(row) if i and isinstance(c, str) and (s := guessing.side(c)) is not None}
+    return found if len(found) >= len(places) and len(set(found.values())) == 2 else None

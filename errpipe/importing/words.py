@@ -1,0 +1,104 @@
+"""What columns, directions and signs are called: English, German, French, Italian, Spanish, Japanese, Chinese.
+
+Texts are compared as `plain` writes them: small letters, umlauts transcribed, no accents, blanks for underscores.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+CORRECTION = (  # minus the deviation
+    r"\b(corrections?|korrektur(en|wert|werte)?|corr|comp(ensation)?s?|kompensation(swerte?)?|correzion[ei]|correccion(es)?)\b"
+    r"|補正|补偿"
+)
+
+_STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"
+
+# What headers are called -> what they hold. The first pattern that fits wins.
+WORDS: tuple[tuple[str, str], ...] = (
+    (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
+    (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|時刻|時間|时间|日時)", "time"),
+    (r"^(t|ts|sec|sek)$", "time"),
+    (r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)", "temperature"),
+    (r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向)\b", "direction"),
+    (
+        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数",
+        "run",
+    ),
+    (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc)", "counts"),
+    (r"(torque|drehmoment|moment)", "torque"),
+    (r"(current|strom|\biq\b|\bi q\b|ampere)", "current"),
+    (r"(force|kraft)", "force"),
+    (r"(spindle ?speed|drehzahl|rpm|\bs act\b)", "spindle_speed"),
+    (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
+    (r"(press|druck|baro)", "pressure"),
+    (r"(humid|feucht)", "humidity"),
+    (
+        r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
+        r"|errore|偏差|誤差|误差)",
+        "error",
+    ),
+    (CORRECTION, "error"),
+    (r"(straightness|geradheit)", "error"),
+    (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
+    (r"(accel|beschl)", "acceleration"),
+    (
+        r"(target|soll|nominal|nennwert|command|\bcmd|setpoint|demand|sollwert|ref(erence)?\b|consigne|theorique|cible|teoric"
+        r"|objetivo|目標|目标|指令)",
+        "command",
+    ),
+    (
+        r"(actual|\bist\b|istwert|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bact\b|encoder"
+        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|実測|实测|測定値|实际)",
+        "actual",
+    ),
+    (
+        r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|posizione|posicion|\bquota\b|\bcota\b|位置)",
+        "position",
+    ),
+)
+
+# Words of a cell or header -> from which side a target was approached.
+UP = re.compile(
+    r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
+    r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
+)
+DOWN = re.compile(
+    r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
+    r"|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
+    r"|帰り?|反向?|负向?"
+)
+
+_COMMANDED = (
+    r"(soll\w*|nominal|nennwert|target|command\w*|cmd|consigne|theorique|cible|teoric\w*|objetivo"
+    r"|指令\w*|目標\w*|目标\w*)"
+)
+_MEASURED = r"(ist\w*|actual|measured|mess\w*|reading|mesure\w*|releve\w*|misurat\w*|medid\w*|実測\w*|实测\w*|实际\w*)"
+_LESS = r"\s*(?:-|minus|less|moins|meno|menos)\s*"
+COMMANDED_LESS_MEASURED = re.compile(_COMMANDED + _LESS + _MEASURED)
+MEASURED_LESS_COMMANDED = re.compile(_MEASURED + _LESS + _COMMANDED)
+# A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
+_TITLE_OF_CORRECTIONS = re.compile(
+    r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
+)
+
+_LETTERS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "−": "-", "–": "-", "µ": "u", "μ": "u", "_": " "})
+
+
+def plain(text: object) -> str:
+    """A text as the patterns here are written; `xAct` is `x act`."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", str(text).strip())
+    word = unicodedata.normalize("NFKD", spaced.lower().translate(_LETTERS))
+    return "".join(c for c in word if not unicodedata.combining(c))
+
+
+def is_correction(header: str) -> bool:
+    """Whether a header names corrections; `error after correction` is an error."""
+    text = plain(header)
+    return re.search(CORRECTION, text) is not None and not re.search(_STATE_OF_A_COMPENSATION, text)
+
+
+def titles_corrections(line: str) -> bool:
+    """Whether a line above a table says that its readings are corrections."""
+    return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
