@@ -10,7 +10,11 @@ Code = Literal[
     "beyond-limit",
     "constant-deviation",
     "copy-of-column",
+    "direction-not-of-motion",
+    "expands-too-much",
     "jump",
+    "mirrored-rows",
+    "mixed-sign",
     "mixed-units",
     "not-a-temperature",
     "outside-travel",
@@ -20,6 +24,7 @@ Code = Literal[
     "run-per-row",
     "shifted-rows",
     "shrinks-when-warm",
+    "temperature-jump",
     "temperature-range",
     "too-fast",
     "too-small",
@@ -47,10 +52,22 @@ EXPLANATIONS: dict[str, str] = {
     "copy-of-column": (
         "The error column is another column times a constant, row for row. It holds no measurement of its own."
     ),
+    "direction-not-of-motion": (
+        "The axis sweeps up and down, but the direction column does not follow it. It is +1 when the position rises."
+    ),
+    "expands-too-much": (
+        "The slope of the deviation grows by more than 60 um/m for each kelvin of every temperature; aluminium has 23. "
+        "The error or the temperature is in another unit, or another sensor is meant."
+    ),
     "jump": (
         "The error steps by exactly 1 mm, 0.1 inch or 1 inch between neighbours: a dial gauge went through a "
         "full turn that was not counted."
     ),
+    "mirrored-rows": (
+        "Both directions agree only when the readings of one are taken in the opposite order: the way back was written "
+        "in the order of the targets, the positions in the order of the measurement."
+    ),
+    "mixed-sign": "One run or one direction holds the curve of the others with the other sign.",
     "mixed-units": "One run or one direction holds the same curve 25.4 or 1000 times larger than the others.",
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
     "outside-travel": (
@@ -70,6 +87,10 @@ EXPLANATIONS: dict[str, str] = {
     "shrinks-when-warm": (
         "The slope of the deviation falls by 5 to 26 um/m for each kelvin of every temperature. Scales and "
         "screws get longer when warm, so the sign is reversed."
+    ),
+    "temperature-jump": (
+        "A temperature steps by more than 15 K from one row of a run to the next. A sensor without power reads 85 degC "
+        "or 0 degC; clean the recording, or give the column the role ignore."
     ),
     "temperature-range": (
         "A temperature lies outside -30 to 150 degC, or follows another one as degF does. Declare its unit "

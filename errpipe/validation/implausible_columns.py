@@ -17,6 +17,9 @@ ROOM = (-30.0, 150.0)  # degC: what a sensor of a machine tool can read
 COPY = 1e-6  # of its range: largest rms residual of an affine copy
 OUTSIDE = 0.1  # of the travel: by how much positions may exceed a travel that was stated as a round number
 INCH = 25.4  # mm
+SWEEPS = 0.25  # of the moves: with fewer turns the targets are measured in sweeps, not in a random order
+COLDEST = 55.0  # degC: no machine is warmer than that at its coldest place
+STEP, STEP_GAP = 15.0, 600.0  # K from one row to the next, s between them: no sensor in a machine is that fast
 
 
 def axis_of_component(recording: Recording) -> Iterator[Finding]:
@@ -67,9 +70,15 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
         if moved.sum() < FEWEST_MOVES:
             continue
         agree = float(np.mean(np.sign(step[moved]) == d[1:][moved]))
+        sweeps = np.count_nonzero(np.diff(np.sign(step[moved]))) < SWEEPS * moved.sum()
         if agree <= 0.1:
             evidence = f"it says the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
             yield Finding("reversed-direction", side, evidence, "+1 when approached from below (the position rises)")
+        elif agree < 0.75 and sweeps:
+            evidence = (
+                f"the axis sweeps up and down, but it follows the motion of {place} in {100 * agree:.0f} % of the steps"
+            )
+            yield Finding("direction-not-of-motion", side, evidence, "another column, or the sign of the motion")
 
 
 def travel(recording: Recording) -> Iterator[Finding]:
@@ -140,6 +149,7 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
             continue
         low, high = float(t.min()), float(t.max())
         if ROOM[0] <= low and high <= ROOM[1]:
+            yield from _steps(recording, name)
             continue
         evidence = f"readings from {low:.5g} to {high:.5g} degC"
         if low > 100 and high < 400:
@@ -149,6 +159,28 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
         else:
             meant = "another column, or a sensor that failed (clean it, or give the column the role ignore)"
         yield Finding("temperature-range", name, evidence, meant)
+
+
+def _steps(recording: Recording, name: str) -> Iterator[Finding]:
+    """A step of a temperature between neighbouring rows of a run that no sensor in a machine makes."""
+    t, time, run = recording.array(name), recording.name("time"), recording.run_codes()
+    gap = np.diff(recording.array(time)) if time else np.zeros(t.size - 1)
+    steps = np.where((np.diff(run) == 0) & (gap < STEP_GAP), np.abs(np.diff(t)), 0.0)
+    if t.size >= FEWEST_MOVES and np.nanmax(steps, initial=0.0) > STEP:
+        row = int(np.nanargmax(steps)) + 1
+        evidence = f"a step of {steps[row - 1]:.3g} K between row {row} and the next"
+        yield Finding(
+            "temperature-jump", name, evidence, "a sensor that lost contact or power (clean it, or ignore it)"
+        )
+
+
+def warm_everywhere(recording: Recording) -> Iterator[Finding]:
+    """Every temperature above what the coldest place of a machine reaches: degF."""
+    names = recording.names("temperature")
+    lows = [np.nanmin(t) for n in names if np.isfinite(t := recording.array(n)).any()]
+    if lows and COLDEST < min(lows) < ROOM[1]:
+        evidence = f"no temperature is below {min(lows):.4g} degC"
+        yield Finding("temperature-range", names[0], evidence, "degF that was declared as degC")
 
 
 def fahrenheit(recording: Recording) -> Iterator[Finding]:
@@ -216,6 +248,7 @@ CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     run_per_row,
     speed,
     temperatures,
+    warm_everywhere,
     fahrenheit,
     temperature_of_position,
     copies,

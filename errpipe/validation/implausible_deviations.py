@@ -14,6 +14,7 @@ STRAIGHT = (
 )
 UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
 FEWEST_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
+MOST_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
 SHIFT_GAIN = 0.5  # the best shift must halve the difference between the directions to be believed
 COMMON_SLOPES = (
@@ -159,15 +160,35 @@ def reversed_sign(r: Response) -> Finding | None:
     return None
 
 
-def shrinking_when_warm(r: Response) -> Finding | None:
-    """Every warm run has a smaller slope: a scale that shrinks when warm means a reversed sign."""
+def expansion_of_no_material(r: Response) -> Finding | None:
+    """Every warm run has a smaller slope, which means a reversed sign; or a larger one than any material has."""
+    rates = _expansion_rates(r)
+    if rates and all(match < -0.9 and EXPANSION[0] <= rate <= EXPANSION[1] for match, rate in rates):
+        return Finding(
+            "shrinks-when-warm",
+            r.column,
+            f"the axis gets {-sorted(rates)[0][1]:.3g} um/m shorter for each kelvin of warmth",
+            "error = actual - commanded: turn the sign (steel, iron and glass get longer)",
+        )
+    if rates and all(match > 0.9 and rate > MOST_EXPANSION for match, rate in rates):
+        return Finding(
+            "expands-too-much",
+            r.column,
+            f"the axis gets {min(rate for _, rate in rates):.3g} um/m longer for each kelvin of warmth (steel: 11.5)",
+            "an error in 0.1 um that was declared as um, or the temperature of something else",
+        )
+    return None
+
+
+def _expansion_rates(r: Response) -> list[tuple[float, float]]:
+    """(correlation, um/m/K) of the slope over position with each temperature, run by run; empty where unknown."""
     warm = r.recording.names("temperature")
     runs = np.unique(r.run)
     if r.component.kind != "positioning" or not warm or runs.size < 3 or r.position is None:
-        return None
+        return []
     wide = [k for k in runs if np.ptp(r.position[r.run == k]) > 0.3 * r.span and (r.run == k).sum() >= FEWEST_STEPS]
     if len(wide) < 3:
-        return None
+        return []
     slopes = np.array([_slope(r.position[r.run == k], r.deviation[r.run == k]) for k in wide]) * 1e3  # um/m
     rates = []
     for name in warm:
@@ -177,15 +198,7 @@ def shrinking_when_warm(r: Response) -> Finding | None:
         mean = np.array([np.nanmean(t[r.run == k]) for k in wide])
         if np.ptp(mean) >= 2.0 and np.ptp(slopes) > 0:  # K: less does not move a scale by more than its noise
             rates.append((float(np.corrcoef(mean, slopes)[0, 1]), _slope(mean, slopes)))
-    if not rates or not all(match < -0.9 and EXPANSION[0] <= rate <= EXPANSION[1] for match, rate in rates):
-        return None
-    rate = sorted(rates)[0][1]
-    return Finding(
-        "shrinks-when-warm",
-        r.column,
-        f"the axis gets {-rate:.3g} um/m shorter for each kelvin of warmth",
-        "error = actual - commanded: turn the sign (steel, iron and glass get longer)",
-    )
+    return rates
 
 
 def worse_with_compensation(r: Response) -> Finding | None:
@@ -327,7 +340,7 @@ CHECKS: tuple[Check, ...] = (
     jump,
     mixed_units,
     reversed_sign,
-    shrinking_when_warm,
+    expansion_of_no_material,
     worse_with_compensation,
     shifted_rows,
     reversal_of_the_other_sign,

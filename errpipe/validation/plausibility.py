@@ -14,8 +14,10 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
-from errpipe.validation import implausible_columns, implausible_deviations
+from errpipe.validation import implausible_columns, implausible_deviations, implausible_groups
 from errpipe.validation.plausibility_finding import FEWEST, Finding, responses
+
+RESPONSE_CHECKS = (*implausible_deviations.CHECKS, *implausible_groups.CHECKS)
 
 
 def findings(recording: Recording) -> list[Finding]:
@@ -23,7 +25,7 @@ def findings(recording: Recording) -> list[Finding]:
     results: list[Finding] = []
     for response in responses(recording):
         if response.deviation.size >= FEWEST:
-            results += filter(None, (check(response) for check in implausible_deviations.CHECKS))
+            results += filter(None, (check(response) for check in RESPONSE_CHECKS))
     for check in implausible_columns.CHECKS:
         results += check(recording)
     return sorted(results, key=lambda f: (f.level != "refuse", f.column, f.code))

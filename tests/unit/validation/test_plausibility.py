@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from errpipe.domain.recording import Column
+from errpipe.domain.recording import Column, Recording
 from errpipe.errors import GateError
 from errpipe.validation import codes, plausibility
 from tests.unit.validation.wrong_declarations import (
@@ -67,6 +67,31 @@ def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
     (found,) = plausibility.findings(turned)
     assert found.code == "reversal-sign" and found.level == "ask"
     assert plausibility.refuse([found])[0].startswith("Check: ")
+
+
+def test_a_worn_screw_is_asked_not_refused() -> None:
+    """Lost motion that varies along the travel more than the lead does: both directions have opposite shapes."""
+    plain = axis_test(5, warm=False)
+    f = plain.frame
+    worn = put(plain, EXX=-(8 + 12 * np.sin(np.pi * f.x / 800)) * f["dir"] + 0.3 * np.sin(f.x / 50))
+    (found,) = plausibility.findings(worn)
+    assert found.code == "mixed-sign" and found.level == "ask"
+
+
+def test_targets_in_a_random_order_have_no_direction_of_motion() -> None:
+    plain = axis_test(6)
+    order = np.random.default_rng(2).permutation(len(plain.frame))
+    f = plain.frame.iloc[order].sort_values("run", kind="stable").reset_index(drop=True)
+    f["t"] = 12.0 * np.arange(len(f))
+    assert plausibility.findings(Recording(plain.manifest, f)) == []
+
+
+def test_a_machine_that_cooled_over_night_has_no_broken_sensor() -> None:
+    plain = axis_test(7)
+    f = plain.frame
+    night = f.run.isin(["run-4", "run-5"])
+    cold = put(plain, T_nut=f.T_nut - 20.0 * night, EXX=f.EXX - 11.5e-3 * f.x * 20.0 * night, t=f.t + 40000.0 * night)
+    assert plausibility.findings(cold) == []
 
 
 def test_allowing_one_name_allows_no_other() -> None:

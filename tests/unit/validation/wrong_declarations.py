@@ -162,6 +162,15 @@ def _one_later(f: pd.DataFrame, by: int) -> pd.Series:
     return pd.Series(np.roll(f.EXX.to_numpy(), by))
 
 
+def _mirrored(f: pd.DataFrame) -> pd.Series:
+    """The error with the rows of every way back in the opposite order."""
+    turned = f.EXX.copy()
+    for run in f.run.unique():
+        rows = (f.run == run) & (f["dir"] < 0)
+        turned[rows] = f.EXX[rows].to_numpy()[::-1]
+    return turned
+
+
 @dataclass(frozen=True)
 class Wrong:
     """declared: the mistake, in words; code: the refusal that must come; meant: words that its message must hold."""
@@ -293,6 +302,28 @@ WRONG: tuple[Wrong, ...] = (
         "temperature-range",
         "another column",
     ),
+    Wrong(
+        "every temperature in degF",
+        lambda: put(axis_test(), **{n: 1.8 * axis_test().frame[n] + 32 for n in ("T_nut", "T_air")}),
+        "temperature-range",
+        "degF",
+    ),
+    Wrong(
+        "a sensor that lost its power for a while",
+        _column("T_nut", lambda f: f.T_nut.where(~f.index.isin(range(60, 75)), 85.0)),
+        "temperature-jump",
+        "lost contact or power",
+    ),
+    # among runs and directions
+    Wrong("one run of the other sign", _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)), "mixed-sign", "turn"),
+    Wrong("the way back in the order of the way there", _error(_mirrored), "mirrored-rows", "order of the targets"),
+    Wrong(
+        "a direction that changes with every row",
+        _column("dir", lambda f: np.where(f.index % 2, 1.0, -1.0)),
+        "direction-not-of-motion",
+        "another column",
+    ),
+    Wrong("0.1 um declared as um", _error(lambda f: 10 * f.EXX), "expands-too-much", "in 0.1 um"),
 )
 
 
