@@ -20,6 +20,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import ConfigError, ErrpipeError, Problem, did_you_mean
 
 SAMPLE_BYTES = 1 << 20  # of each table that are looked at; a header row has less, too
+RAW_TABLES = (".csv", ".tsv", ".xlsx", ".xls", ".ods", ".parquet", ".tdms", ".h5", ".hdf5", ".mat", ".xml")
 SAMPLE_ROWS = 400  # rows of each table that are looked at; a wrong column is wrong in its first rows
 CALENDAR = ("day", "month", "year")
 Place = tuple[str | int, ...]
@@ -54,6 +55,10 @@ def _source(
     path = getattr(stage, "recording", None)
     if isinstance(path, Path):
         manifest = path / "recording.yaml" if path.is_dir() else path
+        if path.is_file() and path.suffix.lower() in RAW_TABLES:
+            place = ("stages", pipeline.stages.index(stage), "recording")
+            text = f"{path} is a table, no recording (a folder with recording.yaml; errpipe import writes one)"
+            return None, [pipeline.document.problem(place, text)]
         if not data or manifest.name != "recording.yaml" or not path.exists():
             return None, []
         if not manifest.is_file():

@@ -41,6 +41,15 @@ stages:
 PIPELINE_FAULTS = {
     "recording not there": ("recording: rec", "recording: rek", "rek is not there"),
     "no manifest in the folder": ("recording: rec", "recording: empty", "holds no recording.yaml"),
+    "a table in place of a recording": ("recording: rec", "recording: rec/t.csv", "is a table, no recording"),
+    "sensor is the error": ("sensor: T_nut", "sensor: EXX", "'EXX' is no temperature (role error)"),
+    "a component twice": (
+        "    holdout:",
+        "      - {component: EXX, terms: [{term: offset}]}\n    holdout:",
+        "listed twice",
+    ),
+    "a slot that no stage has": ("    iso230_2: true", "    from: {model: fit}", "has no such source"),
+    "a limit in the wrong unit": ("targets: [", "limit: 3 degC\n    targets: [", "found unit 'degC'"),
     "no such format": ("recording: rec", "recording: rec\n    format: ecmc", "no format is named 'ecmc'"),
     "component not recorded": ("component: EXX", "component: EYY", "no error of EYY (it has: EXX)"),
     "component misspelt": ("component: EXX", "component: EXY", "no error of EXY"),
