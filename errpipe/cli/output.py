@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import sys
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from importlib import import_module
 from typing import Any
@@ -22,6 +22,7 @@ from errpipe.errors import ConfigError, UsageError
 
 DOCUMENT = 1
 WIDTH = 80  # columns of the narrowest terminal that people use
+NARROWEST = 28  # columns in which a sentence can be read
 
 
 def print_result(
@@ -48,11 +49,12 @@ def print_answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> N
 def folded(lines: Iterable[str]) -> list[str]:
     """Lines for people within `WIDTH` columns: longer ones go on below their second column, or a little indented.
 
-    Words, and so paths, are never broken; rows of figures and drawings (`|`) stay as they are.
+    Words, and so paths, are never broken; rows of figures and drawings (one `|`) stay as they are. Tables in
+    Markdown become aligned columns.
     """
     out: list[str] = []
-    for line in (part for text in lines for part in text.splitlines() or [""]):
-        if len(line) <= WIDTH or "|" in line or "\x1b" in line:
+    for line in _without_markdown_tables([part for text in lines for part in text.splitlines() or [""]]):
+        if len(line) <= WIDTH or line.startswith("|") or line.count("|") % 2 or "\x1b" in line:
             out.append(line)
             continue
         column = re.match(r"(\s*)(\S+(?: \S+)?\s{2,})?", line)
@@ -64,6 +66,38 @@ def folded(lines: Iterable[str]) -> list[str]:
         more = textwrap.wrap(rest[len(first) :].strip(), WIDTH - below, break_long_words=False, break_on_hyphens=False)
         out += [head + first, *(" " * below + text for text in more)]
     return out
+
+
+def _without_markdown_tables(lines: list[str]) -> Iterator[str]:
+    at = 0
+    while at < len(lines):
+        if lines[at].startswith("| ") and at + 1 < len(lines) and re.fullmatch(r"\|( -+:? \|)+", lines[at + 1]):
+            end = next((k for k in range(at, len(lines)) if not lines[k].startswith("| ")), len(lines))
+            yield from _aligned([_cells(line) for line in (lines[at], *lines[at + 2 : end])])
+            at = end
+        else:
+            yield lines[at]
+            at += 1
+
+
+def _cells(row: str) -> list[str]:
+    return [cell.strip().replace("`", "").replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
+
+
+def _aligned(rows: list[list[str]]) -> Iterator[str]:
+    """Rows in columns; the last one goes on below itself, or below the whole row where the others leave no room."""
+    used = [i for i in range(len(rows[0])) if any(row[i] for row in rows[1:])]
+    rows = [[row[i] for i in used] for row in rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(used))]
+    left = sum(widths[:-1]) + 2 * (len(used) - 1)
+    below = left if WIDTH - left >= min(widths[-1], NARROWEST) else 4
+    for row in rows:
+        head = "".join(f"{cell:<{width}}  " for cell, width in zip(row[:-1], widths[:-1], strict=True))
+        parts = textwrap.wrap(row[-1], WIDTH - below, break_long_words=False, break_on_hyphens=False) or [""]
+        if below < left:
+            parts = ["", *parts]
+            head = "  ".join(cell for cell in row[:-1] if cell)
+        yield from (f"{head}{parts[0]}".rstrip(), *(" " * below + part for part in parts[1:]))
 
 
 def short_value(value: Any) -> str:

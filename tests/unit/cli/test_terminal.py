@@ -11,6 +11,7 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.cli.output import WIDTH, folded
 from errpipe.cli.progress import ProgressReporter
+from errpipe.terms import TERMS
 
 
 @pytest.mark.parametrize("line", ["targets", "targets sinumerik_lec", "formats", "explain absolute-readings", "terms"])
@@ -25,6 +26,30 @@ def test_folding_breaks_no_word_and_loses_none() -> None:
     found = folded(lines)
     assert " ".join(found).split() == " ".join(lines).split() and path in "\n".join(found) and lines[2] in found
     assert found[1].startswith(" " * 12 + "some")
+
+
+def test_every_page_of_a_term_fits_into_eighty_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    for term in TERMS:
+        name = term.model_fields["term"].default
+        assert main(["terms", name]) == 0
+        text = capsys.readouterr().out
+        assert max(map(len, text.splitlines())) <= WIDTH, name
+
+
+def test_a_markdown_table_becomes_columns() -> None:
+    long = "word " * 30
+    table = [
+        "| name | unit | |",
+        "| --- | --- | --- |",
+        "| `a` | um | short |",
+        f"| `bb` | | {long.strip()} |",
+        "after",
+    ]
+    found = folded(table)
+    assert found[0] == "name  unit" and found[1] == "a     um    short" and found[-1] == "after"
+    assert " ".join(found[2:-1]).split() == ["bb", *long.split()] and found[3].startswith(" " * 12 + "word")
+    wide = folded(["| a | b |", "| --- | --- |", f"| {'x' * 70} | {long.strip()} |"])
+    assert wide[2] == "x" * 70 and max(map(len, wide)) <= WIDTH
 
 
 class Terminal(io.StringIO):
