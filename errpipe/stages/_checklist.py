@@ -18,9 +18,10 @@ def checklist(
     target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable, others: Sequence[str] = ()
 ) -> str:
     """The text for one target. read: what the controller makes of its files; others: targets loaded besides."""
-    from errpipe.targets._loss import at_most
+    from errpipe.targets._loss import at_most, unit_of
 
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
+    lines += [f"Unit: {target.unit}."]
     if table.title.startswith(_artefacts.UNGATED):
         lines += [
             "",
@@ -41,13 +42,16 @@ def checklist(
             "Go there from below, then from above, other axes at mid travel; expect this correction.",
             _reference_state(table),
         ]
-        lines += ["", "| axis | over | position | from below, um | from above, um |", "| --- | --- | --- | --- | --- |"]
+        unit = "um, deg/1000" if any(axis[0] in "ABC" for axis in read.axes()) else "um"
+        head = f"| axis | over | position | from below, {unit} | from above, {unit} |"
+        lines += ["", head, "| --- | --- | --- | --- | --- |"]
         lines += moves
     else:
         lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
     lines += ["", "## What this format leaves behind", ""]
     lines += [
-        f"- {x['axis']}: {x['rms_um']:.3g} um rms of {x['table_rms_um']:.3g}, at most {at_most(x['bound_um'])} um"
+        f"- {x['axis']}: {x['rms_um']:.3g} {unit_of(x['axis'])} rms of {x['table_rms_um']:.3g}, "
+        f"at most {at_most(x['bound_um'])} {unit_of(x['axis'])}"
         for x in lost
     ]
     lines += _with_numbers(table, read, numbers)
@@ -92,13 +96,15 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:
     """What is left once the numbers are entered; nothing where they add nothing to the files."""
     from errpipe.targets._base import ReadBack
-    from errpipe.targets._loss import at_most, losses
+    from errpipe.targets._loss import at_most, losses, unit_of
 
     parts = tuple(number.curve for number in numbers if number.curve is not None)
     if not parts:
         return []
     remaining = [x for x in losses(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
-    words = "; ".join(f"{x.axis} {x.rms:.3g} um rms, at most {at_most(x.bound)} um" for x in remaining)
+    words = "; ".join(
+        f"{x.axis} {x.rms:.3g} {unit_of(x.axis)} rms, at most {at_most(x.bound)} {unit_of(x.axis)}" for x in remaining
+    )
     return [f"- with the numbers entered by hand: {words}"]
 
 

@@ -275,16 +275,21 @@ def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list
 
 def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
-    from errpipe.targets._loss import at_most
+    from errpipe.targets._loss import at_most, unit_of
 
-    seen = " um" if lost else " nothing: no axis is moved"
-    return "; ".join(f"{x['axis']} {x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost) + seen
+    if not lost:
+        return "nothing: no axis is moved"
+    units = [unit_of(x["axis"]) for x in lost]
+    last = [unit if following != unit else "" for unit, following in zip(units, [*units[1:], ""], strict=True)]
+    rows = [f"{x['axis']} {x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost]
+    return "; ".join(f"{row} {unit}".rstrip() for row, unit in zip(rows, last, strict=True))
 
 
 def _line(row: dict[str, Any]) -> str:
-    from errpipe.targets._loss import at_most
+    from errpipe.targets._loss import at_most, unit_of
 
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
-    loss = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} um rms, at most {at_most(row['bound_um'])}"
+    unit = unit_of(row["axis"])
+    loss = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} {unit} rms, at most {at_most(row['bound_um'])}"
     return f"{row['target']:<22} {row['axis']}  {loss}"

@@ -24,6 +24,9 @@ Holds = Literal["screw", "both directions", "cross", "bed", "reversal", "tempera
 # Warning comment in the files of an experimental format.
 CAUTION = "experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use"
 
+# Unit of formats whose numbers a control reads in the unit that the axis is set to.
+AS_THE_AXIS = "mm (deg for rotary axes): the axis must count in mm (deg); set to inches it would take them 25.4 times"
+
 REMARK = "errpipe remark: "  # prefix of the comment with a file's origin
 
 
@@ -159,6 +162,7 @@ class Target:
     confidence: ClassVar[Confidence]
     sign: ClassVar[str]  # what a positive value does, in words
     limits: ClassVar[str]  # of the format, in words
+    unit: ClassVar[str] = AS_THE_AXIS  # of positions and values in the files, in words
     holds: ClassVar[tuple[Holds, ...]]  # for the tests that every format goes through
     rounding_um: ClassVar[float] = 0.1  # largest error at a node
     keeps_level: ClassVar[bool] = (

@@ -20,6 +20,11 @@ AT_ENDS = 0.3  # share of them at an end of each range
 UM = 1e3  # per mm (thousandths of a degree per degree)
 
 
+def unit_of(axis: str) -> str:
+    """Unit of the losses of an axis: a thousandth of mm or deg."""
+    return "deg/1000" if axis[0] in "ABC" else "um"
+
+
 @dataclass(frozen=True)
 class Loss:
     """Of one axis, um (or thousandths of a degree): between files and table, and of the table itself.

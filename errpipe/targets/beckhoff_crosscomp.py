@@ -29,6 +29,7 @@ class BeckhoffCrosscomp(Target):
     confidence = "experimental"
     sign = "a positive value moves the slave axis in plus (prove it on the machine)"
     limits = "1001 nodes per table; one curve per pair of axes; mean of both directions; no temperature"
+    unit = "0.1 um (0.0001 deg), whatever the program counts in"
     holds = ("cross",)
     rounding_um = 0.2
     remark = {"": "# {}"}

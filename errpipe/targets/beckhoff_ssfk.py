@@ -29,6 +29,7 @@ class BeckhoffSsfk(ScrewMap):
     confidence = "documented"
     sign = "a positive value means the axis went too far; it is moved in minus"
     limits = "1500 equidistant nodes; whole tenths of a micrometre; the axis' own position; no temperature"
+    unit = "0.1 um (0.0001 deg), whatever the program counts in"
     holds = ("screw", "both directions")
     rounding_um = 0.15
     source = "TF5200 axis compensation lists; ISG kernel parameters kw.ssfk"

@@ -31,6 +31,7 @@ class BeckhoffVolumetric(Target):
     confidence = "documented"
     sign = "a positive EXX means the axis goes too far (a deviation); the controller moves it in minus"
     limits = "components over one axis; 5 compensations of 10 files; static: temperatures stand at their default"
+    unit = "mm and rad; positions in mm (deg)"
     holds = ("screw",)
     source = "TF5280 volumetric compensation, ISG CSV; ISG kernel units page"
     activation = (
@@ -57,8 +58,9 @@ class BeckhoffVolumetric(Target):
             names, rows = lines[0], np.array(lines[1:], dtype=float)
             expect(bool(np.all(np.diff(rows[:, 0]) > 0)), FILE, f"{names[0]} is not ascending")
             for column, component in enumerate(names[1:], 1):
-                if iso.parse(component).direction == names[0]:
-                    value = -rows[:, column]
+                parsed = iso.parse(component)
+                if parsed.direction == names[0]:
+                    value = -rows[:, column] * _sample.MACHINE_UNITS["rad" if parsed.unit == "urad" else "mm"]
                     curves.append(Curve(names[0], names[0], rows[:, 0], value, value))
         return ReadBack(curves=tuple(curves))
 

@@ -32,6 +32,7 @@ class CRuntime(Target):
     confidence = "verified"
     sign = "a positive correction is added to the command: it moves the axis in plus"
     limits = "whole table; single precision loses a few nanometres"
+    unit = "as table.h names each input and output: mm (deg) unless the table says otherwise"
     holds = ("screw", "both directions", "cross", "temperature")
     remark = {"table.h": "/* {} */"}
     source = "schemas/ect-2.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"

@@ -37,6 +37,7 @@ class FanucPitch(ScrewMap):
     confidence = "experimental"
     sign = "a running sum above zero moves the axis in plus (prove it on the machine)"
     limits = "whole micrometres; -7..+7 per point; 1024 points in all; the axis' own position; no temperature"
+    unit = "pulses of 1 um: a metric machine (1001#0 INM = 0) with 1 um detection unit; any other does not take them"
     holds = ("screw", "both directions")
     keeps_level = False
     rounding_um = 1.0

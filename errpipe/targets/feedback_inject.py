@@ -46,6 +46,7 @@ class FeedbackInject(Target):
     limits = (
         "whole counts; quadrature A, B, Z with an index; a tenth of the count rate; whole table, computed beside it"
     )
+    unit = "encoder counts: the correction in mm or deg times the scale that is filled in"
     holds = ("screw", "both directions", "cross", "temperature")
     remark = {"inject_table.c": "/* {} */"}
     source = "quadrature as LinuxCNC's encoder counts it (A first counts up); proved in C and in LinuxCNC by the tests"

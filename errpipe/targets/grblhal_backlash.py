@@ -31,6 +31,7 @@ class GrblhalBacklash(Target):
     confidence = "documented"
     sign = "a positive value pushes the axis further in the direction of travel after a reversal"
     limits = "lost motion only, one number an axis; nothing over the position; no temperature"
+    unit = "mm, as its settings always are"
     holds = ("reversal",)
     source = (
         "grblHAL core: motion_control.c (mc_backlash_init, mc_line), settings.h (axis settings, backlash = $160 + n)"

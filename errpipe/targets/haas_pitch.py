@@ -15,6 +15,7 @@ import re
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, expect
 from errpipe.targets._screw_map import ScrewMap
@@ -31,6 +32,7 @@ class HaasPitch(ScrewMap):
     confidence = "experimental"
     sign = "a positive value moves the axis in plus (prove it on the machine)"
     limits = "every 12.7 mm from the upper end of travel; 2.54 um steps; both directions alike; no temperature"
+    unit = "inches, as the control keeps this list whatever it displays"
     holds = ("screw",)
     keeps_level = False
     rounding_um = 2.6
@@ -42,6 +44,14 @@ class HaasPitch(ScrewMap):
     )
 
     most, error_um = 256, 1.0
+
+    @classmethod
+    def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
+        axes = super().own_axes(table)
+        rotary = [axis for _, axis in axes if axis[0] in "ABC"]
+        if rotary:
+            raise GateError(f"{cls.name}: {' and '.join(rotary)}: a list in inches holds no rotary axis")
+        return axes
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:

@@ -37,6 +37,7 @@ class HeidenhainCom(Target):
     limits = (
         "256 rows, spacing 2^n x 0.1 um; sums of curves over one axis each; one reversal per position; no temperature"
     )
+    unit = "mm, as the word MM in the first line of each table says"
     holds = ("screw", "both directions", "cross")
     source = "MANUALplus 620 technical manual p. 716, 718; TNC 407 technical manual p. 153 to 156"
     activation = (

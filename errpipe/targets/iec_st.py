@@ -67,6 +67,7 @@ class IecSt(Target):
     confidence = "verified"
     sign = "a positive value of afCorrection is added to the command: it moves the axis in plus"
     limits = "whole table; memory of the PLC (LREAL); arrays have room for tables twice as large"
+    unit = "as the declarations name each input and output: mm (deg) unless the table says otherwise"
     holds = ("screw", "both directions", "cross", "temperature")
     remark = {"ect.st": "(* {} *)"}
     source = "IEC 61131-3 ed. 2 and 3; PLCopen TC6 XML 2.01; executed and compared in the tests"

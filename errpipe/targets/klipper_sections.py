@@ -33,6 +33,7 @@ class KlipperSections(Target):
     confidence = "verified"
     sign = "a mesh value above zero lifts Z; a skew above zero moves X in minus as Y grows"
     limits = "Z over X and Y, straight squareness, one sensor for Z; no screw errors, no direction, no lag"
+    unit = "mm, as everywhere in its configuration"
     holds = ("bed",)
     remark = {"": "# {}"}
     source = "Klipper: docs/Config_Reference.md; klippy/extras bed_mesh, skew_correction, z_thermal_adjust"

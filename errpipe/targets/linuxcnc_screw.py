@@ -28,6 +28,7 @@ class LinuxcncScrew(ScrewMap):
     confidence = "verified"
     sign = "a positive value moves the joint further in plus"
     limits = "256 rows per joint; the joint's own position only; no temperature"
+    unit = "machine units: [TRAJ] LINEAR_UNITS must be mm (ANGULAR_UNITS degree); in inches it would act 25.4 times"
     holds = ("screw", "both directions")
     source = "LinuxCNC: src/emc/motion/usrmotintf.cc (usrmotLoadComp), docs ini-config COMP_FILE"
     activation = (

@@ -31,6 +31,7 @@ class MarlinGcode(Target):
     confidence = "experimental"
     sign = "a mesh value above zero lifts Z; backlash pushes the axis on after a reversal (prove it on the machine)"
     limits = "Z over 5 x 5 points of X and Y, one lost motion an axis; no screw errors, no temperature"
+    unit = "mm: the file begins with G21"
     holds = ("bed", "reversal")
     remark = {"": "; {}"}
     source = "Marlin: feature/backlash.cpp (add_correction_steps), docs M421, M425, M420"
@@ -43,11 +44,12 @@ class MarlinGcode(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        lines = [f"; {CAUTION}", *_backlash(table)]
+        head = [f"; {CAUTION}", "G21"]
+        lines = [*head, *_backlash(table)]
         if "Z" in _sample.outputs_by_axis(table) and {"X", "Y"} <= set(_sample.positions_of(table)):
             grids = _sample.even(table, "X", POINTS), _sample.even(table, "Y", POINTS)
             lines += _mesh(_sample.plane(table, "Z", ("X", "Y"), grids))
-        if len(lines) == 1:
+        if lines == head:
             raise GateError("marlin_gcode: nothing of the table is a bed or lost motion")
         return {FILE: "\n".join([*lines, "; end", ""])}
 

@@ -37,6 +37,7 @@ class MitsubishiPitch(ScrewMap):
     confidence = "experimental"
     sign = "a running sum above zero moves the axis in plus (prove it on the machine)"
     limits = "half micrometres; -128..127 a division; one curve for both directions; the axis' own position"
+    unit = "half units of output of 1 um: a metric machine; one with other units does not take them"
     holds = ("screw",)
     keeps_level = False
     rounding_um = 1.0

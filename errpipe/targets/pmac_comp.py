@@ -36,6 +36,7 @@ class PmacComp(ScrewMap):
     confidence = "experimental"
     sign = "a positive COMP entry moves the motor in plus (prove it on the machine); BLCOMP acts while moving down"
     limits = "10000 counts per mm; equidistant from the motor's zero; the axis' own position; no temperature"
+    unit = "sixteenths of a count at 10000 counts per mm (deg)"
     holds = ("screw", "both directions")
     keeps_level = False
     remark = {"": "; {}"}

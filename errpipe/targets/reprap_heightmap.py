@@ -35,6 +35,7 @@ class ReprapHeightmap(Target):
         "a map value above zero lifts Z; a backlash value pushes the axis on after a reversal (prove it on the machine)"
     )
     limits = "Z over 21 x 21 points of X and Y, one lost motion an axis; no screw errors, no temperature"
+    unit = "mm: the macro begins with G21, the map is always in mm"
     holds = ("bed", "reversal")
     source = "docs.duet3d.com: mesh bed compensation, G29, M425; RepRapFirmware Grid.cpp (height map file v2)"
     activation = (
@@ -52,7 +53,7 @@ class ReprapHeightmap(Target):
                 f"reprap_heightmap: {' and '.join(a for a, v in lost.items() if v < 0)}: lost motion below zero"
             )
         if lost:
-            files[MACRO] = f"; {CAUTION}\nM425 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(lost.items())) + "\n"
+            files[MACRO] = f"; {CAUTION}\nG21\nM425 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(lost.items())) + "\n"
         if "Z" in _sample.outputs_by_axis(table) and {"X", "Y"} <= set(_sample.positions_of(table)):
             grids = _sample.even(table, "X", POINTS), _sample.even(table, "Y", POINTS)
             files[MAP] = _map(_sample.plane(table, "Z", ("X", "Y"), grids))

@@ -28,6 +28,7 @@ class SmoothiePitch(ScrewMap):
     confidence = "documented"
     sign = "a multiplier above 1 moves the axis further per commanded travel"
     limits = "multipliers 0.5 to 1.5; both directions alike; zero at position 0; no temperature"
+    unit = "mm, and motor travel per commanded travel"
     holds = ("screw",)
     keeps_level = False
     source = "the firmware's own reader of pitch_compensation.dat, module key pitch_compensation.enable"

@@ -28,6 +28,7 @@ class WeihongAxeserr(ScrewMap):
     confidence = "documented"
     sign = "a positive value means the axis went too far (it is the error); it is moved in minus"
     limits = "straight between points; the axis' own position; no temperature"
+    unit = "mm, as the first line says"
     holds = ("screw", "both directions")
     remark = {"": "; {}"}
     source = "EasyRoute manufacturer's manual p. 68; NK200 manual p. 64, 65 (table 3-2)"

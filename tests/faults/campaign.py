@@ -23,6 +23,7 @@ from tests.unit.targets.st import test_iec_st as st
 PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
 BEGIN, END = "<!-- figures: make faults -->\n", "<!-- end of figures -->\n"
 COUNT = 10_000
+MATIEC = "Structured Text, MATIEC"  # its row stays as it was where that compiler is absent
 
 
 HEAD = (
@@ -71,7 +72,7 @@ def compiled(name: str, folder: Path) -> runners.Shared:
     if name.startswith("Structured Text"):
         room = iec_st.room_for(sequences.table(0))
         units = [iec_st.unit(unit, room) for unit in st.UNITS]
-        if "MATIEC" in name:
+        if name == MATIEC:
             return runners.Shared(matiec.build(folder, units))
         st.Block(folder, translate.by_lines(units))
         return runners.Shared(folder / "st.so")
@@ -84,7 +85,7 @@ def main(count: int) -> int:
     """Run, print, write; 1 where a sequence was unsafe."""
     names = ["C, double", "C, single", "Structured Text"]
     if matiec.compiler():
-        names.append("Structured Text, MATIEC")
+        names.append(MATIEC)
     with tempfile.TemporaryDirectory() as folder:
         evaluators = {"reference": runners.by_reference, "kernels (Numba)": runners.by_numba}
         evaluators |= {name: compiled(name, Path(folder) / str(n)) for n, name in enumerate(names)}
@@ -98,7 +99,8 @@ def main(count: int) -> int:
     print("\n".join(lines))
     text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
-    _, after = rest.split(END)
+    old, after = rest.split(END)
+    lines += [row for row in old.splitlines() if row.startswith(f"| {MATIEC} |") and MATIEC not in found]
     PAGE.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
     return int(any(r.unsafe for r in found.values()))
 

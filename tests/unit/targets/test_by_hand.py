@@ -1,0 +1,113 @@
+"""Every screw format, read by its manual's words alone, moves every kind of axis by minus its deviation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.domain.table import TableInput
+from errpipe.drivers.lowered import Lowered
+from errpipe.errors import GateError
+from errpipe.stages import targets as stage
+from errpipe.targets import TARGETS
+from errpipe.targets._base import AS_THE_AXIS
+from tests.unit.targets import machines, manual_readers
+
+PLACES = 23
+# Formats of one curve over an axis' own position, or of its reversal; the others are read in test_targets.
+READ = [t for t in TARGETS if hasattr(manual_readers, t.name)]
+
+
+def of(*axes):
+    """A table of axes (letter, low, high, mean deviation, half of what it is more on the way up), um or 1e-6 rad."""
+    parts, outputs, inputs = [], [], []
+    for letter, low, high, mean, half in axes:
+        unit = "urad" if letter in "ABC" else "um"
+        pairs = (Lowered(d.ONE, letter, mean), Lowered(d.Direction(axis=letter), letter, half))
+        parts.append(tables.ComponentSource(f"E{letter}{letter}", unit, pairs))
+        inputs.append(
+            TableInput(name=letter.lower(), kind="position", axis=letter, low=low - 50, high=high + 50, default=low)
+        )
+    outputs = tables.outputs_of(parts)
+    travel = {letter: (low, high) for letter, low, high, _, _ in axes}
+    return tables.compile_table(parts, outputs=outputs, inputs=inputs, travel=travel, error_bound=0.01)
+
+
+def even(value):
+    return lambda x: np.full(np.shape(x), float(value))
+
+
+LONG = ("X", 0.0, 500.0, lambda x: 10.0 * x / 500.0, even(-2))  # 10 um too long at +X, 4 um of lost motion
+MACHINES = {
+    "too long at +X": [LONG],
+    "travel -300 to 0": [("Z", -300.0, 0.0, lambda z: 10.0 * (z + 300.0) / 300.0, even(-2))],
+    "short, wavy, travel -700 to -9.5": [("Y", -700.0, -9.5, lambda y: 8.0 * np.sin(y / 70) - 0.02 * y, even(-1))],
+    "travel 5000 to 5400": [("X", 5000.0, 5400.0, lambda x: 0.05 * (x - 5000.0), even(-2))],
+    "reversal grows over the travel": [("X", -200.0, 300.0, lambda x: 10 * np.sin(x / 70), lambda x: -3 - x / 200)],
+    "three axes": [
+        LONG,
+        ("Y", -200.0, 200.0, lambda y: 3.0 - 0.05 * y, even(-1)),
+        ("Z", -400.0, -20.0, lambda z: 0.03 * z, even(-3)),
+    ],
+    "rotary axis 0 to 360": [("C", 0.0, 360.0, lambda c: 500.0 * np.sin(np.deg2rad(c)), even(-100))],
+    "tilting axis -120 to 30": [("A", -120.0, 30.0, lambda a: 400.0 * (a + 120.0) / 150.0, even(-50))],
+}
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("target", READ, ids=lambda t: t.name)
+def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
+    axes = MACHINES[machine]
+    table = of(*axes)
+    try:
+        files = target.write(table)
+    except GateError as err:
+        assert any(letter in "ABC" for letter, *_ in axes), err
+        return
+    for letter, low, high, mean, half in axes:
+        unit = np.rad2deg(1e-6) if letter in "ABC" else 1e-3
+        x = np.linspace(low, high, PLACES)[1:-1]
+        want = {side: -unit * (mean(x) + side * half(x)) for side in (1, -1)}
+        moved = getattr(manual_readers, target.name)(files, letter)
+        found = {side: np.array([moved(float(p), side) for p in x]) for side in (1, -1)}
+        if "screw" not in target.holds:  # the reversal alone, its mean over the travel
+            gap = np.full(1, np.mean(found[1] - found[-1] - (want[1] - want[-1])))
+        elif "both directions" in target.holds:
+            gap = np.array([found[side] - want[side] for side in (1, -1)])
+        else:
+            gap = (found[1] + found[-1] - want[1] - want[-1]) / 2
+        level = 0.0 if target.keeps_level else np.mean(gap)
+        assert 1e3 * np.abs(gap - level).max() < max(1.05 * target.rounding_um, 0.3), letter
+
+
+def test_every_format_of_one_axis_is_read():
+    alone = {t.name for t in TARGETS if {"screw", "reversal"} & set(t.holds)}
+    whole = {t.name for t in TARGETS if {"screw", "temperature"} <= set(t.holds)}  # the evaluators: test_signs
+    assert {t.name for t in READ} == alone - whole
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+def test_a_checklist_says_the_unit_and_labels_those_of_rotary_axes(target, tmp_path):
+    stage.write_targets(machines.sample(target), [target.name], tmp_path)
+    text = (tmp_path / target.name / stage.CHECKLIST).read_text()
+    assert f"\nUnit: {target.unit}.\n" in text and "from below, um |" in text
+    if target in READ and target.unit == AS_THE_AXIS:
+        stage.write_targets(of(*MACHINES["rotary axis 0 to 360"]), [target.name], tmp_path)
+        text = (tmp_path / target.name / stage.CHECKLIST).read_text()
+        assert "deg/1000 rms" in text and "from below, um, deg/1000 |" in text and " um rms" not in text
+
+
+def test_marlin_and_duet_are_told_that_numbers_are_millimetres():
+    table = machines.too_long_from_above()
+    for name, file in (("marlin_gcode", "errpipe.gcode"), ("reprap_heightmap", "errpipe.g")):
+        (target,) = [t for t in TARGETS if t.name == name]
+        text = target.write(table)[file]
+        assert text.index("\nG21\n") < text.index("\nM425 ")
+
+
+def test_an_inch_list_holds_no_rotary_axis():
+    (target,) = [t for t in TARGETS if t.name == "haas_pitch"]
+    with pytest.raises(GateError, match="C: a list in inches holds no rotary axis"):
+        target.write(of(*MACHINES["rotary axis 0 to 360"]))
