@@ -1,0 +1,87 @@
+"""What is exported is better over runs: a gain in rows alone, however many there are, is chance."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import ttest_rel
+
+from errpipe.cli.app import main
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.formats import manifest_folder
+from errpipe.models.terms import Terms
+from errpipe.validation import significance
+from errpipe.validation.held_out import held_out
+
+ROWS = 200  # of a run
+# Offsets of six runs, um: left out in turn, the mean of the others leaves less of all rows and more of every other run.
+UNEVEN = (9.0, 1.0, 9.0, -2.0, 8.0, -1.0)
+ALIKE = (4.0, 4.2, 3.9, 4.1, 3.8, 4.0)
+OFFSET = {"component": "EXX", "terms": [{"term": "offset"}]}
+PIPELINE = """pipeline: 1
+stages:
+  - {kind: ingest, recording: recording}
+  - {kind: fit, components: [{component: EXX, terms: [{term: offset}]}]}
+  - {kind: validate}
+  - {kind: export}
+"""
+
+
+def recorded(offsets) -> Recording:
+    n = ROWS * len(offsets)
+    noise = np.random.default_rng(3).normal(0.0, 0.3, n)
+    frame = pd.DataFrame(
+        {
+            "run": np.repeat(np.arange(len(offsets)), ROWS).astype(str),
+            "t": np.arange(n, dtype=float),
+            "x": np.resize(np.linspace(0.0, 500.0, 50), n),
+            "EXX": np.repeat(offsets, ROWS) + noise,
+        }
+    )
+    columns = {
+        "run": Column(role="run"),
+        "t": Column(role="time", unit="s"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    constants = {"X": Constant(role="axis", kind="linear", travel=(0, 500), unit="mm")}
+    return Recording(Manifest(recording=1, tables=("r.parquet",), columns=columns, constants=constants), frame)
+
+
+def figures(recording: Recording) -> dict:
+    (found,) = held_out(recording, Terms.model_validate({"components": [OFFSET]}))["components"]
+    return found
+
+
+def test_a_gain_in_rows_but_not_in_runs_is_none(monkeypatch):
+    recording = recorded(UNEVEN)
+    found = figures(recording)
+    assert found["rms_after"] < 0.95 * found["rms_before"], "of all rows it leaves less"
+    own = np.array(UNEVEN)
+    left = own - (own.sum() - own) / (own.size - 1)
+    assert ttest_rel(np.repeat(own**2, ROWS), np.repeat(left**2, ROWS), alternative="greater").pvalue < 1e-3
+    assert found["runs"] == 6 and found["p_value"] > significance.LEVEL
+    assert found["verdict"] == "do nothing" and found["gain"] == 0.0
+    # Counted by rows, as the same figures would be without this rule, it would be exported.
+    monkeypatch.setattr(significance, "_units", lambda recording, folds: np.concatenate([f.rows for f in folds]))
+    assert figures(recording)["gain"] > 0.0
+
+
+def test_a_gain_in_every_run_is_one():
+    found = figures(recorded(ALIKE))
+    assert found["p_value"] < 1e-4 and found["verdict"] == "model"
+
+
+@pytest.mark.parametrize(("offsets", "code"), [(UNEVEN, 4), (ALIKE, 0)])
+def test_what_runs_do_not_agree_on_is_not_exported(tmp_path: Path, offsets, code: int):
+    manifest_folder.write(recorded(offsets), tmp_path / "recording")
+    (tmp_path / "p.yaml").write_text(PIPELINE)
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == code
+    exported = list((tmp_path / "out").rglob("*.ect"))
+    assert bool(exported) == (code == 0)
+    if code == 0:
+        assert json.loads((tmp_path / "out" / "export" / "export.json").read_text())["judged"]
