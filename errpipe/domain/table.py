@@ -33,6 +33,7 @@ MAX_PAIRS = 2048
 MAX_OUTPUTS = 64
 MAX_MONOMIALS = 4096
 MAX_FACTORS = 4
+MAX_SLOW_EVERY = 1_000_000  # position cycles in a thermal one
 LARGEST_VALUE = (1 << 30) - 1  # of a profile, so that the difference of two values fits 32 bits
 LARGEST_RESULT = 1e30  # a node or deviation beyond it, or not a number, counts as 0 and raises `not_finite`
 
@@ -380,7 +381,9 @@ class CompensationTable(Part):
     position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = Field(
         0.001, description="Time between two corrections.", json_schema_extra={"unit": "s"}
     )
-    slow_every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(1000, description="Position cycles in a thermal one.")
+    slow_every: Annotated[int, Field(ge=1, le=MAX_SLOW_EVERY)] = Field(
+        1000, description="Position cycles in a thermal one."
+    )
     ramp_s: Annotated[float, Field(ge=0, le=3600)] = Field(
         1.0, description="Time to ramp in or out.", json_schema_extra={"unit": "s"}
     )

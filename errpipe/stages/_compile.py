@@ -26,23 +26,29 @@ class CompileOptions(Options):
         0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
     )
     position_cycle: float = Field(
-        0.001, gt=0, description="Time between two corrections.", json_schema_extra={"unit": "s"}
+        0.001, ge=1e-6, le=10, description="Time between two corrections.", json_schema_extra={"unit": "s"}
     )
     thermal_cycle: float = Field(
-        1.0, gt=0, description="Time between two updates of slow drivers.", json_schema_extra={"unit": "s"}
+        1.0, gt=0, le=1e7, description="Time between two updates of slow drivers.", json_schema_extra={"unit": "s"}
     )
     magnitude: float | None = Field(
-        None, gt=0, description="Largest correction; default: what it can reach.", json_schema_extra={"unit": "um"}
+        None,
+        gt=0,
+        le=1e6,
+        description="Largest correction; default: what it can reach.",
+        json_schema_extra={"unit": "um"},
     )
     slew: float | None = Field(
         None,
         gt=0,
+        le=1e9,
         description="Largest rate of a correction; default: what the axis' motion asks of it, at most 1 um/ms.",
         json_schema_extra={"unit": "um/s"},
     )
     acceleration: float | None = Field(
         None,
         gt=0,
+        le=1e12,
         description="Largest change of that rate; default: the whole rate within 10 ms.",
         json_schema_extra={"unit": "um/s2"},
     )

@@ -91,6 +91,10 @@ def compile_table(
     its driver's largest value, um or urad. Raises GateError where a component cannot be compiled.
     """
     slow_every = max(1, round(thermal_cycle_s / position_cycle_s))
+    if slow_every > t.MAX_SLOW_EVERY:
+        raise GateError(
+            f"a thermal cycle of {thermal_cycle_s:g} s is {slow_every} position cycles (at most {t.MAX_SLOW_EVERY})"
+        )
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
     groups = [_groups(build, c) for c in components]
     monomials = [_monomials(build, o) for o in (outputs_of(components) if outputs is None else outputs)]

@@ -51,7 +51,7 @@ def read_json(path: Path) -> t.CompensationTable:
     try:
         return t.CompensationTable.model_validate(content)
     except ValidationError as err:
-        raise VerifyError(f"{path}: {_first_problem(err)}") from None
+        raise VerifyError(f"{path}: {first_problem(err)}") from None
 
 
 def read_any(path: Path) -> t.CompensationTable:
@@ -219,7 +219,7 @@ def loads(data: bytes) -> t.CompensationTable:
     try:
         table = _build(data, fixed, rows)
     except ValidationError as err:
-        raise VerifyError(_first_problem(err)) from None
+        raise VerifyError(first_problem(err)) from None
     if dumps(table) != data:
         raise VerifyError(_contradiction(dumps(table), data))
     return table
@@ -442,7 +442,7 @@ def _offsets(data: bytes) -> Iterable[tuple[int, int]]:
     return ((number, offset) for number, (_, offset) in _section_index(data).items())
 
 
-def _first_problem(err: ValidationError) -> str:
+def first_problem(err: ValidationError) -> str:
     """The first thing wrong, in words: where, what, what is allowed."""
     problem = err.errors()[0]
     place = ".".join(str(p) for p in problem["loc"])
