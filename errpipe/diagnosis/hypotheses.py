@@ -190,8 +190,18 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
             odds = group[0].log_prior_odds() + float(shared)
             for values in points:
-                size = sum(search_of(p).log_prior(v, p) for p, v in zip(group[0].nonlinear(), values, strict=True))
-                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, odds + size)
+                yield Hypothesis(
+                    group[0].reports_as, group, (values,) * len(group), drivers, odds + sizes(group[0], values)
+                )
+        located = list(kind.located(recording, component, signals))
+        for term, values in located:
+            odds = term.log_prior_odds() - float(np.log(len(located))) + sizes(term, values)
+            yield Hypothesis(term.reports_as, (term,), (values,), tuple(term.drivers(recording)), odds)
+
+
+def sizes(term: Term, values: tuple[float, ...]) -> float:
+    """Log prior density of a term's non-linear values relative to typical ones."""
+    return sum(search_of(p).log_prior(v, p) for p, v in zip(term.nonlinear(), values, strict=True))
 
 
 def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:

@@ -16,6 +16,8 @@ WIDER = 1.3  # factor on intervals for departures from textbook forms; chosen on
 DROP = 3.2  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
 CHI2_95 = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}  # 95 % points, by degrees of freedom
 DEPARTED = 0.3  # relative standard deviation of a size where the contribution departs from its textbook form
+STEP = 0.03  # of logarithms, for derivatives
+FLATTEST = 0.5  # least curvature: a factor of about 12 either way
 SHAPE = 0.1  # relative standard deviation of the deepest point of a worn stretch because of its shape
 
 
@@ -48,9 +50,14 @@ def modelled(case: Case, k: int) -> Modelled:
     others = [(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k]
     scene = case.search.scene(others)
     hypothesis, spans = _refine(case, scene, f.hypothesis, f.size)
+    curved = None
+    if len(hypothesis.terms[0].linear()) > 1 and len(hypothesis.terms[0].free()) > 1:
+        hypothesis, spans, curved = _refine_jointly(case, scene, hypothesis)
     block, freedom, scale, cores = _columns(case, hypothesis)
     b, cov = _fit(scene, block, freedom, f.size, case)
     cov = cov * _dependence(case, scene, block, b)
+    if curved is not None:
+        cov[:cores, :cores] += _carried_over(case, scene, hypothesis, f.size, curved, scale[:cores])
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
@@ -159,12 +166,14 @@ def _amplitudes(h: Hypothesis, estimates: list[Estimate], cov, scale) -> list[Es
     out = []
     names = [e.name for e in estimates]
     for k in range(len(names) - 1):
-        if (names[k], names[k + 1]) == ("sine", "cosine"):
+        order = names[k].removeprefix("sine")
+        if names[k].startswith("sine") and names[k + 1] == f"cosine{order}":
             pair = np.array([estimates[k].value, estimates[k + 1].value])
             size = float(np.hypot(*pair))
             way = pair / max(size, 1e-300) / scale[k : k + 2]
             sd = WIDER * float(np.sqrt(way @ cov[k : k + 2, k : k + 2] @ way))
-            out.append(Estimate("amplitude", size, estimates[k].unit, max(size - 1.96 * sd, 0.0), size + 1.96 * sd))
+            low = max(size - 1.96 * sd, 0.0)
+            out.append(Estimate(f"amplitude{order}", size, estimates[k].unit, low, size + 1.96 * sd))
     return out
 
 
@@ -198,6 +207,59 @@ def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
         inside = [v for g, v in scored if g > top - DROP]
         spans.append((p.name, p.unit, where, *search.widened(min(inside), max(inside), best.terms[0], case.recording)))
     return best, spans
+
+
+def _refine_jointly(case: Case, scene: Scene, h: Hypothesis):
+    """All non-linear parameters together: the best, their spans, and the covariance of their logarithms.
+
+    Where columns with a parameter each go together (two time constants) spans of one at a time are far too short. The
+    covariance is the inverse curvature of the log Bayes factor (Laplace).
+    """
+    from scipy.optimize import minimize
+
+    term, start = h.terms[0], np.log(np.abs(h.nonlinear[0]))
+
+    def loss(at: np.ndarray) -> float:
+        return -_gain(case, scene, _moved(h, at))
+
+    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 0.02, "maxfev": 150}).x
+    best, k = _moved(h, found), found.size
+    steps = STEP * np.eye(k)
+    centre = loss(found)
+    curvature = np.empty((k, k))
+    for i in range(k):
+        curvature[i, i] = (loss(found + steps[i]) - 2 * centre + loss(found - steps[i])) / STEP**2
+        for j in range(i):
+            alike = loss(found + steps[i] + steps[j]) + loss(found - steps[i] - steps[j])
+            opposite = loss(found + steps[i] - steps[j]) + loss(found - steps[i] + steps[j])
+            curvature[i, j] = curvature[j, i] = (alike - opposite) / (4 * STEP**2)
+    values, vectors = np.linalg.eigh(curvature)
+    cov = vectors / np.maximum(values, FLATTEST) @ vectors.T
+    reach = np.exp(np.sqrt(2 * DROP * np.diag(cov)))
+    spans = [
+        (p.name, p.unit, v, float(v / r), float(v * r))
+        for p, v, r in zip(term.nonlinear(), best.nonlinear[0], reach, strict=True)
+    ]
+    return best, spans, cov
+
+
+def _carried_over(case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.ndarray, scale: np.ndarray):
+    """Covariance of the linear parameters, times their scales, that comes from the non-linear ones."""
+    at, slopes = np.log(np.abs(h.nonlinear[0])), []
+    for step in STEP * np.eye(at.size):
+        ends = []
+        for other in (_moved(h, at + step), _moved(h, at - step)):
+            block, freedom, own, cores = _columns(case, other)
+            ends.append(_fit(scene, block, freedom, size, case)[0][:cores] / own[:cores])
+        slopes.append((ends[0] - ends[1]) / (2 * STEP))
+    slope = np.column_stack(slopes) * scale[:, None]
+    return slope @ cov @ slope.T
+
+
+def _moved(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:
+    """The hypothesis at other non-linear values, given by their logarithms; signs stay."""
+    values = tuple(float(s * np.exp(v)) for s, v in zip(np.sign(h.nonlinear[0]), logarithms, strict=True))
+    return replace(h, nonlinear=(values,) * len(h.nonlinear))
 
 
 def _at(h: Hypothesis, j: int, value: float) -> Hypothesis:

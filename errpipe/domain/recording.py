@@ -224,6 +224,17 @@ class Constant(Frozen):
     encoder_period: float | None = Field(
         None, description="Signal period of the encoder.", json_schema_extra={"unit": "of `unit`"}
     )
+    tooth_pitch: float | None = Field(
+        None, gt=0, description="Length of a tooth of belt or rack.", json_schema_extra={"unit": "of `unit`"}
+    )
+    teeth: int | None = Field(None, gt=0, description="Teeth of pulley or pinion; of a rotary axis, of its wheel.")
+    gear_ratio: float | None = Field(
+        None, gt=0, description="Turns of the motor in one turn of screw, pulley, pinion or wheel."
+    )
+    pole_pairs: int | None = Field(None, gt=0, description="Pole pairs in one turn of the motor.")
+    magnet_period: float | None = Field(
+        None, gt=0, description="Length of a pole pair of a linear motor.", json_schema_extra={"unit": "of `unit`"}
+    )
     drive_end: float | None = Field(
         None, description="Position of the end where the motor is.", json_schema_extra={"unit": "of `unit`"}
     )

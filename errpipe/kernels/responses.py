@@ -180,3 +180,33 @@ def lookup(u, start, step, values):
             f = s - j
             y[i] = values[j] * (1.0 - f) + values[j + 1] * f
     return y
+
+
+@kernel
+def vibration(run, t, u, frequency, damping, pause):
+    """Response q of q'' + 2 damping w q' + w^2 q = w^2 u with w = 2 pi frequency, and q' / w; Hz, shape (rows, 2).
+
+    Exact for u that runs straight from row to row; in equilibrium at the start of a run and after a step longer than
+    `pause` s; u must not miss and damping is below 1.
+    """
+    y = np.zeros((u.size, 2))
+    w = 2 * np.pi * frequency
+    decay = damping * w
+    ringing = w * np.sqrt(1 - damping * damping)
+    step, fade, c, s = -1.0, 1.0, 1.0, 0.0
+    q, rate = 0.0, 0.0
+    for i in range(u.size):
+        dt = t[i] - t[i - 1] if i > 0 else 0.0
+        if i == 0 or run[i] != run[i - 1] or dt > pause:
+            q, rate = u[i], 0.0
+        elif dt > 0:
+            if abs(dt - step) > 1e-9 * dt:
+                step, fade = dt, np.exp(-decay * dt)
+                c, s = np.cos(ringing * dt), np.sin(ringing * dt) / ringing
+            slope = (u[i] - u[i - 1]) / dt
+            late = 2 * damping / w * slope
+            z, v = q - u[i - 1] + late, rate - slope
+            q = fade * (z * c + (v + decay * z) * s) + u[i] - late
+            rate = fade * (v * c - (decay * v + w * w * z) * s) + slope
+        y[i, 0], y[i, 1] = q, rate / w
+    return y

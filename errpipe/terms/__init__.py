@@ -76,5 +76,7 @@ TERMS: Choice[type[Term]] = Choice.of_files(
         "moving_mass",
         "saturation",
         "dead_zone",
+        "flexible_mode",
+        "dead_time",
     ),
 )

@@ -178,6 +178,14 @@ class Term(Frozen, ABC):
         """Bindings that a diagnosis tries; raw: the recording as it was read, before gaps were filled."""
         return cls.bind(recording, component)
 
+    @classmethod
+    def located(cls, recording: Recording, component: str, signals: Any) -> Iterator[tuple[Term, tuple[float, ...]]]:
+        """Bindings whose non-linear values are read off the signals at once, where a grid of them would be too large.
+
+        signals: see `_search.Signals`; the first one is the mismatch. Several orders of a wave, two time constants.
+        """
+        return iter(())
+
     def log_prior_odds(self) -> float:
         """Log prior odds of this binding beside other effects."""
         return 0.0

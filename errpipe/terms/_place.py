@@ -6,7 +6,7 @@ radial deviation of a circular test (`E_R`) holds x/R of it, counted from the ci
 
 from __future__ import annotations
 
-from errpipe.domain.recording import Recording
+from errpipe.domain.recording import Constant, Recording
 from errpipe.drivers.motion import axes
 
 
@@ -53,3 +53,35 @@ def axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
         if direction_of(component) in (own, None):
             return (own,) if own in present else ()
     return ()
+
+
+def drive_periods(known: Constant | None) -> tuple[float, ...]:
+    """Lengths along an axis after which its drive repeats, as the manifest states them, the longest first.
+
+    One turn of screw, pulley, pinion or table; a tooth of belt, rack or wheel; one turn of the motor behind a gear.
+    """
+    if known is None:
+        return ()
+    out = [known.screw_lead, known.tooth_pitch]
+    turn = known.screw_lead
+    if known.kind == "rotary":
+        turn = 360.0
+        out.append(360.0 / known.teeth if known.teeth else None)
+    elif known.tooth_pitch and known.teeth:
+        turn = known.tooth_pitch * known.teeth
+        out.append(turn)
+    if turn and known.gear_ratio:
+        out.append(turn / known.gear_ratio)
+    return tuple(sorted({float(p) for p in out if p}, reverse=True))
+
+
+def pole_periods(known: Constant | None) -> tuple[float, ...]:
+    """Length along an axis of one pole pair of its motor, where the manifest states it."""
+    if known is None:
+        return ()
+    if known.magnet_period:
+        return (known.magnet_period,)
+    turn = 360.0 if known.kind == "rotary" else known.screw_lead
+    if turn is None and known.tooth_pitch and known.teeth:
+        turn = known.tooth_pitch * known.teeth
+    return (turn / (known.gear_ratio or 1.0) / known.pole_pairs,) if turn and known.pole_pairs else ()

@@ -16,14 +16,12 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter, Search
+from errpipe.terms._lines import periods
 
 STEPS = 9  # points of a refinement, the best one in their middle
 RATIO = 1.6  # from value to value of a scale within its typical range; neighbours overlap within half of that
 COARSE_RATIO = 2.5  # and outside of it
 TYPICAL_WIDTH = 5.0  # factor beyond the typical range that counts as one standard deviation
-CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
-FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
-STRONGEST = 12  # waves kept of each signal
 
 
 @dataclass(frozen=True)
@@ -234,6 +232,32 @@ class Shifts(Listed):
         return (low * 0.8, high * 1.25) if low > 0 else (low * 1.25, high * 0.8)
 
 
+@dataclass(frozen=True)
+class Resonances(Listed):
+    """A natural frequency, located by the term; from three turns in the longest session to a fifth of the rate."""
+
+    reach: float = 0.04
+
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest frequency that the recording resolves."""
+        step, longest = resolved_times(recording)
+        return 3.0 / longest, 0.2 / step
+
+
+@dataclass(frozen=True)
+class Delays(Listed):
+    """A delay, located by the term; refined within a tenth of a sampling step."""
+
+    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
+        """Values near the best one."""
+        return value + 0.1 * resolved_times(recording)[0] * np.linspace(-1.0, 1.0, STEPS)
+
+    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
+        """Ends of an interval, half-way to the next neighbours."""
+        half = 0.1 * resolved_times(recording)[0] / (STEPS - 1)
+        return low - half, high + half
+
+
 BY_UNIT: dict[str, Search] = {"s": Times(), "mm": Lengths(), "mm/s": Speeds()}
 
 
@@ -247,37 +271,3 @@ def geometric(low: float, high: float, ratio: float) -> tuple[float, ...]:
     if low <= 0:
         return tuple(np.linspace(low, high, STEPS // 2))
     return tuple(np.geomspace(low, high, max(int(np.ceil(np.log(high / low) / np.log(ratio))), 1) + 1))
-
-
-def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
-    """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart.
-
-    From twice the step between places to the positions covered over FEWEST_TURNS. Periodogram of the means of narrow
-    cells, padded fourfold; a cubic is subtracted first.
-    """
-    places = np.unique(at)
-    span = float(places[-1] - places[0]) if places.size > 1 else 0.0
-    if span <= 0:
-        return ()
-    cells = int(np.clip(8 * places.size, 64, CELLS))
-    step = span / (cells - 1)
-    shortest = max(2.0 * span / (places.size - 1), 4.0 * step)
-    cell = np.minimum(((at - places[0]) / step).astype(int), cells - 1)
-    rows_in = np.bincount(cell, minlength=cells)
-    inside, place = rows_in > 0, np.linspace(-1.0, 1.0, cells)
-    count = 4 * int(2 ** np.ceil(np.log2(cells)))
-    frequency = np.fft.rfftfreq(count, step)
-    allowed = (frequency >= FEWEST_TURNS / span) & (frequency <= 1 / shortest)
-    strongest: set[float] = set()
-    for signal in signals:
-        total = np.bincount(cell, weights=signal - signal.mean(), minlength=cells)
-        mean = np.where(inside, total / np.maximum(rows_in, 1), 0.0)
-        weight = np.sqrt(rows_in)
-        if inside.sum() > 4:
-            mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3, w=weight[inside]), place[inside])
-        power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
-        peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
-        for k in peaks[np.argsort(-power[peaks], kind="stable")][:STRONGEST]:
-            for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
-                strongest.add(float(1.0 / max(frequency[k] + shift / span, 0.5 / span)))
-    return tuple(sorted(strongest))

@@ -6,30 +6,26 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name, share
+from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Waves
+from errpipe.terms._place import axes_acting, drive_periods, is_radial
+from errpipe.terms._search import Signals, Waves
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
 
-def wave(x: np.ndarray, period: float) -> np.ndarray:
-    """Sine and cosine of position, shape (rows, 2)."""
-    angle = 2 * np.pi / period * np.asarray(x, dtype=float)
-    return np.column_stack([np.sin(angle), np.cos(angle)])
-
-
 class PitchCyclic(Term):
-    """The screw runs out once per turn ("drunken thread"): a wave with the lead, or its second harmonic.
+    """The screw runs out once per turn ("drunken thread"): a wave with the lead, a tooth or a turn of the drive.
 
-    Equation   deviation(x) = sine * sin(2 pi x / period) + cosine * cos(2 pi x / period)
+    Equation   deviation(x) = sum over orders k of sine_k sin(2 pi k x / period) + cosine_k cos(2 pi k x / period)
     Assumes    sampling finer than a quarter of the period and not in step with it; the same wave all along
-    Typical    0.5..5 um; period 5..20 mm (the lead), for rotary axes 360 deg / teeth
+    Typical    0.5..5 um; period 5..20 mm (the lead), of belts tooth and pulley, for rotary axes 360 deg / teeth
     Moves      positive sine: too far on the first half of each turn
     Source     ISO 230-2 (periodic positional error); Ni 1997, geometric errors
     """
@@ -37,20 +33,25 @@ class PitchCyclic(Term):
     term: Literal["pitch_cyclic"] = "pitch_cyclic"
     axis: Axis
     radial: Radial = False
+    orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
     reports_as = "pitch_cyclic"
     family = "geometric"
     rowwise = True
     on_both_axes = False
 
     def linear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("sine", "um", (0.5, 5.0), (-100.0, 100.0), "amplitude of the sine part"),
-            Parameter("cosine", "um", (0.5, 5.0), (-100.0, 100.0), "amplitude of the cosine part"),
-        )
+        return waves.named(self.orders, "um", (0.5, 5.0), 100.0)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves(least_places=40)),
+            Parameter(
+                "period",
+                "mm",
+                (2.5, 20.0),
+                (0.5, 400.0),
+                "length of the wave",
+                search=Waves(least_places=waves.LEAST_PLACES),
+            ),
         )
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
@@ -58,31 +59,42 @@ class PitchCyclic(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[PitchCyclic]:
-        """One binding for each of lead, half the lead; with the period free where no lead is stated."""
+        """One binding for each period that the manifest states, half the lead, and one with the period free."""
         for axis in axes_acting(recording, component):
-            known = recording.manifest.axis(axis)
-            radial = is_radial(component)
-            if known is None or known.screw_lead is None:
-                yield cls(axis=axis, radial=radial)
-                continue
-            for harmonic in (1, 2):
-                yield cls(axis=axis, radial=radial, fixed={"period": known.screw_lead / harmonic})
+            known, radial = recording.manifest.axis(axis), is_radial(component)
+            stated = drive_periods(known)
+            half = (known.screw_lead / 2,) if known is not None and known.screw_lead else ()
+            for period in dict.fromkeys((*stated, *half)):
+                yield cls(axis=axis, radial=radial, fixed={"period": period})
+            yield cls(axis=axis, radial=radial)
+
+    @classmethod
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[PitchCyclic, tuple[float, ...]]]:
+        """Several orders of one wave, as the mismatch shows them."""
+        for axis in () if is_radial(component) else axes_acting(recording, component):
+            stated = drive_periods(recording.manifest.axis(axis))
+            for period, orders in waves.seen(recording, axis, signals, stated):
+                fixed = {"period": period} if period in stated else {}
+                yield cls(axis=axis, orders=orders, fixed=fixed), (period,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (period,) = nonlinear
-        return wave(position(recording, self.axis), period) * share(recording, self.axis, self.radial)[:, None]
+        own = waves.columns(position(recording, self.axis), period, self.orders)
+        return own * share(recording, self.axis, self.radial)[:, None]
 
     def log_prior_odds(self) -> float:
-        return 0.0 if self.fixed else -3.0  # prior odds: the strongest of about a hundred waves is chosen
+        """The strongest of about a hundred waves is chosen; a further order is one of about twenty."""
+        return (0.0 if self.fixed else -3.0) - 3.0 * (len(self.orders) - 1)
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:
             x = position(recording, self.axis)
             yield from uneven_waves(base, x)
-            if not self.fixed:
+            if not self.fixed and self.orders == (1,):
                 yield from higher_harmonics(x, nonlinear[0])
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)
-        gains = np.array([parameters["sine"], parameters["cosine"]])
-        return (Lowered(ONE, self.axis, lambda x: wave(x, period) @ gains, period),)
+        return (Lowered(ONE, self.axis, lambda x: waves.total(x, period, self.orders, parameters), period),)

@@ -16,8 +16,11 @@ from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._place import is_radial, linear_axes_acting
+from errpipe.terms._search import Signals, Times, geometric
 from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
+
+RATIO, APART = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
 
 
 class ThermalLag(Term):
@@ -25,7 +28,8 @@ class ThermalLag(Term):
 
     Equation   tau dy/dt + y = T - T_ref;  deviation = gain * y          [um] = [um/K] * [K]
                with `along` the deviation is gain * y * x                [um] = [um/m/K] * [m] * [K]
-    Assumes    one time constant, the same warming and cooling; in step with the sensor at the start
+               with `two_stages` gain_slow * y_slow of a second lag is added
+    Assumes    one time constant (or two), the same warming and cooling; in step with the sensor at the start
     Typical    time constant 600..15000 s, gain 1..10 um/K
     Moves      positive gain: the warmer, the further, late by about tau
     Source     lumped heat balance; Mares, Horejs, Havlik 2020 (transfer functions in the control)
@@ -35,6 +39,7 @@ class ThermalLag(Term):
     sensor: Sensor
     reference: Reference = REFERENCE
     along: str | None = Field(None, description="Axis along which the lagged temperature stretches; none: it shifts.")
+    two_stages: bool = Field(False, description="A second, slower part follows the same sensor.")
     reports_as = "thermal_lag"
     family = "thermal"
     rowwise = True
@@ -43,10 +48,16 @@ class ThermalLag(Term):
     def linear(self) -> tuple[Parameter, ...]:
         if self.along:
             return (Parameter("gain", "um/m/K", (5.0, 20.0), (-200.0, 200.0), "slope per kelvin"),)
-        return (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
+        fast = Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin")
+        if not self.two_stages:
+            return (fast,)
+        return (fast, Parameter("gain_slow", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift of the slower part"))
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (600.0, 15000.0), (60.0, 100000.0), "time constant"),)
+        fast = Parameter("tau", "s", (600.0, 15000.0), (60.0, 100000.0), "time constant")
+        if not self.two_stages:
+            return (fast,)
+        return (fast, Parameter("tau_slow", "s", (1800.0, 40000.0), (60.0, 200000.0), "of the slower part"))
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.sensor, position_name(recording, self.along)) if self.along else (self.sensor,)
@@ -64,11 +75,33 @@ class ThermalLag(Term):
         return Lag(of=rise_driver(self.sensor, self.reference), tau_up=tau, tau_down=tau)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        slow = drive(self._driver(nonlinear[0]), recording)
-        return (slow * position(recording, self.along) * 1e-3 if self.along else slow)[:, None]
+        slow = np.column_stack([drive(self._driver(tau), recording) for tau in nonlinear])
+        return slow * position(recording, self.along)[:, None] * 1e-3 if self.along else slow
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        yield from start_states(recording, nonlinear[0], 0.4, 0.6)
+        for tau in nonlinear:
+            yield from start_states(recording, tau, 0.4, 0.6)
+
+    def log_prior_odds(self) -> float:
+        """A second time constant is one of about ten."""
+        return -3.0 if self.two_stages else 0.0
+
+    @classmethod
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[ThermalLag, tuple[float, ...]]]:
+        """For each sensor the two time constants, a factor of three or more apart, that explain the mismatch best."""
+        low, high = Times().limits(cls, recording)
+        if not (component.startswith("E") and signals.values and recording.name("time") and high > 9 * low):
+            return
+        taus = geometric(low, high, RATIO)
+        for sensor in sensors(recording):
+            term = cls(sensor=sensor, two_stages=True)
+            states = np.column_stack([drive(term._driver(tau), recording)[signals.rows] for tau in taus])
+            if np.isfinite(states).all():
+                best = two_of(states, signals.values, apart=int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0]))))
+                if best is not None:
+                    yield term, (taus[best[0]], taus[best[1]])
 
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalLag]:
@@ -76,8 +109,26 @@ class ThermalLag(Term):
         return (term for term in cls.bind(recording, component) if not term.along)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        (tau,) = self.nonlinear_values(parameters)
-        gain = parameters["gain"]
+        taus, gains = self.nonlinear_values(parameters), [parameters[p.name] for p in self.linear()]
         if self.along:
-            return (Lowered(self._driver(tau), self.along, lambda x: gain * 1e-3 * np.asarray(x, dtype=float)),)
-        return (Lowered(scaled(self._driver(tau), gain)),)
+            return (Lowered(self._driver(taus[0]), self.along, lambda x: gains[0] * 1e-3 * np.asarray(x, dtype=float)),)
+        return tuple(Lowered(scaled(self._driver(tau), gain)) for tau, gain in zip(taus, gains, strict=True))
+
+
+def two_of(states: np.ndarray, signals: tuple[np.ndarray, ...], apart: int) -> tuple[int, int] | None:
+    """The two columns, `apart` or more from each other, that explain the first signal best with gains of one sign.
+
+    A datum and gains of the other signals are free.
+    """
+    known = np.column_stack([np.ones(len(states)), *signals[1:]])
+    block = np.column_stack([states, signals[0]])
+    block = block - known @ np.linalg.lstsq(known, block, rcond=None)[0]
+    G = block.T @ block
+    best: tuple[float, tuple[int, int] | None] = (0.0, None)
+    for i in range(states.shape[1]):
+        for j in range(i + apart, states.shape[1]):
+            b = np.linalg.lstsq(G[np.ix_([i, j], [i, j])], G[[i, j], -1], rcond=1e-12)[0]
+            explained = float(b @ G[[i, j], -1])
+            if b[0] * b[1] > 0 and explained > best[0]:
+                best = (explained, (i, j))
+    return best[1]

@@ -25,7 +25,8 @@ class ToolWear(Term):
     """The edge wears back as it cuts: the work grows, until a fresh edge is put in.
 
     Equation   deviation = wear * (s / 1000 m)^exponent               [um], s = length cut with this edge
-    Assumes    the length cut starts at 0 with each tool; exponent < 1: fast at first, then steady
+    Assumes    the length cut starts at 0 with each tool, or where the label of `tool` changes; exponent < 1: fast at
+               first, then steady
     Typical    1..30 um
     Moves      one way only, back at each tool change
     Source     ISO 3685 (flank wear curve)
@@ -36,6 +37,7 @@ class ToolWear(Term):
     reference: float = Field(
         1000.0, gt=0, description="Length cut at which the wear is stated.", json_schema_extra={"unit": "m"}
     )
+    tool: str | None = Field(None, description="Column of the tool's label, where the length cut runs on over tools.")
     reports_as = "tool_wear"
     family = "process"
 
@@ -69,21 +71,54 @@ class ToolWear(Term):
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ToolWear]:
         """Wear is stated at the longest length cut: beyond it nothing is known."""
         for term in cls.bind(recording, component):
-            yield term.model_copy(update={"reference": float(np.nanmax(recording.array(term.column)))})
+            for tool in (None, *labels_over(recording, term.column)):
+                cut = since_change(recording, term.column, tool)
+                if np.nanmax(cut) > 0:
+                    yield term.model_copy(update={"reference": float(np.nanmax(cut)), "tool": tool})
 
     def _driver(self, exponent: float) -> Power:
         return Power(of=Affine(weights=(1.0 / self.reference,), of=(Input(name=self.column),)), exponent=exponent)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(*nonlinear), recording)[:, None]
+        if self.tool is None:
+            return drive(self._driver(*nonlinear), recording)[:, None]
+        cut = since_change(recording, self.column, self.tool)
+        return (np.maximum(cut / self.reference, 0.0) ** nonlinear[0])[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield self.basis(recording, min(nonlinear[0] * 1.6, 3.0))[:, 0], 0.3
-        run = recording.run_codes()
+        run = recording.run_codes() if self.tool is None else tool_numbers(recording, self.tool)
         codes = np.unique(run)
         for code in codes if 2 <= codes.size <= MOST_TOOLS else ():
             own = base[:, 0] * (run == code)
             yield own, OWN_RATE * float(np.sqrt(np.mean(own**2) / max(np.var(base[:, 0]), 1e-300)))
 
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
+        if self.tool is not None:
+            return None
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["wear"])),)
+
+
+def labels_over(recording: Recording, column: str) -> tuple[str, ...]:
+    """Columns of labels over whose changes a length cut runs on: it never falls, and there are two tools or more."""
+    cut = recording.array(column)
+    if np.any(np.diff(cut[np.isfinite(cut)]) < 0):
+        return ()
+    names = (*recording.names("group"), *recording.names("run"))
+    return tuple(n for n in names if 2 <= recording.frame[n].nunique() <= MOST_TOOLS)
+
+
+def tool_numbers(recording: Recording, label: str) -> np.ndarray:
+    """0, 1, ... for each stretch of rows with one label, shape (rows,)."""
+    labels = recording.frame[label].to_numpy()
+    return np.r_[0, np.cumsum(labels[1:] != labels[:-1])].astype(np.int64)
+
+
+def since_change(recording: Recording, column: str, label: str | None) -> np.ndarray:
+    """Length cut since the label changed: less the value on the row before; as recorded where there is no label."""
+    cut = recording.array(column)
+    if label is None:
+        return cut
+    number = tool_numbers(recording, label)
+    first = np.r_[0, np.flatnonzero(np.diff(number)) + 1]
+    return cut - np.r_[0.0, cut[first[1:] - 1]][number]

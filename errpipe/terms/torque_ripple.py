@@ -6,39 +6,39 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
+from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import driven_axes
-from errpipe.terms._search import Waves
+from errpipe.terms._place import drive_periods, driven_axes, pole_periods
+from errpipe.terms._search import Signals, Waves
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
 
 class TorqueRipple(Term):
     """The motor's magnets pull unevenly (cogging, commutation): a force that repeats with position.
 
-    Equation   force = sine * sin(2 pi x / period) + cosine * cos(2 pi x / period)   [N]
+    Equation   force = sum over orders k of sine_k sin(2 pi k x / period) + cosine_k cos(2 pi k x / period)   [N]
     Assumes    the same ripple at every speed
-    Typical    2..50 N; the period is that of the magnets, often not the screw's lead
+    Typical    2..50 N; the period is that of a pole pair, orders 2, 6 and 12 for slots, often not the screw's lead
     Moves      with position alone, not with time
     Source     cogging torque of permanent-magnet motors
     """
 
     term: Literal["torque_ripple"] = "torque_ripple"
     axis: Axis
+    orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
     reports_as = "torque_ripple"
     family = "friction"
     compensable = False
 
     def linear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("sine", "N", (2.0, 50.0), (-1000.0, 1000.0), "amplitude of the sine part"),
-            Parameter("cosine", "N", (2.0, 50.0), (-1000.0, 1000.0), "amplitude of the cosine part"),
-        )
+        return waves.named(self.orders, "N", (2.0, 50.0), 1000.0)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave", search=Waves()),)
@@ -48,27 +48,41 @@ class TorqueRipple(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[TorqueRipple]:
+        """One binding for each period that the manifest states, and one with the period free."""
         for axis in driven_axes(recording, component):
+            for period in stated(recording, axis):
+                yield cls(axis=axis, fixed={"period": period})
             yield cls(axis=axis)
 
+    @classmethod
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[TorqueRipple, tuple[float, ...]]]:
+        """Several orders of one wave, as the mismatch shows them."""
+        for axis in driven_axes(recording, component):
+            known = stated(recording, axis)
+            for period, orders in waves.seen(recording, axis, signals, known):
+                yield cls(axis=axis, orders=orders, fixed={"period": period} if period in known else {}), (period,)
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        angle = 2 * np.pi / nonlinear[0] * position(recording, self.axis)
-        return np.column_stack([np.sin(angle), np.cos(angle)])
+        return waves.columns(position(recording, self.axis), nonlinear[0], self.orders)
 
     def log_prior_odds(self) -> float:
-        return -3.0  # the strongest of some hundred waves is picked
+        """The strongest of some hundred waves is picked; a further order is one of about twenty."""
+        return (0.0 if self.fixed else -3.0) - 3.0 * (len(self.orders) - 1)
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         x = position(recording, self.axis)
         yield from uneven_waves(base, x)
-        yield from higher_harmonics(x, nonlinear[0])
+        if not self.fixed and self.orders == (1,):
+            yield from higher_harmonics(x, nonlinear[0])
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)
-        gains = np.array([parameters["sine"], parameters["cosine"]])
+        return (Lowered(ONE, self.axis, lambda x: waves.total(x, period, self.orders, parameters), period),)
 
-        def wave(x: np.ndarray) -> np.ndarray:
-            angle = 2 * np.pi / period * x
-            return np.column_stack([np.sin(angle), np.cos(angle)]) @ gains
 
-        return (Lowered(ONE, self.axis, wave, period),)
+def stated(recording: Recording, axis: str) -> tuple[float, ...]:
+    """Periods of the axis' drive and motor that the manifest states."""
+    known = recording.manifest.axis(axis)
+    return tuple(dict.fromkeys((*pole_periods(known), *drive_periods(known))))

@@ -1,0 +1,131 @@
+"""Lines of a spectrum over position: the strongest waves of a signal, and which of them are orders of one wave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
+FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
+STRONGEST = 12  # waves kept of each signal
+MOST_LINES = 6
+LEAST = 30.0  # power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
+LEAST_BASE = 6.0  # turns of the base within the positions covered: with fewer every line is near some multiple of it
+MOST_ORDER = 60
+NEAR = 0.35  # turns over the positions covered by which a line may miss a multiple of the base
+MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
+CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
+
+
+def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
+    """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart."""
+    span = float(np.ptp(at)) if at.size else 0.0
+    strongest: set[float] = set()
+    for signal in signals:
+        for f in peaks(at, signal, STRONGEST):
+            for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
+                strongest.add(float(1.0 / max(f + shift / span, 0.5 / span)))
+    return tuple(sorted(strongest))
+
+
+def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
+    """Frequencies (1/length) of the strongest waves along `at`, strongest first, to a quarter turn over the span.
+
+    From twice the step between places to the positions covered over FEWEST_TURNS. Periodogram of the means of narrow
+    cells, padded fourfold; a cubic is subtracted first.
+    """
+    places = np.unique(at)
+    span = float(places[-1] - places[0]) if places.size > 1 else 0.0
+    if span <= 0:
+        return np.zeros(0)
+    cells = int(np.clip(8 * places.size, 64, CELLS))
+    step = span / (cells - 1)
+    shortest = max(2.0 * span / (places.size - 1), 4.0 * step)
+    cell = np.minimum(((at - places[0]) / step).astype(int), cells - 1)
+    rows_in = np.bincount(cell, minlength=cells)
+    inside, place = rows_in > 0, np.linspace(-1.0, 1.0, cells)
+    count = 4 * int(2 ** np.ceil(np.log2(cells)))
+    frequency = np.fft.rfftfreq(count, step)
+    total = np.bincount(cell, weights=signal - signal.mean(), minlength=cells)
+    mean = np.where(inside, total / np.maximum(rows_in, 1), 0.0)
+    weight = np.sqrt(rows_in)
+    if inside.sum() > 4:
+        mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3, w=weight[inside]), place[inside])
+    allowed = (frequency >= FEWEST_TURNS / span) & (frequency <= 1 / shortest)
+    power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
+    found = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
+    return frequency[found[np.argsort(-power[found], kind="stable")][:most]]
+
+
+def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
+    """Waves of a signal along `at`, strongest first, as (1/length, amplitude): one is taken away, the next found.
+
+    The textbook method is CLEAN (Hoegbom 1974) with all waves refitted at each step.
+    """
+    span = float(np.ptp(at))
+    found: list[float] = []
+    amplitude: list[float] = []
+    base = np.polynomial.chebyshev.chebvander(2 * (at - at.min()) / max(span, 1e-300) - 1, 3)
+    rest = signal - base @ np.linalg.lstsq(base, signal, rcond=None)[0]
+    while len(found) < MOST_LINES:
+        rough = peaks(at, rest, 1)
+        if not rough.size:
+            break
+        best = float(rough[0])
+        for reach in (0.5, 0.05, 0.005):
+            trial = best + reach / span * np.linspace(-1, 1, 21)
+            best = float(max(trial[trial > 0], key=lambda f: power(at, rest, f)))
+        gained = power(at, rest, best)
+        if gained < LEAST * (float(rest @ rest) - gained) / at.size:
+            break
+        found.append(best)
+        block = np.column_stack([base, *(waves(at, f) for f in found)])
+        fitted = np.linalg.lstsq(block, signal, rcond=None)[0]
+        rest = signal - block @ fitted
+        amplitude = [float(np.hypot(*fitted[k : k + 2])) for k in range(base.shape[1], block.shape[1], 2)]
+    return sorted(zip(found, amplitude, strict=True), key=lambda line: -line[1])
+
+
+def waves(at: np.ndarray, frequency: float) -> np.ndarray:
+    """Sine and cosine, shape (rows, 2)."""
+    angle = 2 * np.pi * frequency * at
+    return np.column_stack([np.sin(angle), np.cos(angle)])
+
+
+def power(at: np.ndarray, signal: np.ndarray, frequency: float) -> float:
+    """Sum of squares that a wave explains."""
+    block = waves(at, frequency)
+    return float(block.T @ signal @ np.linalg.lstsq(block, signal, rcond=None)[0])
+
+
+def combs(
+    found: list[tuple[float, float]], span: float, known: Iterable[float] = ()
+) -> Iterator[tuple[float, tuple[int, ...]]]:
+    """Bases (1/length) of which two or more of the lines are orders, with these orders; the base may be a known one."""
+    best: tuple[float, float, tuple[int, ...]] | None = None
+    bases = {f / m for f, _ in found for m in range(1, MISSING_BASE + 1)}
+    for base in sorted((b for b in bases if b * span >= LEAST_BASE), reverse=True):
+        orders, total = _orders(found, base, span)
+        if len(orders) > 1 and (best is None or total > CLEARLY * best[0]):
+            best = (total, _refined(found, base, span), orders)
+    if best is not None:
+        yield best[1], best[2]
+    for base in known:
+        orders, _ = _orders(found, base, span)
+        if orders and orders != (1,):
+            yield base, orders
+
+
+def _orders(found: list[tuple[float, float]], base: float, span: float) -> tuple[tuple[int, ...], float]:
+    """Orders of a base among the lines, ascending, and the sum of their squares."""
+    inside = [(round(f / base), a) for f, a in found if abs(f / base - round(f / base)) * base * span < NEAR]
+    inside = [(k, a) for k, a in inside if 1 <= k <= MOST_ORDER]
+    return tuple(sorted({k for k, _ in inside})), sum(a**2 for _, a in inside)
+
+
+def _refined(found: list[tuple[float, float]], base: float, span: float) -> float:
+    """The base that its lines agree on, each weighed with the square of amplitude and order."""
+    pairs = [(f, round(f / base), a) for f, a in found]
+    pairs = [(f, k, a) for f, k, a in pairs if k >= 1 and abs(f - k * base) * span < NEAR]
+    return sum(f * k * a**2 for f, k, a in pairs) / sum(k**2 * a**2 for _, k, a in pairs)

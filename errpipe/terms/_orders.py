@@ -1,0 +1,47 @@
+"""What terms of several orders of one wave share: parameters, columns, the orders that a recording shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import position
+from errpipe.terms._base import Parameter
+from errpipe.terms._lines import combs, lines, waves
+from errpipe.terms._search import Signals
+
+LEAST_PLACES = 40  # fewer different positions show no wave of unknown length
+
+
+def named(orders: tuple[int, ...], unit: str, typical: tuple[float, float], bound: float) -> tuple[Parameter, ...]:
+    """Sine and cosine of each order; those of the first one without a number."""
+    out = []
+    for k in orders:
+        tail, which = ("", "") if k == orders[0] else (f"_{k}", f" of order {k}")
+        for part in ("sine", "cosine"):
+            out.append(Parameter(part + tail, unit, typical, (-bound, bound), f"amplitude of the {part} part{which}"))
+    return tuple(out)
+
+
+def columns(x: np.ndarray, period: float, orders: tuple[int, ...]) -> np.ndarray:
+    """Sine and cosine of each order, shape (rows, 2 orders)."""
+    return np.column_stack([waves(np.asarray(x, dtype=float), k / period) for k in orders])
+
+
+def total(x: np.ndarray, period: float, orders: tuple[int, ...], parameters: Mapping[str, float]) -> np.ndarray:
+    """Sum of all orders, shape of x."""
+    gains = [parameters[p.name] for p in named(orders, "um", (0.0, 0.0), np.inf)]
+    return columns(x, period, orders) @ np.array(gains)
+
+
+def seen(
+    recording: Recording, axis: str, signals: Signals, known: tuple[float, ...] = ()
+) -> Iterator[tuple[float, tuple[int, ...]]]:
+    """Period and orders of waves along an axis of which the mismatch shows more than one; known: periods stated."""
+    x = position(recording, axis)[signals.rows]
+    if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= LEAST_PLACES:
+        return
+    for base, orders in combs(lines(x, signals.values[0]), float(np.ptp(x)), [1.0 / p for p in known]):
+        yield 1.0 / base, orders

@@ -1,0 +1,121 @@
+"""What is recorded comes some milliseconds late: a dead time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.sessions import sessions
+from errpipe.terms._base import NEVER, Example, Parameter, Term
+from errpipe.terms._example import rows, worked
+from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Delays, Signals, resolved_times
+
+SLOWEST_STEP = 0.1  # s; clocks of slower logs differ by seconds and minutes: see `clock_offset`
+LEAST, MOST = 0.02, 60.0  # sampling steps
+
+
+class DeadTime(Term):
+    """Bus, amplifier or filter take their time: a position or a force arrives later than simulated, else unchanged.
+
+    Equation   deviation(t) = f(t - delay) - f(t), f the axis' position or the simulated signal
+    Assumes    one delay; of a servo loop with gain Kv only the part that is no lag (that is `following_error`)
+    Typical    0.5..20 ms
+    Moves      along the path, so that it grows with speed and does not round corners
+    Source     dead time of sampled control loops (Franklin, Powell, Workman: half to two periods)
+    """
+
+    term: Literal["dead_time"] = "dead_time"
+    column: str | None = Field(None, description="Column of the simulated signal that comes late.")
+    axis: str | None = Field(None, description="Axis whose position comes late.")
+    reports_as = "dead_time"
+    family = "servo"
+    compensable = False
+    simulated_log_odds = NEVER
+    nuisance = False
+    gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
+    in_part = "never"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the delay explains it in full"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (Parameter("delay", "s", (0.0005, 0.02), (-10.0, 10.0), "recorded late", search=Delays()),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (position_name(recording, self.axis),) if self.axis else (str(self.column),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[DeadTime]:
+        step, _ = resolved_times(recording)
+        if recording.name("time") is None or step > SLOWEST_STEP or is_radial(component):
+            return
+        for column in recording.names("simulated", component=component):
+            yield cls(column=column)
+        for axis in axes_acting(recording, component):
+            yield cls(axis=axis)
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[DeadTime]:
+        """None without a delay: see `located`."""
+        return iter(())
+
+    @classmethod
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[DeadTime, tuple[float, ...]]]:
+        """The delay that brings the mismatch down most: among half steps, then between them."""
+        from scipy.optimize import minimize_scalar
+
+        step, _ = resolved_times(recording)
+        for term in cls.bind(recording, component):
+            if not signals.values or not np.isfinite(term._signal(recording)).all():
+                continue
+            trial = np.r_[-10.0:MOST:0.5] * step
+            rough = min(trial[trial != 0], key=lambda d: term._left(recording, signals, float(d)))
+            near = minimize_scalar(
+                lambda d: term._left(recording, signals, float(d)),  # noqa: B023
+                bounds=(rough - 0.5 * step, rough + 0.5 * step),
+                method="bounded",
+                options={"xatol": 1e-5 * step},
+            )
+            if abs(near.x) > LEAST * step:
+                yield term, (float(near.x),)
+
+    def _left(self, recording: Recording, signals: Signals, delay: float) -> float:
+        """Sum of squares that this delay leaves beside a datum and a gain of the signal."""
+        rest = signals.values[0] - self.basis(recording, delay)[signals.rows, 0]
+        known = self._signal(recording)[signals.rows]
+        block = np.column_stack([np.ones(rest.size), known / max(float(np.abs(known).max()), 1e-300)])
+        rest = rest - block @ np.linalg.lstsq(block, rest, rcond=None)[0]
+        return float(rest @ rest)
+
+    def _signal(self, recording: Recording) -> np.ndarray:
+        if self.axis:
+            known = recording.manifest.axis(self.axis)
+            turns = known is not None and known.kind == "rotary"
+            return position(recording, self.axis) * (np.pi / 180e-6 if turns else 1e3)  # urad of deg, um of mm
+        return recording.array(str(self.column))
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        t, f, session = recording.time(), self._signal(recording), sessions(recording)
+        late = np.full(f.shape, np.nan)
+        for s in np.unique(session):
+            inside = np.flatnonzero((session == s) & np.isfinite(f))
+            if inside.size > 1:
+                at, first = np.unique(t[inside], return_index=True)
+                late[inside] = np.interp(t[inside] - nonlinear[0], at, f[inside][first])
+        return (late - f)[:, None]
+
+    def log_prior_odds(self) -> float:
+        """Most recordings and simulations are brought onto one clock before they are compared."""
+        return -2.0
+
+    @classmethod
+    def example(cls) -> Example:
+        return worked(cls(axis="X"), rows(0.01))

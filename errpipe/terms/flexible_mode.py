@@ -1,0 +1,154 @@
+"""A part of the structure vibrates at its natural frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+from errpipe.terms._base import NEVER, Example, Parameter, Term
+from errpipe.terms._example import rows, worked
+from errpipe.terms._fields import Axis
+from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._search import Listed, Resonances, Signals, resolved_times
+from errpipe.terms._slack import Slack
+
+SLOWEST_STEP = 0.1  # s; structures vibrate at some Hz and more
+RATIO = 1.03  # between trial frequencies; lightly damped modes are followed by the finer steps around the best
+DAMPINGS = (0.01, 0.03, 0.1)
+HIGHEST_DAMPING = 0.25  # beyond it no resonance shows in a spectrum
+KEPT = 3  # resonances offered of each binding
+
+
+class FlexibleMode(Term):
+    """Column, slide or drive train is a spring-mass system: an acceleration or a force makes it ring.
+
+    Equation   q'' + 2 damping w q' + w^2 q = w^2 u,  w = 2 pi frequency,  u = acceleration or force
+               deviation = -compliance * q  (of a drive force: mass * q); with `ringing` q - u stands for q
+    Assumes    one mode, excited by what was recorded; rows at least five times as fast as it
+    Typical    frequency 5..300 Hz, damping 0.005..0.1, 1..10 um per m/s2
+    Moves      positive compliance: against the acceleration, then back and forth at the natural frequency
+    Source     single degree of freedom with base excitation; Altintas 2012, ch. 3; ISO 230-8
+    """
+
+    term: Literal["flexible_mode"] = "flexible_mode"
+    axis: Axis
+    column: str = Field(description="Column of the acceleration.")
+    on_force: bool = Field(False, description="The response is a drive force.")
+    ringing: bool = Field(False, description="The simulation holds the static part: only what rings is missing.")
+    reports_as = "flexible_mode"
+    family = "servo"
+    compensable = False
+    simulated_log_odds = NEVER
+    in_part = "never"
+
+    def linear(self) -> tuple[Parameter, ...]:
+        if self.on_force:
+            return (Parameter("mass", "kg", (5.0, 2000.0), (-1e5, 1e5), "mass that vibrates"),)
+        return (Parameter("compliance", "um/(m/s2)", (1.0, 10.0), (-500.0, 500.0), "static deflection per m/s2"),)
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("frequency", "Hz", (5.0, 300.0), (1e-3, 1e6), "natural frequency", search=Resonances()),
+            Parameter("damping", "1", (0.005, 0.1), (1e-4, HIGHEST_DAMPING), "damping ratio", search=Listed()),
+        )
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.column,)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[FlexibleMode]:
+        step, _ = resolved_times(recording)
+        if recording.name("time") is None or step > SLOWEST_STEP or is_radial(component):
+            return
+        on_force = component.startswith("F_")
+        for axis in (component[2:],) if on_force else axes_acting(recording, component):
+            for column in recording.names("acceleration", axis=axis):
+                for ringing in (False, True):
+                    yield cls(axis=axis, column=column, on_force=on_force, ringing=ringing)
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[FlexibleMode]:
+        """None without a frequency: see `located`."""
+        return iter(())
+
+    @classmethod
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[FlexibleMode, tuple[float, ...]]]:
+        """The resonances that explain most of the mismatch, at several dampings."""
+        for term in cls.bind(recording, component):
+            if np.isfinite(recording.array(term.column)).all() and signals.values:
+                for k, frequency in enumerate(term._strongest(recording, signals)):
+                    if k == 0:
+                        yield term, term._best(recording, signals, frequency)
+                    for damping in DAMPINGS:
+                        yield term, (frequency, damping)
+
+    def _strongest(self, recording: Recording, signals: Signals) -> list[float]:
+        """Local maxima of what a resonance explains over its frequency, the strongest first."""
+        low, high = Resonances().limits(self, recording)
+        if high <= low:
+            return []
+        trial = np.geomspace(low, high, max(int(np.log(high / low) / np.log(RATIO)), 3))
+        gained = np.array([self._explained(recording, signals, f, 0.05) for f in trial])
+        peak = np.flatnonzero((gained >= np.r_[0, gained[:-1]]) & (gained >= np.r_[gained[1:], 0]))
+        out = []
+        for f in trial[peak[np.argsort(-gained[peak])][:KEPT]]:
+            finer = f * RATIO ** np.linspace(-1, 1, 13)
+            out.append(float(max(finer, key=lambda v: self._explained(recording, signals, v, 0.02))))
+        return out
+
+    def _best(self, recording: Recording, signals: Signals, frequency: float) -> tuple[float, float]:
+        """Frequency and damping near a located frequency that explain the mismatch best."""
+        from scipy.optimize import minimize
+
+        def loss(at: np.ndarray) -> float:
+            damping = min(float(np.exp(at[1])), HIGHEST_DAMPING)
+            return -self._explained(recording, signals, frequency * float(np.exp(at[0])), damping)
+
+        start = [[0.0, np.log(d)] for d in (0.03, 0.03, 0.1)]
+        start[1][0] = 0.01
+        simplex = {"initial_simplex": start, "maxfev": 60, "xatol": 1e-4, "fatol": 0.0}
+        found = minimize(loss, start[0], method="Nelder-Mead", options=simplex).x
+        return frequency * float(np.exp(found[0])), min(float(np.exp(found[1])), HIGHEST_DAMPING)
+
+    def _explained(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> float:
+        """Sum of squares of the mismatch that a mode explains beyond its input itself."""
+        u, y = recording.array(self.column)[signals.rows], signals.values[0] - signals.values[0].mean()
+        known = np.column_stack([np.ones(u.size), u])
+        both = np.column_stack([known, self._state(recording, frequency, damping)[signals.rows]])
+        size = np.sqrt(np.mean(both**2, axis=0))
+        both = both / np.where(size > 0, size, 1.0)
+        products, s = both.T @ both, both.T @ y
+        every, some = (float(s[:k] @ np.linalg.lstsq(products[:k, :k], s[:k], rcond=1e-12)[0]) for k in (4, 2))
+        return every - some
+
+    def _state(self, recording: Recording, frequency: float, damping: float) -> np.ndarray:
+        """Deflection and speed of the mode, shape (rows, 2)."""
+        u = recording.array(self.column)
+        pause = 0.5 / frequency
+        return responses.vibration(sessions(recording), recording.time(), u, frequency, damping, pause)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        q = self._state(recording, *nonlinear)[:, 0]
+        if self.ringing:
+            q = q - recording.array(self.column)
+        return ((1e-3 if self.on_force else -1e-3) * q)[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield self._state(recording, *nonlinear)[:, 1], 0.3  # where it is measured it may be early or late
+
+    def log_prior_odds(self) -> float:
+        """The strongest of a few hundred frequencies is chosen."""
+        return -3.0
+
+    @classmethod
+    def example(cls) -> Example:
+        made = rows(0.01)
+        return worked(cls(axis="X", column="ax"), made)

@@ -1,0 +1,202 @@
+"""Terms whose values are located in the signals: orders of a wave, a resonance, a dead time, two time constants.
+
+Second opinions: scipy's integrators and linear systems, closed forms; none of the terms' own code makes the data.
+"""
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+from scipy.signal import TransferFunction, lsim
+
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.kernels import responses
+from errpipe.terms import Signals
+from errpipe.terms._lines import combs, lines
+from errpipe.terms._place import drive_periods, pole_periods
+from errpipe.terms.dead_time import DeadTime
+from errpipe.terms.flexible_mode import FlexibleMode
+from errpipe.terms.pitch_cyclic import PitchCyclic
+from errpipe.terms.thermal_lag import ThermalLag
+from errpipe.terms.tool_wear import ToolWear
+from errpipe.terms.torque_ripple import TorqueRipple
+
+
+def recording(data: dict, kinds: dict, **constants) -> Recording:
+    columns = {name: Column(**kinds[name]) for name in data}
+    manifest = Manifest(recording=1, tables=("r.csv",), columns=columns, constants=constants)
+    return Recording(manifest, pd.DataFrame(data))
+
+
+def signals(*values: np.ndarray) -> Signals:
+    return Signals(np.arange(values[0].size), values)
+
+
+# ---------------------------------------------------------------- a resonance
+@pytest.mark.parametrize("damping", [0.003, 0.05, 0.6])
+def test_vibration_against_a_linear_system(damping):
+    rng = np.random.default_rng(1)
+    t = 1e-3 * np.arange(1500)
+    u = np.cumsum(rng.normal(size=t.size))
+    u -= u[0]
+    w = 2 * np.pi * 40.0
+    made = responses.vibration(np.zeros(t.size, dtype=np.int64), t, u, 40.0, damping, 1.0)
+    plant = [1, 2 * damping * w, w**2]
+    for k, numerator in enumerate(([w**2], [w, 0])):
+        assert_allclose(made[:, k], lsim(TransferFunction(numerator, plant), u, t)[1], atol=1e-9 * np.abs(u).max())
+
+
+def test_vibration_between_uneven_rows_against_an_integrator():
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(0.5e-3, 4e-3, 200))
+    u = np.sin(30 * t) + rng.normal(size=t.size)
+    w, damping = 2 * np.pi * 25.0, 0.08
+
+    def rate(at, state):
+        return [state[1], w**2 * (np.interp(at, t, u) - state[0]) - 2 * damping * w * state[1]]
+
+    out, state = [u[0]], [u[0], 0.0]
+    for a, b in itertools.pairwise(t):
+        state = solve_ivp(rate, (a, b), state, rtol=1e-10, atol=1e-12).y[:, -1]
+        out.append(state[0])
+    made = responses.vibration(np.zeros(t.size, dtype=np.int64), t, u, 25.0, damping, 1.0)
+    assert_allclose(made[:, 0], out, atol=1e-6)
+
+
+def under_way(hertz: float = 500.0, seconds: float = 8.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, position and acceleration of strokes with bounded acceleration."""
+    t = np.arange(int(hertz * seconds)) / hertz
+    a = 2000.0 * np.sign(np.sin(2 * np.pi * t / 1.6)) * (np.abs(np.sin(2 * np.pi * t / 1.6)) > 0.7)
+    return t, np.cumsum(np.cumsum(a)) / hertz**2, a
+
+
+def log(**more) -> Recording:
+    t, x, a = under_way()
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
+        "EXX": {"role": "error", "component": "EXX", "unit": "um"},
+        "EXX_sim": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    return recording({"t": t, "x": x, "a": a, "EXX": 0 * t, "EXX_sim": 0 * t} | more, kinds)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(12.0, 0.1), (37.0, 0.01), (61.0, 0.03)])
+def test_a_resonance_is_located(frequency, damping):
+    t, _, a = under_way()
+    w = 2 * np.pi * frequency
+    ringing = lsim(TransferFunction([w**2], [1, 2 * damping * w, w**2]), a, t)[1]
+    seen = -2e-3 * ringing + 0.5 * np.random.default_rng(3).normal(size=t.size)
+    found = {values[0] for _, values in FlexibleMode.located(log(), "EXX", signals(seen))}
+    assert min(abs(f / frequency - 1) for f in found) < 0.02
+    basis = FlexibleMode(axis="X", column="a").basis(log(), frequency, damping)[:, 0]
+    assert_allclose(2 * basis, -2e-3 * ringing, atol=1e-9)
+
+
+def test_a_mode_is_offered_for_fast_logs_only():
+    slow = log(t=np.arange(4000) * 0.5)
+    assert not list(FlexibleMode.bind(slow, "EXX")) and list(FlexibleMode.bind(log(), "EXX"))
+
+
+# ---------------------------------------------------------------- a dead time
+@pytest.mark.parametrize("delay", [0.4e-3, 3.3e-3, 21e-3])
+def test_a_dead_time_is_located(delay):
+    rng = np.random.default_rng(4)
+    t = under_way()[0]
+    f = 40 * np.sin(9 * t) + 25 * np.sin(23 * t + 1)
+    late = 40 * np.sin(9 * (t - delay)) + 25 * np.sin(23 * (t - delay) + 1)
+    case = log(EXX_sim=f)
+    (found,) = [v[0] for term, v in DeadTime.located(case, "EXX", signals(late - f + 0.05 * rng.normal(size=t.size)))
+                if term.column]  # fmt: skip
+    assert found == pytest.approx(delay, abs=1e-4)
+    basis = DeadTime(column="EXX_sim").basis(case, delay)[:, 0]
+    assert_allclose(basis[50:], (late - f)[50:], atol=0.02)
+
+
+# ---------------------------------------------------------------- orders of a wave
+def test_lines_and_what_they_are_orders_of():
+    rng = np.random.default_rng(5)
+    x = np.sort(rng.uniform(0, 700, 3000))
+    y = 6 * np.cos(2 * np.pi * x / 24 + 1) + 3 * np.cos(2 * np.pi * 6 * x / 24 - 2) + 4 * np.cos(2 * np.pi * x / 55.5)
+    found = lines(x, y + 1.5 * rng.normal(size=x.size) + 1e-4 * x**2)
+    assert_allclose(sorted(1 / f for f, _ in found), [4.0, 24.0, 55.5], rtol=1e-3)
+    assert_allclose([a for _, a in found], [6, 4, 3], rtol=0.1)
+    ((base, orders),) = combs(found, 700.0)
+    assert orders == (1, 6) and 1 / base == pytest.approx(24.0, rel=1e-4)
+
+
+def test_noise_has_no_lines():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        assert not lines(np.sort(rng.uniform(0, 500, 1500)), rng.normal(size=1500))
+
+
+def test_the_base_may_be_absent():
+    """Orders 2 and 3 of a pole pair without the first."""
+    ((base, orders),) = combs([(2 / 30, 5.0), (3 / 30, 4.0)], 600.0)
+    assert 1 / base == pytest.approx(30.0) and orders == (2, 3)
+
+
+@pytest.mark.parametrize("kind", [PitchCyclic, TorqueRipple])
+def test_several_orders_against_a_sum_of_cosines(kind):
+    x = np.linspace(0, 100, 400)
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}}
+    term = kind(axis="X", orders=(1, 4))
+    parameters = {"sine": 3.0, "cosine": -4.0, "sine_4": 0.6, "cosine_4": 0.8, "period": 20.0}
+    made = term.value(recording({"x": x}, kinds), parameters)
+    turn = 2 * np.pi * x / 20
+    expected = 5 * np.cos(turn - np.arctan2(3, -4)) + np.cos(4 * turn - np.arctan2(0.6, 0.8))
+    assert_allclose(made, expected, atol=1e-12)
+
+
+def test_periods_that_a_manifest_states():
+    belt = Constant(role="axis", kind="linear", tooth_pitch=5.0, teeth=30, gear_ratio=3.0, pole_pairs=4, unit="mm")
+    assert drive_periods(belt) == (150.0, 50.0, 5.0) and pole_periods(belt) == (12.5,)
+    worm = Constant(role="axis", kind="rotary", teeth=90, gear_ratio=90.0, pole_pairs=2, unit="deg")
+    assert drive_periods(worm) == (4.0,) and pole_periods(worm) == (2.0,)
+    assert pole_periods(Constant(role="axis", kind="linear", magnet_period=24.0, unit="mm")) == (24.0,)
+    assert drive_periods(None) == pole_periods(None) == ()
+
+
+# ---------------------------------------------------------------- two time constants, wear of several tools
+def test_two_time_constants_against_the_step_response():
+    t = 30.0 * np.arange(900)
+    step = np.where(t >= 300, 10.0, 0.0)
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "T": {"role": "temperature", "unit": "degC"},
+        "E_Z": {"role": "error", "component": "E_Z", "unit": "um"},
+    }
+    case = recording({"t": t, "T": 20 + step, "E_Z": 0 * t}, kinds)
+    since = np.maximum(t - 300, 0)
+    parts = [10 * (1 - np.exp(-since / tau)) for tau in (400.0, 6000.0)]
+    term = ThermalLag(sensor="T", reference=20.0, two_stages=True)
+    assert_allclose(term.basis(case, 400.0, 6000.0), np.column_stack(parts), atol=1e-9)
+    seen = 2 * parts[0] + 3 * parts[1] + 0.2 * np.random.default_rng(6).normal(size=t.size)
+    ((found, taus),) = ThermalLag.located(case, "E_Z", signals(seen))
+    assert found.two_stages and is_close(taus, (400.0, 6000.0))
+
+
+def is_close(values, expected) -> bool:
+    """Within half a step of the trial values."""
+    return all(abs(np.log(v / e)) < np.log(1.5) for v, e in zip(values, expected, strict=True))
+
+
+def test_wear_restarts_where_the_tool_changes():
+    cut = np.cumsum(np.full(60, 2.0))
+    tool = np.repeat(["a", "b", "a"], 20)
+    kinds = {
+        "tool": {"role": "group", "of": "tool"},
+        "L": {"role": "cut_length", "unit": "m"},
+        "E_D": {"role": "error", "component": "E_D", "unit": "um"},
+    }
+    case = recording({"tool": tool, "L": cut, "E_D": 0 * cut}, kinds)
+    own = [t for t in ToolWear.hypotheses(case, case, "E_D") if t.tool == "tool"]
+    assert len(own) == 1 and own[0].reference == 40.0
+    assert_allclose(own[0].basis(case, 1.0)[:, 0], np.tile(np.arange(2, 42, 2) / 40, 3))
+    restarted = case.with_columns({"L": np.tile(cut[:20], 3)}, {})
+    assert not [t for t in ToolWear.hypotheses(restarted, restarted, "E_D") if t.tool]
