@@ -122,8 +122,10 @@ def build(
     signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
     """
     run = recording.run_codes()[rows]
-    still = Signals(rows, tuple(without_motion(recording, rows, signal) for signal in signals))
-    every = enumerate_all(recording, component, raw or recording, still)
+    motion = motion_columns(recording, rows)
+    still = tuple(signal - motion @ (motion.T @ signal) for signal in signals)
+    seen = Signals(rows, still, signals[0] if signals else None, motion)
+    every = enumerate_all(recording, component, raw or recording, seen)
     return Library(_with_columns(every, recording, rows), run, folds(run, sessions(recording)[rows])[0])
 
 
@@ -210,15 +212,15 @@ def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:
     return [(a, b) for a, b in pairs if a.axis != b.axis and a.model_copy(update={"axis": b.axis}) == b]
 
 
-def without_motion(recording: Recording, rows: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """A signal less what goes with the axes' speeds and accelerations, which would hide waves."""
+def motion_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """Orthonormal columns of a datum, the axes' speeds, accelerations and their signs, which would hide waves."""
     columns = [np.ones(rows.size)]
     for name in (*recording.names("velocity"), *recording.names("acceleration")):
         values = recording.array(name)[rows]
         if np.isfinite(values).all() and values.std() > 0:
             columns += [values / values.std(), np.sign(values)]
-    block = np.column_stack(columns)
-    return signal - block @ np.linalg.lstsq(block, signal, rcond=None)[0]
+    left, size, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
+    return left[:, size > 1e-10 * size[0]]
 
 
 def grid(term: Term, recording: Recording, signals: Signals) -> list[tuple[float, ...]]:

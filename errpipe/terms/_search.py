@@ -26,10 +26,23 @@ TYPICAL_WIDTH = 5.0  # factor beyond the typical range that counts as one standa
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals in which waves are searched: judged rows (indices into the recording) and values there."""
+    """Signals in which values are located, on the judged rows (indices into the recording); the mismatch comes first.
+
+    values: less what goes with the axes' speeds and accelerations; motion: orthonormal columns of these (rows, k).
+    """
 
     rows: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     values: tuple[np.ndarray, ...] = ()
+    mismatch: np.ndarray | None = None  # as it is; none: the first of the values
+    motion: np.ndarray | None = None
+
+    def whole(self) -> np.ndarray:
+        """The mismatch as it is."""
+        return self.values[0] if self.mismatch is None else self.mismatch
+
+    def still(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (rows, k) less what goes with the motion, as the values are."""
+        return columns if self.motion is None else columns - self.motion @ (self.motion.T @ columns)
 
 
 def resolved_times(recording: Recording) -> tuple[float, float]:

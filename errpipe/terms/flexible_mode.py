@@ -119,15 +119,11 @@ class FlexibleMode(Term):
         return frequency * float(np.exp(found[0])), min(float(np.exp(found[1])), HIGHEST_DAMPING)
 
     def _explained(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> float:
-        """Sum of squares of the mismatch that a mode explains beyond its input itself."""
-        u, y = recording.array(self.column)[signals.rows], signals.values[0] - signals.values[0].mean()
-        known = np.column_stack([np.ones(u.size), u])
-        both = np.column_stack([known, self._state(recording, frequency, damping)[signals.rows]])
-        size = np.sqrt(np.mean(both**2, axis=0))
-        both = both / np.where(size > 0, size, 1.0)
-        products, s = both.T @ both, both.T @ y
-        every, some = (float(s[:k] @ np.linalg.lstsq(products[:k, :k], s[:k], rcond=1e-12)[0]) for k in (4, 2))
-        return every - some
+        """Sum of squares of the mismatch that a mode explains beyond what goes with the motion itself."""
+        state = self._state(recording, frequency, damping)[signals.rows]
+        own = signals.still(state / np.maximum(np.sqrt(np.mean(state**2, axis=0)), 1e-300))
+        s = own.T @ signals.values[0]
+        return float(s @ np.linalg.lstsq(own.T @ own, s, rcond=1e-12)[0])
 
     def _state(self, recording: Recording, frequency: float, damping: float) -> np.ndarray:
         """Deflection and speed of the mode, shape (rows, 2)."""
