@@ -27,6 +27,7 @@ HELD_OUT_SHARE = (
     0.1  # threshold: share of the held-out variance beyond the findings that shapes over inputs must predict
 )
 PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
+MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
 UNPROVED = 0.45  # upper limit of the confidence of a finding that does not improve held-out rows
 
@@ -329,7 +330,10 @@ def _unknown(case: Case, chance: float) -> Finding:
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:
-    numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in made.estimates[:3])
+    wave = any(e.name == "amplitude" for e in made.estimates)
+    told = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine")))]
+    shown = told[: MOST_NUMBERS - 1] + told[-1:] if wave and len(told) > MOST_NUMBERS else told[:MOST_NUMBERS]
+    numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in shown)
     numbers += _unusual(made)
     size = float(np.std(made.contribution))
     return (

@@ -12,8 +12,9 @@ STRONGEST = 12  # waves kept of each signal
 MOST_LINES = 6
 LEAST = 30.0  # power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
 LEAST_BASE = 6.0  # turns of the base within the positions covered: with fewer every line is near some multiple of it
-MOST_ORDER = 60
+MOST_ORDER = 100
 NEAR = 0.35  # turns over the positions covered by which a line may miss a multiple of the base
+NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
@@ -101,31 +102,33 @@ def power(at: np.ndarray, signal: np.ndarray, frequency: float) -> float:
 
 def combs(
     found: list[tuple[float, float]], span: float, known: Iterable[float] = ()
-) -> Iterator[tuple[float, tuple[int, ...]]]:
-    """Bases (1/length) of which two or more of the lines are orders, with these orders; the base may be a known one."""
+) -> Iterator[tuple[float, tuple[int, ...], bool]]:
+    """Bases (1/length) of which lines are orders, these orders, the strongest first, and whether the base is known.
+
+    At least two lines of an unknown base. A known base may have a single order; it may make a single turn, and lines
+    then have to agree more closely.
+    """
     best: tuple[float, float, tuple[int, ...]] | None = None
     bases = {f / m for f, _ in found for m in range(1, MISSING_BASE + 1)}
     for base in sorted((b for b in bases if b * span >= LEAST_BASE), reverse=True):
-        orders, total = _orders(found, base, span)
+        orders = _orders(found, base, NEAR / span)
+        total = sum(a**2 for _, _, a in orders)
         if len(orders) > 1 and (best is None or total > CLEARLY * best[0]):
-            best = (total, _refined(found, base, span), orders)
+            refined = sum(f * k * a**2 for k, f, a in orders) / sum(k**2 * a**2 for k, _, a in orders)
+            best = (total, refined, tuple(k for k, _, _ in orders))
     if best is not None:
-        yield best[1], best[2]
+        yield best[1], best[2], False
     for base in known:
-        orders, _ = _orders(found, base, span)
-        if orders and orders != (1,):
-            yield base, orders
+        orders = _orders(found, base, NEAR_KNOWN / span)
+        if orders and (len(orders) > 1 or orders[0][0] > 1):
+            yield base, tuple(k for k, _, _ in orders), True
 
 
-def _orders(found: list[tuple[float, float]], base: float, span: float) -> tuple[tuple[int, ...], float]:
-    """Orders of a base among the lines, ascending, and the sum of their squares."""
-    inside = [(round(f / base), a) for f, a in found if abs(f / base - round(f / base)) * base * span < NEAR]
-    inside = [(k, a) for k, a in inside if 1 <= k <= MOST_ORDER]
-    return tuple(sorted({k for k, _ in inside})), sum(a**2 for _, a in inside)
-
-
-def _refined(found: list[tuple[float, float]], base: float, span: float) -> float:
-    """The base that its lines agree on, each weighed with the square of amplitude and order."""
-    pairs = [(f, round(f / base), a) for f, a in found]
-    pairs = [(f, k, a) for f, k, a in pairs if k >= 1 and abs(f - k * base) * span < NEAR]
-    return sum(f * k * a**2 for f, k, a in pairs) / sum(k**2 * a**2 for _, k, a in pairs)
+def _orders(found: list[tuple[float, float]], base: float, near: float) -> list[tuple[int, float, float]]:
+    """Orders of a base among the lines, each with its strongest line, the strongest first."""
+    out: dict[int, tuple[int, float, float]] = {}
+    for f, a in sorted(found, key=lambda line: -line[1]):
+        k = round(f / base)
+        if 1 <= k <= MOST_ORDER and abs(f - k * base) < near:
+            out.setdefault(k, (k, f, a))
+    return list(out.values())

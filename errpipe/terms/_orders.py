@@ -12,6 +12,7 @@ from errpipe.terms._base import Parameter
 from errpipe.terms._lines import combs, lines, waves
 from errpipe.terms._search import Signals
 
+TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart
 LEAST_PLACES = 40  # fewer different positions show no wave of unknown length
 
 
@@ -26,8 +27,8 @@ def named(orders: tuple[int, ...], unit: str, typical: tuple[float, float], boun
 
 
 def columns(x: np.ndarray, period: float, orders: tuple[int, ...]) -> np.ndarray:
-    """Sine and cosine of each order, shape (rows, 2 orders)."""
-    return np.column_stack([waves(np.asarray(x, dtype=float), k / period) for k in orders])
+    """Sine and cosine of each order, shape (rows, 2 orders); period: of the first one."""
+    return np.column_stack([waves(np.asarray(x, dtype=float), k / orders[0] / period) for k in orders])
 
 
 def total(x: np.ndarray, period: float, orders: tuple[int, ...], parameters: Mapping[str, float]) -> np.ndarray:
@@ -38,10 +39,16 @@ def total(x: np.ndarray, period: float, orders: tuple[int, ...], parameters: Map
 
 def seen(
     recording: Recording, axis: str, signals: Signals, known: tuple[float, ...] = ()
-) -> Iterator[tuple[float, tuple[int, ...]]]:
-    """Period and orders of waves along an axis of which the mismatch shows more than one; known: periods stated."""
+) -> Iterator[tuple[float, tuple[int, ...], bool]]:
+    """Waves along an axis of which the mismatch shows more than one order: period of the first, orders, is it known?
+
+    The first order is the strongest. known: periods stated; one turn of a rotary axis always is.
+    """
     x = position(recording, axis)[signals.rows]
     if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= LEAST_PLACES:
         return
-    for base, orders in combs(lines(x, signals.values[0]), float(np.ptp(x)), [1.0 / p for p in known]):
-        yield 1.0 / base, orders
+    span = float(np.ptp(x))
+    fact = recording.manifest.axis(axis)
+    turn = (TURN,) if fact is not None and fact.kind == "rotary" and span > NEARLY * TURN else ()
+    for base, orders, stated in combs(lines(x, signals.values[0]), span, [1.0 / p for p in (*known, *turn)]):
+        yield 1.0 / base / orders[0], orders, stated

@@ -23,7 +23,7 @@ from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 class PitchCyclic(Term):
     """The screw runs out once per turn ("drunken thread"): a wave with the lead, a tooth or a turn of the drive.
 
-    Equation   deviation(x) = sum over orders k of sine_k sin(2 pi k x / period) + cosine_k cos(2 pi k x / period)
+    Equation   deviation(x) = sum over orders k of sine_k sin(k a) + cosine_k cos(k a),  a = 2 pi x / (k_1 period)
     Assumes    sampling finer than a quarter of the period and not in step with it; the same wave all along
     Typical    0.5..5 um; period 5..20 mm (the lead), of belts tooth and pulley, for rotary axes 360 deg / teeth
     Moves      positive sine: too far on the first half of each turn
@@ -33,7 +33,9 @@ class PitchCyclic(Term):
     term: Literal["pitch_cyclic"] = "pitch_cyclic"
     axis: Axis
     radial: Radial = False
-    orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
+    orders: tuple[int, ...] = Field(
+        (1,), min_length=1, description="Multiples of a base; the period is that of the first one."
+    )
     reports_as = "pitch_cyclic"
     family = "geometric"
     rowwise = True
@@ -75,9 +77,8 @@ class PitchCyclic(Term):
         """Several orders of one wave, as the mismatch shows them."""
         for axis in () if is_radial(component) else axes_acting(recording, component):
             stated = drive_periods(recording.manifest.axis(axis))
-            for period, orders in waves.seen(recording, axis, signals, stated):
-                fixed = {"period": period} if period in stated else {}
-                yield cls(axis=axis, orders=orders, fixed=fixed), (period,)
+            for period, orders, known in waves.seen(recording, axis, signals, stated):
+                yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (period,) = nonlinear
@@ -92,7 +93,7 @@ class PitchCyclic(Term):
         if not self.radial:
             x = position(recording, self.axis)
             yield from uneven_waves(base, x)
-            if not self.fixed and self.orders == (1,):
+            if not self.fixed and len(self.orders) == 1:
                 yield from higher_harmonics(x, nonlinear[0])
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

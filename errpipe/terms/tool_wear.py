@@ -90,7 +90,7 @@ class ToolWear(Term):
         run = recording.run_codes() if self.tool is None else tool_numbers(recording, self.tool)
         codes = np.unique(run)
         for code in codes if 2 <= codes.size <= MOST_TOOLS else ():
-            own = base[:, 0] * ((run == code) - 1.0 / codes.size)  # less the mean of all tools, which is the form itself
+            own = base[:, 0] * ((run == code) - 1.0 / codes.size)  # less the mean of all: that is the form
             yield own, OWN_RATE * float(np.sqrt(np.mean(own**2) / max(np.var(base[:, 0]), 1e-300)))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:

@@ -23,7 +23,7 @@ from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 class TorqueRipple(Term):
     """The motor's magnets pull unevenly (cogging, commutation): a force that repeats with position.
 
-    Equation   force = sum over orders k of sine_k sin(2 pi k x / period) + cosine_k cos(2 pi k x / period)   [N]
+    Equation   force = sum over orders k of sine_k sin(k a) + cosine_k cos(k a),  a = 2 pi x / (k_1 period)   [N]
     Assumes    the same ripple at every speed
     Typical    2..50 N; the period is that of a pole pair, orders 2, 6 and 12 for slots, often not the screw's lead
     Moves      with position alone, not with time
@@ -32,7 +32,9 @@ class TorqueRipple(Term):
 
     term: Literal["torque_ripple"] = "torque_ripple"
     axis: Axis
-    orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
+    orders: tuple[int, ...] = Field(
+        (1,), min_length=1, description="Multiples of a base; the period is that of the first one."
+    )
     reports_as = "torque_ripple"
     family = "friction"
     compensable = False
@@ -60,9 +62,8 @@ class TorqueRipple(Term):
     ) -> Iterator[tuple[TorqueRipple, tuple[float, ...]]]:
         """Several orders of one wave, as the mismatch shows them."""
         for axis in driven_axes(recording, component):
-            known = stated(recording, axis)
-            for period, orders in waves.seen(recording, axis, signals, known):
-                yield cls(axis=axis, orders=orders, fixed={"period": period} if period in known else {}), (period,)
+            for period, orders, known in waves.seen(recording, axis, signals, stated(recording, axis)):
+                yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return waves.columns(position(recording, self.axis), nonlinear[0], self.orders)
@@ -74,7 +75,7 @@ class TorqueRipple(Term):
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         x = position(recording, self.axis)
         yield from uneven_waves(base, x)
-        if not self.fixed and self.orders == (1,):
+        if not self.fixed and len(self.orders) == 1:
             yield from higher_harmonics(x, nonlinear[0])
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

@@ -63,6 +63,27 @@ def cogging() -> Case:
     return sheet(data, columns, "F_X", "N", model, seen, AXIS), "torque_ripple", sizes
 
 
+def slots() -> Case:
+    """A motor of 7 pole pairs and 12 slots over one turn, both ways: orders 7, 28 and 12 of the turn."""
+    rng = np.random.default_rng(27)
+    x = np.r_[np.linspace(0, 359.3, 512), np.linspace(359.3, 0, 512)]
+    side = np.repeat([1, -1], 512)
+    turn = np.deg2rad(x)
+    model = 0.4 * side
+    seen = model + 2.5 * np.sin(7 * turn + 1) + 1.3 * np.sin(28 * turn) + 0.6 * np.sin(12 * turn + 2)
+    seen = seen + 0.3 * rng.normal(size=x.size)
+    data = {"t": np.arange(1024) * 1.5, "c": x.round(4), "dir": side}
+    columns = {
+        "t": TIME,
+        "c": {"role": "position", "axis": "C", "unit": "deg"},
+        "dir": {"role": "direction", "axis": "C"},
+    }
+    made = sheet(data, columns, "F_C", "N m", model, seen)
+    made.constants["C"] = {"role": "axis", "kind": "rotary", "unit": "deg"}
+    sizes = {"amplitude": 2.5, "amplitude_28": 1.3, "amplitude_12": 0.6, "period": 360 / 7}
+    return made, "torque_ripple", sizes
+
+
 def belt() -> Case:
     """A belt of 5 mm teeth on a pulley of 30: manifest and mismatch hold both waves."""
     rng = np.random.default_rng(22)
@@ -126,8 +147,8 @@ def five_tools() -> Case:
     return sheet(data, columns, "E_D", "um", model, seen), "tool_wear", {"exponent": 0.7}
 
 
-NOISE = {"cogging": 2.0, "belt": 5.0, "mode": 0.4, "delay": 2.0, "two_bodies": 0.4, "five_tools": 0.6}
-CASES = {make.__name__: make for make in (cogging, belt, mode, delay, two_bodies, five_tools)}
+NOISE = {"cogging": 2.0, "slots": 0.3, "belt": 5.0, "mode": 0.4, "delay": 2.0, "two_bodies": 0.4, "five_tools": 0.6}
+CASES = {make.__name__: make for make in (cogging, slots, belt, mode, delay, two_bodies, five_tools)}
 
 
 @pytest.mark.parametrize("name", CASES)

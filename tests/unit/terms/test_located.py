@@ -125,8 +125,8 @@ def test_lines_and_what_they_are_orders_of():
     found = lines(x, y + 1.5 * rng.normal(size=x.size) + 1e-4 * x**2)
     assert_allclose(sorted(1 / f for f, _ in found), [4.0, 24.0, 55.5], rtol=1e-3)
     assert_allclose([a for _, a in found], [6, 4, 3], rtol=0.1)
-    ((base, orders),) = combs(found, 700.0)
-    assert orders == (1, 6) and 1 / base == pytest.approx(24.0, rel=1e-4)
+    ((base, orders, known),) = combs(found, 700.0)
+    assert orders == (1, 6) and not known and 1 / base == pytest.approx(24.0, rel=1e-4)
 
 
 def test_noise_has_no_lines():
@@ -137,20 +137,28 @@ def test_noise_has_no_lines():
 
 def test_the_base_may_be_absent():
     """Orders 2 and 3 of a pole pair without the first."""
-    ((base, orders),) = combs([(2 / 30, 5.0), (3 / 30, 4.0)], 600.0)
+    ((base, orders, _),) = combs([(2 / 30, 5.0), (3 / 30, 4.0)], 600.0)
     assert 1 / base == pytest.approx(30.0) and orders == (2, 3)
+
+
+def test_orders_of_one_turn_of_a_motor():
+    """7 pole pairs and 12 slots over a single turn: no base of their own, but all are orders of the turn."""
+    found = [(7.01 / 360, 2.5), (27.98 / 360, 1.3), (12.02 / 360, 0.6), (36.0 / 360, 0.7)]
+    *_, (base, orders, known) = combs(found, 360.0, [1 / 360])
+    assert 1 / base == 360.0 and orders == (7, 28, 36, 12) and known
 
 
 @pytest.mark.parametrize("kind", [PitchCyclic, TorqueRipple])
 def test_several_orders_against_a_sum_of_cosines(kind):
     x = np.linspace(0, 100, 400)
     kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}}
-    term = kind(axis="X", orders=(1, 4))
-    parameters = {"sine": 3.0, "cosine": -4.0, "sine_4": 0.6, "cosine_4": 0.8, "period": 20.0}
-    made = term.value(recording({"x": x}, kinds), parameters)
     turn = 2 * np.pi * x / 20
+    parameters = {"sine": 3.0, "cosine": -4.0, "sine_4": 0.6, "cosine_4": 0.8, "period": 20.0}
+    made = kind(axis="X", orders=(1, 4)).value(recording({"x": x}, kinds), parameters)
     expected = 5 * np.cos(turn - np.arctan2(3, -4)) + np.cos(4 * turn - np.arctan2(0.6, 0.8))
     assert_allclose(made, expected, atol=1e-12)
+    swapped = {"sine": 0.6, "cosine": 0.8, "sine_1": 3.0, "cosine_1": -4.0, "period": 5.0}
+    assert_allclose(kind(axis="X", orders=(4, 1)).value(recording({"x": x}, kinds), swapped), expected, atol=1e-12)
 
 
 def test_periods_that_a_manifest_states():
