@@ -1,8 +1,10 @@
 """From a mismatch between recording and simulation to a named, located, modelled and proved cause.
 
 thinning    a long log as stretches at its own rate; rare events in all its rows
+derived     motion of axes of which positions alone are recorded
 prepare     rows that can be judged; sensors filled and smoothed; motion from positions
 hypotheses  every effect in every binding as design columns: the textbook form, and columns for departures from it
+coloured    noise: white with a slow share, fitted to what an explanation leaves
 evidence    marginal likelihood of a hypothesis beside the nuisances, in coloured noise
 decompose   the noiseless simulated signal into its own effects (what a recalibration may change)
 search      forward, backward and in pairs: what is missing
@@ -57,9 +59,11 @@ def diagnose(
 
 
 def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
-    from errpipe.diagnosis import empirical, judge, prepare, report, thinning
+    from errpipe.diagnosis import derived, empirical, judge, prepare, report, thinning
 
     progress(0.0, "reading the recording")
+    title = recording.manifest.title
+    recording, source = derived.with_motion(recording)
     short = thinning.thinned(recording)
     recording = short.recording
     pairs, notes = prepare.pairs(recording)
@@ -77,4 +81,5 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
         rows.append(Rows(case.y, residual, case.run, contribution, inputs, parts))
         del case  # frees one table of products before the next is built
-    return Diagnosis(recording=recording.manifest.title, responses=tuple(responses), notes=(*short.notes, *notes)), rows
+    found = Diagnosis(recording=title, responses=tuple(responses), notes=(*short.notes, *notes))
+    return derived.named_by_source(found, source), rows

@@ -39,6 +39,7 @@ class SetUp:
     places: list[np.ndarray]  # their columns in the library's table
     session: np.ndarray | None  # of each row, where each session has its own datum
     in_part: bool = False  # were effects that act in part added to the library?
+    in_own_noise: bool = False  # was the colour of the noise fitted?
 
     def judged(self) -> LeftOut:
         """How held-out rows are predicted."""
@@ -82,6 +83,8 @@ def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None
 
 def needs_recalibration(case: Case) -> bool:
     """Do datum or gains differ from the simulation's significantly?"""
+    if case.pair.reversed:
+        return True
     full = case.search.active(case.chosen())
     m = case.nuisance.index.size
     without = Active(full.index[m:], full.sd[m:])

@@ -20,28 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.kernels import evidence, noise
+from errpipe.diagnosis.coloured import USUAL, Colour, recolour, whiten
+from errpipe.kernels import evidence
 
-MEMORY = 8.0  # correlation length, in rows, of the slow share of the noise (public blind trials: 5 to 12)
-SHARE = 0.06  # part of the noise variance that varies slowly (public blind trials: 0 to 0.12)
 ROOM = 512  # capacity for columns besides those of the hypotheses
 AT_ONCE = 64  # columns filtered together
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
 MAX_TEXTBOOK_PENALTY = 60.0  # up to this log Bayes factor at a share of 0
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
-
-
-def whiten(columns: np.ndarray, run: np.ndarray, share: float = SHARE) -> np.ndarray:
-    """Columns (rows,) or (rows, k) filtered so that noise of unit variance with a slow share becomes white."""
-    phi = np.exp(-1.0 / MEMORY)
-    g0 = share * (1 - phi**2) + (1.0 - share) * (1 + phi**2)
-    g1 = phi * (1.0 - share)
-    theta = (g0 - np.sqrt(max(g0**2 - 4 * g1**2, 0.0))) / (2 * g1)
-    gain = np.sqrt(g1 / theta)
-    flat = columns.ndim == 1
-    two = np.ascontiguousarray(columns[:, None] if flat else columns, dtype=float)
-    out = noise.whiten(run, two, phi, theta, gain)
-    return out[:, 0] if flat else out
 
 
 def stretches(fold: np.ndarray) -> list[tuple[int, int, int]]:
@@ -60,6 +46,7 @@ class Table:
 
     def __init__(self, run: np.ndarray, blocks: Iterable[np.ndarray], fold: np.ndarray, room: int = 4096):
         self.run, self.n, self.fold = run, run.size, fold
+        self.colour = USUAL
         self.rows = [np.flatnonzero(fold == f) for f in range(int(fold.max()) + 1)]
         self.stretches = stretches(fold)
         self._store = np.zeros((run.size, room), order="F")
@@ -68,10 +55,23 @@ class Table:
         self.places = [self._put(block) for block in blocks]
         self._room = self.width + ROOM
         self._products = [np.zeros((self._room, self._room)) for _ in range(len(self.rows) + 1)]
+        self._multiply()
+
+    def _multiply(self) -> None:
+        """Form all products anew."""
+        self.G[:] = 0.0
         for part, rows in zip(self.parts, self.rows, strict=True):
             inside = self.W[rows]
-            part += inside.T @ inside
+            np.matmul(inside.T, inside, out=part)
             self.G[:] += part
+
+    def recolour(self, colour: Colour) -> None:
+        """Whiten every column by another model of the noise, in place; signals (`Data`) must be made again."""
+        for k in range(0, self.width, AT_ONCE):
+            columns = self._store[:, k : min(k + AT_ONCE, self.width)]
+            columns[:] = recolour(columns, self.run, self.colour, colour)
+        self.colour = colour
+        self._multiply()
 
     @property
     def parts(self) -> list[np.ndarray]:
@@ -109,7 +109,8 @@ class Table:
             grown[:, :first] = self.W
             self._store = grown
         for k in range(first, last, AT_ONCE):
-            self._store[:, k : min(k + AT_ONCE, last)] = whiten(columns[:, k - first : k - first + AT_ONCE], self.run)
+            fresh = columns[:, k - first : k - first + AT_ONCE]
+            self._store[:, k : min(k + AT_ONCE, last)] = whiten(fresh, self.run, self.colour)
         self.width = last
 
     def add(self, columns: np.ndarray) -> np.ndarray:
@@ -138,7 +139,7 @@ class Data:
     """
 
     def __init__(self, table: Table, values: np.ndarray):
-        self.table, self.y = table, whiten(values, table.run)
+        self.table, self.y = table, whiten(values, table.run, table.colour)
         self.squares = np.array([float(self.y[r] @ self.y[r]) for r in table.rows])
         self._known = np.zeros((len(table.rows), 0))
         self._total = np.zeros(0)
@@ -371,19 +372,3 @@ def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndar
 def textbook_penalty(share: Any) -> Any:
     """Penalty, a log Bayes factor, of a hypothesis whose textbook form has a small share."""
     return MAX_TEXTBOOK_PENALTY * np.maximum(0.0, 1.0 - share / MIN_TEXTBOOK_SHARE)
-
-
-def correlation_time(left: np.ndarray, run: np.ndarray) -> float:
-    """Rows per independent row of a whitened residual: 1 + 2 sum of its autocorrelation while that is positive."""
-    centred = left - left.mean()
-    power = float(centred @ centred)
-    if power <= 0 or left.size < 20:
-        return 1.0
-    total = 1.0
-    for lag in range(1, left.size // 4):
-        same = run[lag:] == run[:-lag]
-        rho = float(centred[lag:][same] @ centred[:-lag][same]) / power
-        if rho < 0.05:
-            break
-        total += 2 * rho
-    return total

@@ -77,12 +77,12 @@ def held_out(case: Case) -> HeldOut:
         before.append(judged.zeroed(case.y[test], test))
         by_name = int(np.argmin(known[:2]))
         after.append(judged.left(part.data, ways[way][0], part.noise, ways[way][1], f))
-        named.append(judged.left(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
+        named.append(judged.whitened(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         of_inputs = admit.remainder(
             part, library, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
         )
         columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
-        with_inputs.append(judged.left(part.data, of_inputs.active, part.noise, columns, f))
+        with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))
         same.append(first is None or first in [library.hypotheses[i].effect for i in names[:1]])
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from errpipe.diagnosis.coloured import Colour
 from errpipe.diagnosis.evidence import Listed, Table
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
@@ -89,6 +90,11 @@ class Library:
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
         return self.table.add(columns)
+
+    def recolour(self, colour: Colour) -> None:
+        """Judge everything in noise of another colour; signals (`Data`) must be made again."""
+        self.table.recolour(colour)
+        self._together = None
 
     def block(self, i: int, recording: Recording, rows: np.ndarray) -> np.ndarray:
         """Columns of a hypothesis before whitening, made again (rows, k)."""

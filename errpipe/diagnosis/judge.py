@@ -11,8 +11,10 @@ import numpy as np
 from errpipe.diagnosis import admit, hypotheses, model, partial, plausible, recalibration
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
-from errpipe.diagnosis.evidence import Active, Data, correlation_time
+from errpipe.diagnosis.coloured import correlation_time
+from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
+from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, likelihood, zoomed
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -24,7 +26,6 @@ Progress = Callable[[float, str], None]
 
 
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
-DEPENDENT = 1.8  # rows per independent row of the residual, above which the effective number of rows is used
 PROVED = 0.7  # mean square on held-out rows, over that without, from which wide gains are believed whatever they cost
 WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off
 
@@ -128,7 +129,9 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     for m in plausible.doubtful(case)[:1]:
         prior = made.prior.copy()
         other = _without(made, m)
-        close = case.search.joint(other.chosen()) > case.search.joint(case.chosen()) - NEARLY
+        joint = [c.search.joint(c.chosen()) for c in (other, case)]
+        whole = [likelihood(c.search, c.explanation) for c in (other, case)]  # gains that it needs count here
+        close = joint[0] > joint[1] - NEARLY and whole[0] > whole[1] - NEARLY
         if other.chosen() and close and not plausible.doubtful(other) and not plausible.impossible(other):
             return other
         made.prior = prior
@@ -147,7 +150,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     """Hypotheses, the simulated signal's parts, nuisances and shapes of one response."""
     rows = pair.rows
     progress(0.1, f"{pair.component}: listing what may be missing")
-    simulated = conditioned.array(pair.simulated)[rows]
+    simulated = pair.twin(conditioned)
     library = hypotheses.build(conditioned, pair.component, rows, raw, (pair.mismatch, simulated))
     progress(0.3, f"{pair.component}: taking the simulation apart")
     run = conditioned.run_codes()[rows]
@@ -180,9 +183,12 @@ def _explained(made: SetUp) -> Case:
     """The best explanation of a response, and the remainder beside it."""
     library, nuisance, rows = made.library, made.nuisance, made.pair.rows
     search, explanation = settled(library, made.data, nuisance, made.prior, made.noise_estimate)
+    search, explanation = zoomed(made, search, explanation)
     if not made.in_part:
         explanation = _with_parts(search, explanation, made.recording, rows)
         made.prior, made.in_part = search.prior.copy(), True
+    if not made.in_own_noise:
+        search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
     if search.rows is None:  # else the residual is correlated and the gains are poorly known
         search, explanation = recalibration.within_limits(

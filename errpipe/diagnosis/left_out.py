@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from errpipe.diagnosis.admit import Remainder
+from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
@@ -61,10 +62,18 @@ class LeftOut:
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return self.zeroed(self.y[test] - columns[test] @ b, test)
 
+    def whitened(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
+        """As `left`, each row less what its neighbours say of the noise."""
+        if self.session is not None:
+            return self.left(data, active, sigma, columns, fold)
+        table = self.library.table
+        b = coefficients(data, active, sigma, fold if fold != data.without else None)
+        return whiten(self.y - columns @ b, table.run, table.colour)[table.rows[fold]]
+
     def mean_square(self, data: Data, active: Active, sigma: float, columns: np.ndarray) -> float:
         """Mean square of the cross-validation residual over the folds of `data`."""
         folds = [f for f, rows in enumerate(self.library.table.rows) if f != data.without and rows.size]
-        residuals = [self.left(data, active, sigma, columns, f) for f in folds]
+        residuals = [self.whitened(data, active, sigma, columns, f) for f in folds]
         return float(np.mean(np.concatenate(residuals) ** 2))
 
 

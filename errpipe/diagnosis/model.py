@@ -8,7 +8,8 @@ import numpy as np
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
-from errpipe.diagnosis.evidence import Scene, textbook_share, whiten
+from errpipe.diagnosis.coloured import whiten
+from errpipe.diagnosis.evidence import Scene, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
@@ -116,7 +117,7 @@ def _columns(case: Case, h: Hypothesis):
 
 def _projected(scene: Scene, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Products of a block with itself and with the signal, the active columns taken away."""
-    W = whiten(block, scene.table.run)
+    W = whiten(block, scene.table.run, scene.table.colour)
     cross = np.linalg.solve(scene.chol, scene.table.W[:, scene.active.index].T @ W)
     return W.T @ W - cross.T @ cross, W.T @ scene.data.y - cross.T @ scene.half
 
@@ -143,7 +144,7 @@ def _fit(scene: Scene, block, freedom, size: float, case: Case) -> tuple[np.ndar
 def _dependence(case: Case, scene: Scene, block, b) -> float:
     """Ratio of the variance to that of independent rows, from block sums of the scores."""
     inside = scene.table.W[:, scene.active.index]
-    both = np.column_stack([whiten(block[:, :1], case.run), whiten((block @ b)[:, None], case.run)])
+    both = whiten(np.column_stack([block[:, 0], block @ b]), case.run, scene.table.colour)
     freed = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
     score = freed[:, 0] * (scene.residual() - freed[:, 1])
     length = max(score.size // 40, 1)

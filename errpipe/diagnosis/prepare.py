@@ -22,6 +22,7 @@ class Pair:
     """A response beside its simulated twin, and the rows on which both can be compared.
 
     rows: indices into the recording, in its order; mismatch = error - simulated there, in `unit`.
+    reversed: one of the two columns counts the other way round: mismatch = error + simulated.
     run: run code of each of these rows; outliers: indices (into the recording) set aside.
     """
 
@@ -32,6 +33,21 @@ class Pair:
     rows: np.ndarray
     mismatch: np.ndarray
     outliers: np.ndarray
+    reversed: bool = False  # is the simulated value taken with the opposite sign?
+
+    def twin(self, recording: Recording) -> np.ndarray:
+        """The simulated value on the rows, with the sign with which it is compared."""
+        values = recording.array(self.simulated)[self.rows]
+        return -values if self.reversed else values
+
+
+REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
+
+
+def _is_reversed(recorded: np.ndarray, simulated: np.ndarray) -> bool:
+    """Does the simulated value with the opposite sign predict most of what is recorded?"""
+    total = float(np.var(recorded))
+    return float(np.var(recorded + simulated)) < REVERSED * min(total, float(np.var(recorded - simulated)))
 
 
 def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
@@ -68,10 +84,13 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
         raise DataError(f"{component}: only {rows.size} different rows (at least {LEAST_ROWS})")
     if np.nanstd(recording.array(error)[rows]) == 0:
         raise DataError(f"{component}: the recorded value never changes")
+    turned = _is_reversed(recording.array(error)[rows], recording.array(twin)[rows])
+    if turned:
+        mismatch = recording.array(error) + recording.array(twin)
     outlying = spikes(mismatch[rows], recording.run_codes()[rows])
     keep = _judged_rows(recording, rows)
     rows, outlying = rows[keep], outlying[keep]
-    return Pair(component, unit, error, twin, rows[~outlying], mismatch[rows[~outlying]], rows[outlying])
+    return Pair(component, unit, error, twin, rows[~outlying], mismatch[rows[~outlying]], rows[outlying], turned)
 
 
 def _judged_rows(recording: Recording, rows: np.ndarray) -> np.ndarray:

@@ -28,13 +28,17 @@ HELD_OUT_SHARE = (
 )
 PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
+REVERSED = (
+    " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
+    "set right first; check which of them is actual minus commanded."
+)
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
 UNPROVED = 0.45  # upper limit of the confidence of a finding that does not improve held-out rows
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
     """One response of diagnosis.json, the findings' contributions on the judged rows, and the residual."""
-    before, after = case.y, residual(case)
+    before, after = case.y + 2.0 * case.simulated if case.pair.reversed else case.y, residual(case)
     held = holdout.held_out(case)
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
@@ -56,7 +60,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.with_directional_law(findings, law) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
-    figures = HoldOutFigures(scheme=held.scheme, rms_before_um=held.before, rms_after_um=held.after)
+    at_first = _rms(before) if case.pair.reversed else held.before
+    figures = HoldOutFigures(scheme=held.scheme, rms_before_um=at_first, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component,
         unit=case.pair.unit,
@@ -80,6 +85,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         ),
     )
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
+    says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
 
 
@@ -293,8 +299,11 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
         unit = case.pair.unit if is_datum else "1"
         label = name if is_datum else f"gain of {name} less 1"
         low, high = float(value - 2 * sd), float(value + 2 * sd)
+        if case.pair.reversed and name == "simulation":
+            value, low, high = -2.0 - value, -2.0 - high, -2.0 - low
         parameters.append(FoundParameter(name=label, value=float(value), unit=unit, ci95=(low, high)))
-    rms = float(np.std(case.recal @ b[:m]))
+    moved = case.recal @ b[:m]
+    rms = float(np.std(moved + 2.0 * case.simulated if case.pair.reversed else moved))
     return [
         Finding(
             effect="recalibration",
@@ -302,7 +311,7 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
             drivers=(case.pair.simulated,),
             parameters=tuple(parameters),
             says="Datum or gains of the simulation are off; setting them right moves it by "
-            f"{rms:.3g} {case.pair.unit} rms.",
+            f"{rms:.3g} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else ""),
             rms_um=rms,
             compensable=False,
         )

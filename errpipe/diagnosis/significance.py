@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.diagnosis.case import Case
-from errpipe.diagnosis.evidence import SIZES, Scene, correlation_time
+from errpipe.diagnosis.coloured import correlation_time
+from errpipe.diagnosis.evidence import SIZES, Scene
 
 SURROGATES = 99
 ENOUGH_RUNS = 10  # fewer runs give too few combinations of signs

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
+from errpipe.diagnosis import coloured
 from errpipe.diagnosis.case import Case, residual
-from errpipe.diagnosis.evidence import whiten
 from errpipe.domain.diagnosis import Whiteness, WhitenessTest
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction
@@ -48,8 +48,8 @@ def whiteness(case: Case) -> Whiteness:
     unexplained = residual(case)
     share = slow_share(unexplained, case.run)
     fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
-    used = whiten(np.column_stack([case.recal, *fitted]), case.run, share)
-    frame = Frame(whiten(case.y, case.run, share), used, case.run, share)
+    used = _whiten(np.column_stack([case.recal, *fitted]), case.run, share)
+    frame = Frame(_whiten(case.y, case.run, share), used, case.run, share)
     made = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
     tests = [t for t in made if t is not None]
     tests.append(frame.in_order())
@@ -57,14 +57,18 @@ def whiteness(case: Case) -> Whiteness:
     return Whiteness(p=p, slow_share=float(share), tests=tuple(tests), says=_says(tests, p))
 
 
+def _whiten(columns: np.ndarray, run: np.ndarray, share: float) -> np.ndarray:
+    return coloured.whiten(columns, run, coloured.Colour(coloured.USUAL.memory, share))
+
+
 def slow_share(left: np.ndarray, run: np.ndarray) -> float:
     """Maximum-likelihood slow share of the noise in the residual."""
-    return float(SHARES[np.argmin([np.mean(whiten(left, run, float(s)) ** 2) * _gain(float(s)) for s in SHARES])])
+    return float(SHARES[np.argmin([np.mean(_whiten(left, run, float(s)) ** 2) * _gain(float(s)) for s in SHARES])])
 
 
 def _gain(share: float) -> float:
     """Variance of the innovations of unit noise: what whitening with this share divided by."""
-    impulse = whiten(np.array([0.0, 1.0]), np.zeros(2, dtype=int), share)
+    impulse = _whiten(np.array([0.0, 1.0]), np.zeros(2, dtype=int), share)
     return float(impulse[1] ** -2)
 
 
@@ -87,7 +91,7 @@ class Frame:
 
     def test(self, against: str, how: str, columns: np.ndarray) -> WhitenessTest | None:
         """Score test of columns (rows, k); None where the explanation spans them all."""
-        made = whiten(columns, self.run, self.share)
+        made = _whiten(columns, self.run, self.share)
         before = np.linalg.norm(made, axis=0)
         made = self._freed(made)
         after = np.linalg.norm(made, axis=0)

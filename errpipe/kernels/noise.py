@@ -20,3 +20,18 @@ def whiten(run, columns, phi, theta, gain):
             for j in range(k):
                 out[i, j] = (columns[i, j] - phi * columns[i - 1, j]) / gain + theta * out[i - 1, j]
     return out
+
+
+@kernel
+def coloured(run, columns, phi, theta, gain):
+    """The inverse of `whiten`: columns (rows, k) as they were before the filter."""
+    n, k = columns.shape
+    out = np.empty((n, k))
+    for i in range(n):
+        if i == 0 or run[i] != run[i - 1]:
+            for j in range(k):
+                out[i, j] = columns[i, j]
+        else:
+            for j in range(k):
+                out[i, j] = gain * (columns[i, j] - theta * columns[i - 1, j]) + phi * out[i - 1, j]
+    return out

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, correlation_time, textbook_share, whiten
+from errpipe.diagnosis.coloured import correlation_time, whiten
+from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, textbook_share
 
 
 def table(rng, n=400, k=6):
@@ -73,7 +74,7 @@ def test_white_noise_with_a_slow_share_is_made_white():
     for i in range(1, n):
         slow[i] = phi * slow[i - 1] + np.sqrt(1 - phi**2) * rng.standard_normal()
     y = np.sqrt(0.94) * rng.standard_normal(n) + np.sqrt(0.06) * slow
-    w = whiten(y, np.zeros(n, dtype=int), 0.06)
+    w = whiten(y, np.zeros(n, dtype=int))
     assert_allclose(np.std(w), 1.0, rtol=0.02)
     assert abs(np.corrcoef(w[1:], w[:-1])[0, 1]) < 0.02
 

@@ -1,0 +1,75 @@
+"""Columns that a recording implies: the side an axis comes from, and the speed of one that is recorded under way."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from errpipe.diagnosis.prepare import derivative, second_derivative
+from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
+from errpipe.domain.recording import Column, Recording
+from errpipe.drivers.motion import axes
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+
+FAST = 0.1  # s between rows, below which an axis is recorded under way
+STILL = 4.0  # scatter of a position from which it has moved
+LEAST_MOVE = 0.001  # mm or deg; as where the direction is read off the positions elsewhere
+
+
+def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
+    """The recording with the motion of axes of which positions alone are recorded; the source of each column added.
+
+    A direction where rows are single readings, velocity and acceleration where the axis is recorded under way.
+    """
+    columns: dict[str, Column] = {}
+    values: dict[str, np.ndarray] = {}
+    source: dict[str, str] = {}
+    for axis in (*axes(recording), *axes(recording, "rotary")):
+        if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
+            continue
+        name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+        if name is None or not np.isfinite(recording.array(name)).all():
+            continue
+        for role, unit, made in _motion(recording, axis, name):
+            label = f"{role} of {axis}"
+            columns[label], values[label] = Column(role=role, axis=axis, unit=unit), made
+            source[label] = name
+    if not columns:
+        return recording, {}
+    manifest = recording.manifest.model_copy(update={"columns": recording.manifest.columns | columns})
+    return dataclasses.replace(recording, manifest=manifest, frame=recording.frame.assign(**values)), source
+
+
+def _motion(recording: Recording, axis: str, name: str):
+    """(role, unit, values) of what an axis' positions imply; nothing where it goes one way only."""
+    x, t, run = recording.array(name), recording.time(), recording.run_codes()
+    same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
+    step = np.diff(t)
+    fast = recording.name("time") is not None and step.size > 50 and np.median(step) < FAST
+    bend = np.abs(np.diff(x, 2)[same]) if fast else np.zeros(1)
+    scatter = 1.4826 * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
+    side = responses.direction_of_travel(sessions(recording), x, max(STILL * scatter, LEAST_MOVE), 1)
+    if np.unique(side).size < 2:
+        return
+    if not fast:
+        yield "direction", None, side
+        return
+    length = "deg" if axis in axes(recording, "rotary") else "mm"
+    yield "velocity", f"{length}/s", derivative(t, x, run)
+    yield "acceleration", f"{length}/s2", second_derivative(t, x, run)
+
+
+def named_by_source(found: Diagnosis, source: dict[str, str]) -> Diagnosis:
+    """The diagnosis with columns that are in no table called by the one they come from."""
+    if not source:
+        return found
+    return found.model_copy(update={"responses": tuple(_response(r, source) for r in found.responses)})
+
+
+def _response(r: ResponseDiagnosis, source: dict[str, str]) -> ResponseDiagnosis:
+    called = [
+        f.model_copy(update={"drivers": tuple(dict.fromkeys(source.get(d, d) for d in f.drivers))}) for f in r.findings
+    ]
+    return r.model_copy(update={"findings": tuple(called)})

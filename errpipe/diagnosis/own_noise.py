@@ -1,0 +1,89 @@
+"""Noise of a response as its residual shows it, and the explanation searched again in that noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from errpipe.diagnosis import coloured
+from errpipe.diagnosis.case import SetUp, chosen_of
+from errpipe.diagnosis.evidence import Data
+from errpipe.diagnosis.hypotheses import columns_of, scaled
+from errpipe.diagnosis.search import Explanation, Search, settled
+from errpipe.terms import search_of
+
+DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
+
+
+def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
+    """Where the residual is autocorrelated: noise and explanation that are likeliest together.
+
+    The colour of the noise is fitted to what is left with and without the explanation, and the search made again in it:
+    a slow wandering is then no evidence for what is slow, and a step in it stands out.
+    """
+    made.in_own_noise = True
+    if coloured.correlation_time(search.scene(chosen_of(explanation)).residual(), made.run) <= DEPENDENT:
+        return search, explanation
+    library = made.library
+    best = (likelihood(search, explanation), library.table.colour, search, explanation)
+    colours = [coloured.fitted(_left(made, search, chosen), made.run) for chosen in ([], chosen_of(explanation))]
+    for colour in dict.fromkeys(colours):
+        library.recolour(colour)
+        made.data = Data(library.table, made.y)
+        found = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
+        best = max(best, (likelihood(*found), colour, *found), key=lambda t: t[0])
+    _, colour, search, explanation = best
+    if colour != library.table.colour:
+        library.recolour(colour)
+        search.data = Data(library.table, made.y)
+    made.data, search.prior = search.data, made.prior
+    return search, explanation
+
+
+def _left(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
+    """Residual of some hypotheses, on the judged rows."""
+    blocks = [made.library.block(i, made.recording, made.pair.rows) for i, _ in chosen]
+    return made.y - np.column_stack([made.recal, *blocks]) @ search.scene(chosen).coefficients()
+
+
+def likelihood(search: Search, explanation: Explanation) -> float:
+    """Log evidence of an explanation in noise of its colour, less what findings cost."""
+    table, cost = search.library.table, search.threshold * len(explanation.accepted)
+    return search.evidence(chosen_of(explanation)) - cost - coloured.scale(table.colour, table.run)
+
+
+def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
+    """The explanation with non-linear parameters between the points of the grid, which join the library.
+
+    What a grid value leaves of a true one would be taken for a second effect, or for slow noise.
+    """
+    for f in explanation.accepted:
+        _add_neighbours(made, f.index)
+    if len(made.library.hypotheses) == search.prior.size:
+        return search, explanation
+    search.prior = made.prior
+    chosen = search.tune(chosen_of(explanation))
+    search.sigma = max(search.scene(chosen).rms(), 1e-9)
+    alone = search.score([]).gain + search.prior
+    return search, replace(explanation, accepted=search.accepted(chosen), alone=alone)
+
+
+def _add_neighbours(made: SetUp, index: int) -> None:
+    """Hypotheses with each non-linear parameter of this one in turn near its value."""
+    h, rows = made.library.hypotheses[index], made.pair.rows
+    term, known = h.terms[0], {made.library.hypotheses[i].nonlinear for i in made.library.family(index)}
+    for j, p in enumerate(term.nonlinear()):
+        value, search = h.nonlinear[0][j], search_of(p)
+        if p.name in term.fixed or value == 0 or h.mask:
+            continue
+        for step in search.neighbours(value, term, made.recording):
+            if search.bounded and not p.bounds[0] <= step <= p.bounds[1]:
+                continue
+            near = tuple((*nl[:j], float(step), *nl[j + 1 :]) for nl in h.nonlinear)
+            fine = replace(h, nonlinear=near)
+            core, slack, freedom = columns_of(fine, made.recording)
+            block = scaled(core[rows], slack[rows], freedom)
+            if near not in known and block is not None:
+                made.library.extend(fine, *block, core.shape[1])
+                made.prior = np.r_[made.prior, made.prior[index]]
