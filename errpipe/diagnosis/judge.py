@@ -134,7 +134,8 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         close = joint[0] > joint[1] - NEARLY and whole[0] > whole[1] - NEARLY
         if other.chosen() and close and not plausible.doubtful(other) and not plausible.impossible(other):
             return other
-        made.prior = prior
+        made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined the library
+        case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
     return case
 
 

@@ -81,3 +81,20 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
         if (value <= 1.001 * low and span.high < far * low) or (value >= 0.999 * high and span.low > high / far):
             return True
     return False
+
+
+BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
+
+
+def only_a_wave_in_time(case: Case, m: model.Modelled, left: np.ndarray) -> bool:
+    """Does a sine over the order of the rows (mains hum, folded down) explain more than the finding?
+
+    left: residual of the whole explanation, shape (rows,).
+    """
+    beside = left + m.contribution - np.mean(left + m.contribution)
+    own = float(beside @ beside) - float(np.sum((left - left.mean()) ** 2))
+    power = np.abs(np.fft.rfft(beside, 4 * beside.size))
+    turns = int(np.argmax(power)) / (4.0 * beside.size) * 2 * np.pi * np.arange(beside.size)
+    wave = np.column_stack([np.cos(turns), np.sin(turns), np.ones(beside.size)])
+    rest = beside - wave @ np.linalg.lstsq(wave, beside, rcond=None)[0]
+    return float(beside @ beside) - float(rest @ rest) > BETTER_WAVE * max(own, 0.0)

@@ -6,27 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from errpipe.diagnosis import confidence, friction, holdout, locate, model, plausible, separate, significance, whiteness
+from errpipe.diagnosis import (
+    confidence,
+    friction,
+    holdout,
+    locate,
+    model,
+    plausible,
+    separate,
+    significance,
+    unnamed,
+    whiteness,
+)
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
 from errpipe.diagnosis.evidence import Scene
-from errpipe.domain.diagnosis import (
-    Finding,
-    FoundParameter,
-    HoldOutFigures,
-    ResponseDiagnosis,
-    Rival,
-    Significance,
-    Where,
-)
+from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 from errpipe.terms import Term
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed too
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report says so
-HELD_OUT_SHARE = (
-    0.1  # threshold: share of the held-out variance beyond the findings that shapes over inputs must predict
-)
-PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
 REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
@@ -43,14 +42,17 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    sized = [1.0 if not plausible.no_size(m) else UNSIZED for m in made]
+    sized = [UNSIZED if plausible.no_size(m) else 1.0 for m in made]
+    sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [f.model_copy(update=_capped_confidence(f, most)) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
-    p_unknown = _p_unknown(case, indicators, held)
+    p_unknown = unnamed.chance(case, indicators, held)
     findings, verdict = _verdict(case, findings, p_unknown)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
         contribution["unknown"], after = _with_shape(case)
-    floor = float(min(case.sigma, case.noise_estimate) if indicators or p_unknown >= PROVISIONAL else case.sigma)
+    floor = float(
+        min(case.sigma, case.noise_estimate) if indicators or p_unknown >= unnamed.PROVISIONAL else case.sigma
+    )
     recalibrated = residual(case, [])
     datums = own_datums(case, [])
     chance = significance.chance(case)
@@ -141,11 +143,11 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     rivals = case.search.rivals(accepted, k)
     own = {f.hypothesis.effect for f in accepted}
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
-    shaped = case.remainder
+    shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
     return confidence.Indicators(
         gain=accepted[k].gain,
         margin=margin,
-        leftover=case.sigma / max(case.noise_estimate, 1e-12),
+        leftover=case.sigma / max(case.noise_estimate, 1e-12) if proved else 1.0,
         share=shaped.share,
         shapes=sum(g for _, g in shaped.shapes),
         others=len(accepted) - 1,
@@ -153,7 +155,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         agreement=held.agreement,
         rank=k,
         rows=int(case.y.size),
-        unreached=unreached(case, case.sigma),
+        unreached=unreached(case, case.sigma) if proved else 0.0,
         fast=int(is_fast(case)),
     )
 
@@ -172,23 +174,6 @@ def is_fast(case: Case) -> bool:
     t = case.recording.time()[case.pair.rows]
     step = np.diff(t)
     return bool(step.size and np.median(step) < 0.1)
-
-
-def _p_unknown(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
-    """Chance that a mechanism outside the vocabulary is at work; PROVISIONAL where held-out rows do not show it.
-
-    Autocorrelated residuals alone (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
-    must predict held-out rows.
-    """
-    share = held.shape_share()
-    if indicators:
-        p = confidence.unknown(indicators[0])
-    else:
-        gain = sum(g for _, g in case.remainder.shapes)
-        base = case.search.scene([]).rms()
-        drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
-        p = confidence.unknown_alone(gain, drop, max(share, 0.0))
-    return p if share >= HELD_OUT_SHARE else min(p, PROVISIONAL)
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
@@ -266,13 +251,14 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
 def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[list[Finding], str]:
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
-    if findings and p_unknown > confidence.UNKNOWN_FIRST:
+    surest = max((f.confidence for f in findings), default=0.0)
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (p_unknown >= unnamed.PROVISIONAL > 2.0 * surest)):
         named = [f.model_copy(update=_capped_confidence(f, 1.0 - p_unknown)) for f in findings]
-        return [_unknown(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
+        return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
-    if p_unknown >= PROVISIONAL:
-        return [_unknown(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
+    if p_unknown >= unnamed.PROVISIONAL:
+        return [unnamed.finding(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
     return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
 
 
@@ -316,26 +302,6 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
             compensable=False,
         )
     ]
-
-
-def _unknown(case: Case, chance: float) -> Finding:
-    """The finding `unknown`: structure that no effect explains, its inputs and its shape."""
-    shapes = case.remainder.shapes
-    drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
-        case.recording.name("time") or "row",
-    )
-    return Finding(
-        effect="unknown",
-        confidence=round(chance, 3),
-        drivers=drivers,
-        where=Where(),
-        says=f"Structure remains that no effect of the vocabulary explains; it goes with "
-        f"{' and '.join(drivers)}. A data-driven shape brings it from {case.sigma:.3g} to "
-        f"{case.remainder.rms:.3g} {case.pair.unit} rms."
-        + ("" if chance > PROVISIONAL else " Held-out rows do not confirm it: a measurement that wanders looks alike."),
-        rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))),
-        compensable=False,
-    )
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:

@@ -1,0 +1,67 @@
+"""The finding `unknown`: how likely a mechanism outside the vocabulary is, and what is said of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.diagnosis import confidence, holdout
+from errpipe.diagnosis.case import Case, residual
+from errpipe.diagnosis.coloured import USUAL
+from errpipe.domain.diagnosis import Finding, Where
+
+HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
+PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
+WANDERING = 2.0  # threshold: rms of the residual over the noise between neighbours, from which it wanders
+
+
+def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
+    """Chance that a mechanism outside the vocabulary is at work; PROVISIONAL where held-out rows do not show it.
+
+    Autocorrelated residuals alone (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
+    must predict held-out rows.
+    """
+    share = held.shape_share()
+    if indicators:
+        p = confidence.unknown(indicators[0])
+    else:
+        gain = sum(g for _, g in case.remainder.shapes)
+        base = case.search.scene([]).rms()
+        drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
+        p = confidence.unknown_alone(gain, drop, max(share, 0.0))
+    if wanders(case):
+        p = max(p, PROVISIONAL)
+    return p if share >= HELD_OUT_SHARE else min(p, PROVISIONAL)
+
+
+def wanders(case: Case) -> bool:
+    """Does what is left wander, slowly and far beyond the noise between neighbours?"""
+    own = case.library.table.colour
+    return own != USUAL and own.share > 0.5 and float(np.std(residual(case))) > WANDERING * case.noise_estimate
+
+
+def finding(case: Case, probability: float) -> Finding:
+    """The finding `unknown`: structure that no effect explains, its inputs and its shape."""
+    shapes = case.remainder.shapes
+    drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
+        case.recording.name("time") or "row",
+    )
+    says = (
+        f"Structure remains that no effect of the vocabulary explains; it goes with {' and '.join(drivers)}. A "
+        f"data-driven shape brings it from {case.sigma:.3g} to {case.remainder.rms:.3g} {case.pair.unit} rms."
+        if shapes
+        else f"What is left, {case.sigma:.3g} {case.pair.unit} rms, wanders and goes with no input."
+    )
+    return Finding(
+        effect="unknown",
+        confidence=round(probability, 3),
+        drivers=drivers,
+        where=Where(),
+        says=says
+        + (
+            ""
+            if probability > PROVISIONAL
+            else " Held-out rows do not confirm it: a measurement that wanders looks alike."
+        ),
+        rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))),
+        compensable=False,
+    )
