@@ -32,6 +32,7 @@ LEVEL = 0.3
 LEAST_WEIGHT = 0.05  # smallest weight of an entrant in the mixture, because each costs operations in a table
 FEWEST_RUNS = 3  # on either side of a split by the warmth of the start
 RUN = "run"
+NOTHING, MIXTURE = "nothing", "mixture"  # beside the names of entrants
 WARMTH = "cold or warm starts"
 # Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
 # leaves 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
@@ -48,7 +49,8 @@ class Entrant:
 
     predict: groups to learn from -> deviation since the start of the run on every row, um, (rows,).
     parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are constrained to physically
-    possible signs, so that it may be used in environments without a fitted run.
+    possible signs, so that it may be used in environments without a fitted run. linear: gains times drivers that do not
+    depend on the groups; None: `parts` are so.
     """
 
     family: str
@@ -56,30 +58,41 @@ class Entrant:
     predict: Callable[[Groups], np.ndarray]
     parts: Callable[[Groups], Parts]
     physical: bool = False
+    linear: Callable[[Groups], Parts] | None = None
 
 
 @dataclass(frozen=True)
 class Grouping:
-    """A way to leave groups out: its name and its folds, each a tuple of the groups that sit out."""
+    """A way to leave groups out: its name, its folds (each a tuple of the groups that sit out) and their labels.
+
+    labels: empty where folds are batches of groups. decides: whether no family wins where all are worse than no
+    compensation here.
+    """
 
     name: str
     folds: tuple[Groups, ...]
+    labels: tuple[str, ...] = ()
+    decides: bool = True
 
 
 @dataclass(frozen=True)
 class Outcome:
     """weights: entrant -> share of the mixture; left: grouping -> entrant's name (or "mixture", "nothing") -> rms, um.
 
-    residuals: grouping -> residual of the mixture on held-out groups, um, (rows,), NaN where nothing is judged.
+    predictions: grouping -> prediction of the mixture on held-out groups, um, (rows,), NaN where nothing is judged.
+    by_group: grouping -> label of the group left out -> name -> rms, um. chance: name -> probability that the mixture
+    leaves less of the runs left out by chance alone (paired t test).
     """
 
     weights: tuple[tuple[Entrant, float], ...]
     left: Mapping[str, Mapping[str, float]]
     predictions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    by_group: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    chance: Mapping[str, float] = field(default_factory=dict)
 
 
-def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int]) -> tuple[Grouping, ...]:
-    """Runs, and every label by which runs can be left out together: season, duty cycle, day, machine."""
+def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], environment: str) -> tuple[Grouping, ...]:
+    """Runs, and every label by which runs can be left out together: season (environment), duty cycle, day, machine."""
     candidates = [Grouping(RUN, _batches([(g,) for g in groups]))]
     first = {g: int(np.flatnonzero(group == g)[0]) for g in groups}
     for name in recording.names("group"):
@@ -89,12 +102,14 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int]) ->
             members.setdefault(str(labels[first[g]]), []).append(g)
         if 1 < len(members) < len(groups):
             quantity = str(recording.manifest.columns[name].of or name)
-            candidates.append(Grouping(quantity, _batches([tuple(m) for m in members.values()])))
+            folds = _batches([tuple(m) for m in members.values()])
+            labels = tuple(members) if len(folds) == len(members) else ()
+            candidates.append(Grouping(quantity, folds, labels, environment in (quantity, name)))
     warmth = _start_warmth(recording, first)
     order = sorted(groups, key=lambda g: (warmth[g], g))
     half = len(order) // 2
     if half >= FEWEST_RUNS:
-        candidates.append(Grouping(WARMTH, (tuple(order[:half]), tuple(order[half:]))))
+        candidates.append(Grouping(WARMTH, (tuple(order[:half]), tuple(order[half:])), ("cold", "warm")))
     return tuple(candidates)
 
 
@@ -132,7 +147,7 @@ def compete(
     judged = {name: _Judged(p, response, rows, group) for name, p in left_out.items()}
     chooser = judged[RUN] if RUN in judged else next(iter(judged.values()))
     left_by = chooser.mean_square()
-    score = np.where(_admitted(judged), left_by, np.inf)
+    score = np.where(_admitted(judged, {w.name for w in ways if w.decides}), left_by, np.inf)
     best: dict[str, int] = {}
     for k, entrant in enumerate(entrants):
         so_far = best.setdefault(entrant.family, k)
@@ -140,14 +155,20 @@ def compete(
             best[entrant.family] = k
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _selected([k for k in ranked if np.isfinite(score[k])], chooser)
-    left = {
-        name: {"nothing": judge.rms({})}
-        | {entrants[k].name: judge.rms({k: 1.0}) for k in ranked}
-        | {"mixture": judge.rms(weights)}
-        for name, judge in judged.items()
+    named = {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
+    left = {way: {name: judge.rms(w) for name, w in named.items()} for way, judge in judged.items()}
+    by_group = {
+        w.name: {
+            label: {name: judged[w.name].rms(share, np.isin(group, fold)) for name, share in named.items()}
+            for label, fold in zip(w.labels, w.folds, strict=True)
+        }
+        for w in ways
+        if w.labels and w.name in judged
     }
+    mixed = chooser.by_group(weights)
+    chance = {name: _chance(chooser.by_group(w) - mixed) for name, w in named.items() if name != MIXTURE}
     predictions = {name: judge.mixture(weights) for name, judge in judged.items()}
-    return Outcome(tuple((entrants[k], w) for k, w in weights.items()), left, predictions)
+    return Outcome(tuple((entrants[k], w) for k, w in weights.items()), left, predictions, by_group, chance)
 
 
 @dataclass(frozen=True)
@@ -179,19 +200,26 @@ class _Judged:
         codes = np.unique(self.group[self.seen], return_inverse=True)[1]
         return np.bincount(codes, squares) / np.bincount(codes)
 
-    def rms(self, weights: Mapping[int, float]) -> float:
-        """Residual rms of a mixture on all judged rows, um."""
-        residual = (self.response - self.mixture(weights))[self.seen]
+    def rms(self, weights: Mapping[int, float], among: np.ndarray | bool = True) -> float:
+        """Residual rms of a mixture on all judged rows, or on those of a mask, um."""
+        residual = (self.response - self.mixture(weights))[self.seen & among]
         return float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
 
 
-def _admitted(judged: Mapping[str, _Judged]) -> np.ndarray:
-    """Mask of the entrants that no grouping beside runs excludes (see `REGRET`)."""
+def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
+    """Mask of the entrants that no grouping beside runs excludes (see `REGRET`).
+
+    Where every entrant is worse than no compensation, a grouping that does not decide says that half of the duty cycles
+    (say) cannot teach the other half, and not which entrant is wrong.
+    """
     admitted = np.ones(len(next(iter(judged.values())).predicted), dtype=bool)
     for name, judge in judged.items():
         if name != RUN and admitted.size:
             mean_squares = judge.mean_square()
-            admitted &= (mean_squares <= REGRET**2 * mean_squares.min()) & (mean_squares <= judge.by_group({}).mean())
+            better = mean_squares <= judge.by_group({}).mean()
+            admitted &= mean_squares <= REGRET**2 * mean_squares.min()
+            if name in deciding or better.any():
+                admitted &= better
     return admitted
 
 
@@ -206,7 +234,11 @@ def _left_out(entrant: Entrant, way: Grouping, groups: Groups, rows: np.ndarray,
 
 
 def _selected(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
-    """Forward selection: weights of the entrants that improve the mixture run by run, the best first."""
+    """Forward selection: weights of the entrants that improve the mixture run by run, the best first.
+
+    A sum below one (a partial gain) is kept only where it is better by more than chance: shrinking what is right costs
+    most where a season goes further than those that fitted.
+    """
     kept: list[int] = []
     weights: dict[int, float] = {}
     for k in ranked:
@@ -214,27 +246,34 @@ def _selected(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
         if trial[k] >= LEAST_WEIGHT and _better(judged.by_group(weights) - judged.by_group(trial)):
             kept.append(k)
             weights = trial
-    return {k: w for k, w in weights.items() if w >= LEAST_WEIGHT}
+    chosen = {k: w for k, w in weights.items() if w >= LEAST_WEIGHT}
+    whole = _weights(list(chosen), judged, whole=True) if chosen else {}
+    return chosen if _better(judged.by_group(whole) - judged.by_group(chosen)) else whole
 
 
-def _weights(kept: Sequence[int], judged: _Judged) -> dict[int, float]:
-    """Least squares on rows left out; no negative weight, a sum of at most one."""
+def _weights(kept: Sequence[int], judged: _Judged, whole: bool = False) -> dict[int, float]:
+    """Least squares on rows left out; no negative weight, a sum of at most one. whole: a sum of one."""
     right = judged.response[judged.seen]
     size = np.sqrt(np.sum(right**2)) or 1.0
     both = np.column_stack([judged.predicted[kept][:, judged.seen].T, right]) / size
     triangle = np.asarray(np.linalg.qr(both, mode="r"))
     design, right = triangle[:, :-1], triangle[:, -1]
     weights, _ = nnls(design, right)
-    if weights.sum() > 1.0:
+    if weights.sum() > 1.0 or whole:
         weights, _ = nnls(np.vstack([design, np.full(len(kept), WHOLE)]), np.r_[right, WHOLE])
     return dict(zip(kept, map(float, weights), strict=True))
 
 
 def _better(gained: np.ndarray) -> bool:
-    """Paired t test of improvements in mean square, one per run."""
+    """Whether improvements in mean square, one per run, are more than chance at `LEVEL`."""
+    return _chance(gained) < LEVEL
+
+
+def _chance(gained: np.ndarray) -> float:
+    """p of a paired t test, one-sided, of improvements in mean square, one per run."""
     if gained.mean() <= 0.0:
-        return False
+        return 1.0
     spread = gained.std(ddof=1) if gained.size > 1 else np.inf
     if spread == 0.0:
-        return True
-    return float(student.sf(gained.mean() / (spread / np.sqrt(gained.size)), max(gained.size - 1, 1))) < LEVEL
+        return 0.0
+    return float(student.sf(gained.mean() / (spread / np.sqrt(gained.size)), max(gained.size - 1, 1)))

@@ -42,6 +42,21 @@ class Table(NamedTuple):
     caption: str
 
 
+class Grid(NamedTuple):
+    """Figures of rows by columns for the report, the first row without compensation.
+
+    values: None is a dash. remarks: what is said behind each row. best: name of the row that is used.
+    """
+
+    heading: str
+    columns: list[str]
+    rows: list[str]
+    values: list[list[float | None]]
+    remarks: list[str]
+    best: str
+    caption: str
+
+
 @dataclass(frozen=True)
 class Judged:
     """Folds of a recording read batch by batch. scheme: short form of the hold-out; by component: folds; rows of the
@@ -134,6 +149,10 @@ class Family(Frozen, ABC):
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """What the report adds, from the documents of the fit and `validation.json`."""
+        return []
+
+    def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
+        """What the report draws as a grid of figures, from the documents of the fit."""
         return []
 
 

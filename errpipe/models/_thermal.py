@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field
 
-from errpipe.models._base import Family, Fitted, Progress, Table, fit_summary, held_out, silent
+from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, silent
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from errpipe.domain import driver as d
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 COMPETITION = "competition.json"
 MOST_OPERANDS = 48  # of one sum; a table takes 64
+MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
+TIE_LEVEL = 0.05  # p over runs left out
 
 
 class ThermalFamily(Family):
@@ -73,12 +76,15 @@ class ThermalFamily(Family):
         fitted, outcome = self._compete(recording, None)
         model = fitted.error_model(recording)
         document = {
-            "competition": 1,
+            "competition": 2,
             "component": self.component,
             "weights": [{"family": e.family, "setting": e.name, "weight": w} for e, w in outcome.weights],
             "rms_um": {grouping: dict(left) for grouping, left in outcome.left.items()},
+            "rms_um_by_group": outcome.by_group,
+            "chance": dict(outcome.chance),
+            "noise_floor_um": _noise_floor(recording, self, outcome),
         }
-        return Fitted(model, {COMPETITION: document}, fit_summary(model))
+        return Fitted(model, {COMPETITION: document}, {self.component: _said(outcome)})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Compete and fit on one side of a fold, judge on the other.
@@ -95,20 +101,29 @@ class ThermalFamily(Family):
         residual = since - since_start(model.values(recording), recording.run_codes(), self.datum_rows)[0]
         return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 
-    def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
-        """The competition: rms of every family on groups left out, and its weight."""
+    def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
+        """The competition: rms of every family on groups left out, beside no compensation and the noise floor."""
+        from errpipe.fitting.thermal_competition import MIXTURE, NOTHING
+
         document = documents[COMPETITION]
         weights = {w["setting"]: w["weight"] for w in document["weights"]}
-        names = list(document["rms_um"])
-        settings = list(dict.fromkeys(s for by_setting in document["rms_um"].values() for s in by_setting))
-        rows = [[s, *(document["rms_um"][n].get(s) for n in names), weights.get(s)] for s in settings]
+        columns = {_pooled(name): left for name, left in document["rms_um"].items()}
+        for left in document["rms_um_by_group"].values():
+            columns |= dict(list(left.items())[:MOST_GROUPS])
+        first = next(iter(document["rms_um"].values()))
+        settings = sorted((s for s in first if s not in (NOTHING, MIXTURE)), key=lambda s: first[s])
+        names = [NOTHING, *settings, MIXTURE]
+        remarks = [_remark(name, weights, document["chance"]) for name in names]
+        values = [[left.get(name) for left in columns.values()] for name in names]
+        if document["noise_floor_um"] is not None:
+            names, remarks = [*names, "noise floor"], [*remarks, ""]
+            values = [*values, [document["noise_floor_um"]] * len(columns)]
         caption = (
-            "um rms of the fitted rows, each predicted without its group; of each family the best setting. The mixture "
-            "is what is exported. None of these groups judges it: the validation does."
+            "rms in um of the fitted rows, each predicted by a fit without its group (column); of each family the best "
+            "setting. The mixture is what is exported. These rows chose it: the validation judges it on others. A tie "
+            f"is a setting that the mixture beats on runs left out by chance with a probability above {TIE_LEVEL:g}."
         )
-        return [
-            Table("Competition of families", ["setting", *(f"{n} left out" for n in names), "weight"], rows, caption)
-        ]
+        return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
         from errpipe.fitting import thermal_competition, thermal_linear
@@ -116,7 +131,7 @@ class ThermalFamily(Family):
 
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
-            groupings = thermal_competition.groupings(recording, problem.group, problem.groups)
+            groupings = thermal_competition.groupings(recording, problem.group, problem.groups, self.environment)
             entrants = self.entrants(problem)
             if self.one_environment(problem):
                 entrants = [e for e in entrants if e.physical] or entrants
@@ -138,6 +153,37 @@ class ThermalFamily(Family):
             return np.unique(holdout.labels(problem.recording, self.environment)[problem.rows].astype(str)).size == 1
         except DataError:
             return False
+
+
+def _said(outcome: Outcome) -> str:
+    """A few words on the outcome: what the mixture leaves of groups left out, and what it is made of."""
+    from errpipe.fitting.thermal_competition import MIXTURE, NOTHING
+
+    way, left = next(iter(outcome.left.items()))
+    made_of = " + ".join(f"{w:.2g} {e.name}" for e, w in outcome.weights) or "nothing"
+    return f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each {way} left out; {made_of}"
+
+
+def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:
+    import numpy as np
+
+    from errpipe.fitting.noise_floor import noise_floor
+    from errpipe.fitting.thermal_arithmetic import since_start_of
+
+    predicted = next(iter(outcome.predictions.values()))
+    residual = since_start_of(recording, family.component, family.datum_rows) - predicted
+    rows = np.flatnonzero(np.isfinite(residual))
+    return noise_floor(recording, rows, residual[rows])
+
+
+def _pooled(grouping: str) -> str:
+    return f"every {grouping.replace('_', ' ')}" if " or " not in grouping else grouping
+
+
+def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]) -> str:
+    if name in weights:
+        return f"{weights[name]:.2f} of it"
+    return "tie" if chance.get(name, 0.0) > TIE_LEVEL else ""
 
 
 def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
@@ -170,7 +216,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     y, rows, groups = problem.response, problem.rows, tuple(problem.groups)
     limit = limits(y[rows])
     total = _sum_of(outcome, groups)
-    half = _half_width(family, problem, outcome)
+    factor, half = _interval(family, problem, outcome)
     validity = box(problem.recording, problem.recording.names("temperature"), rows)
     fitted = ThermalModel(
         component=family.component,
@@ -178,7 +224,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         parts=tuple((name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)),
         terms=((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),),
         intervals=thermal_interval.Intervals(half, half, 0.0),
-        factor=d.Constant(value=1.0),
+        factor=factor,
         validity=validity.model_copy(update={"fades": False}),
         fade=1.0,
         limit=limit,
@@ -210,8 +256,26 @@ def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
     return sums[0] if len(sums) == 1 else d.Affine(weights=(1.0,) * len(sums), of=tuple(sums))
 
 
-def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> float:
-    """Half width of the interval of a prediction of zero, um, from groups left out.
+def _interval(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> tuple[d.Driver, float]:
+    """Factor of the interval, and its half width at a prediction of zero among the fitted rows, um.
+
+    The variance of a prediction is that left on runs left out, plus the spread of fits without a run
+    (`thermal_spread`): a row far outside in a direction in which they disagree has a wide interval.
+    Turning centre, winter predicted from spring: covered 0.95 with, 0.83 without.
+    """
+    from errpipe.drivers.evaluation import drive
+    from errpipe.fitting import thermal_competition, thermal_spread
+
+    groups = tuple(problem.groups)
+    way = thermal_competition.groupings(problem.recording, problem.group, groups, family.environment)[0]
+    spread = thermal_spread.directions(outcome, groups, way.folds, problem.recording, problem.rows)
+    left = outcome.left.get(way.name, {}).get(thermal_competition.MIXTURE, 0.0)
+    factor = thermal_spread.factor(spread, left)
+    return factor, _half_width(family, problem, outcome, drive(factor, problem.recording))
+
+
+def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome, factor: np.ndarray) -> float:
+    """Half width of the interval of a prediction of zero, um, from groups left out; factor: of each row, (rows,).
 
     A left-out run is predicted by a fit that has its environment, a left-out environment by a fit on the others alone.
     The next environment is predicted by a fit on all of them, between the two: their geometric mean is taken. Where all
@@ -230,7 +294,7 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome)
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [
         thermal_interval.LeftOut((y - p)[rows], p[rows]).half_width(
-            problem.group[rows], family.coverage, runs, only_one
+            problem.group[rows], family.coverage, runs, only_one, factor[rows]
         )
         for name, p in outcome.predictions.items()
         if only_one or name in (RUN, environment)

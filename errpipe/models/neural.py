@@ -62,7 +62,8 @@ def _entrant(family: str, problem: LinearProblem, penalty: float) -> Entrant:
         units = [_unit(nodes, weights / size, float(b)) for weights, b in zip(inner.T, bias, strict=True)]
         return tuple((f"unit {k + 1}", float(g), unit) for k, (g, unit) in enumerate(zip(outer, units, strict=True)))
 
-    return Entrant(family, f"neural, {UNITS} units, penalty {penalty:g}", predict, parts)
+    name = f"neural, {UNITS} units, penalty {penalty:g}"
+    return Entrant(family, name, predict, parts, linear=lambda groups: ())  # its units differ from fit to fit
 
 
 def _columns(problem: LinearProblem) -> list[int]:

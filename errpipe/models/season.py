@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from pydantic import Field
 
 from errpipe.fitting.season_options import SeasonOptions
-from errpipe.models._base import Family, Fitted, Progress, Table, fit_summary, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
 
 if TYPE_CHECKING:
     import numpy as np
@@ -89,7 +89,11 @@ class Season(Family):
         def parts(groups: tuple[int, ...]) -> Any:
             return tuple((self.family_name(), gain, node) for gain, node in model(groups).terms)
 
-        return [Entrant(self.family_name(), "network + correction (season)", predict, parts, True)]
+        def linear(groups: tuple[int, ...]) -> Any:
+            gains = full_problem.solve(groups, corrected=False).core
+            return tuple((c.name, float(g), c.driver) for c, g in zip(full_problem.causes, gains, strict=True) if g)
+
+        return [Entrant(self.family_name(), "network + correction (season)", predict, parts, True, linear)]
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row. Raises DataError where no sensor sits on the machine."""
@@ -97,7 +101,9 @@ class Season(Family):
         model = fitted.error_model(recording)
         causes = [{"cause": name, "gain": gain} for name, gain, _ in fitted.parts]
         document = {"season": 1, "causes": causes, "report": _plain(fitted.report)}
-        return Fitted(model, {CAUSES: document}, fit_summary(model))
+        left = fitted.report["rms_runs_left_out"]
+        said = "no run could be left out" if left is None else f"-> {left:.3g} um on each run left out"
+        return Fitted(model, {CAUSES: document}, {self.component: f"{fitted.report['rms_before']:.3g} {said}"})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; deviations count from the start of each run."""

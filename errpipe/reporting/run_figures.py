@@ -103,3 +103,42 @@ def by_readings(levels: Sequence[Mapping[str, Any]], component: str, unit: str) 
         cells[0].set_ylabel(f"{component}, rms in {unit}")
         cells[0].legend(fontsize=8)
         return svg.to_svg(canvas, f"{component} against readings per shift, held out")
+
+
+def grid(
+    columns: Sequence[str], rows: Sequence[str], values: Any, remarks: Sequence[str], best: str, title: str
+) -> str:
+    """Figures of rows by columns as SVG text: shaded by their share of the first row, the least of a column bold.
+
+    values: (rows, columns), None where there is none. best: the row that is used, framed.
+    """
+    table = np.array([[np.nan if v is None else float(v) for v in row] for row in values])
+    share = np.log10(np.clip(table / np.where(table[:1] > 0, table[:1], 1.0), 1e-2, 10.0))
+    with svg.figure(7.2, 0.32 * len(rows) + 1.0) as (canvas, axes):
+        axes.imshow(share, cmap="PuOr_r", vmin=-2.5, vmax=2.5, aspect="auto")
+        compared = [k for k, name in enumerate(rows) if k and name != best and name != "noise floor"]
+        for j in range(table.shape[1]):
+            least = min(compared, key=lambda k: np.nan_to_num(table[k, j], nan=np.inf), default=-1)
+            for i in range(table.shape[0]):
+                text = "–" if np.isnan(table[i, j]) else f"{table[i, j]:.3g}"
+                weight = "bold" if i == least else "normal"
+                axes.text(j, i, text, ha="center", va="center", fontsize=8, color=svg.INK, weight=weight)
+        frame = list(rows).index(best)
+        axes.add_patch(_frame(frame, table.shape[1]))
+        for i, remark in enumerate(remarks):
+            axes.text(table.shape[1] - 0.45, i, remark, ha="left", va="center", fontsize=8, color=svg.INK)
+        axes.set(xticks=range(len(columns)), yticks=range(len(rows)), xlim=(-0.5, table.shape[1] + 0.6))
+        axes.set_xticklabels([c.replace(" ", "\n", 1) for c in columns], fontsize=8)
+        axes.set_yticklabels(rows, fontsize=8)
+        axes.xaxis.tick_top()
+        axes.tick_params(length=0)
+        axes.grid(visible=False)
+        for side in axes.spines.values():
+            side.set_visible(False)
+        return svg.to_svg(canvas, title)
+
+
+def _frame(row: int, width: int) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((-0.5, row - 0.5), width, 1.0, fill=False, lw=1.6, edgecolor=svg.AFTER)

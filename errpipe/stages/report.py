@@ -64,6 +64,7 @@ class Report(Stage):
             consequences=[says for document in exported.values() for says in document.get("consequences", ())],
             extra_figures=[
                 *_iso230_chart(recording, validation, context.needed("validation") / HELD_OUT),
+                *_family_grids(context.needed("error_model")),
                 *_readings(validation),
             ],
             validity=_validity(model),
@@ -246,10 +247,7 @@ def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
     worth = f", worth {component.rows_effective:.0f} independent ones" if component.rows_effective else ""
-    notes = [
-        f"{component.rows} rows fitted{worth}; "
-        f"on them {component.rms_before:.3g} -> {component.rms_after:.3g} {component.unit}."
-    ]
+    notes = [f"{component.rows} rows fitted{worth}. Every rms on this page is of rows that were held out."]
     if figures["verdict"] != "model":
         notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
     if component.half_width90 is not None:
@@ -316,6 +314,15 @@ def _family_tables(folder: Path, validation: Mapping[str, Any]) -> list[Any]:
 
     family = _artefacts.family_in(folder)
     return [Table(*table) for table in family.tables(_artefacts.documents_in(folder, family), validation)]
+
+
+def _family_grids(folder: Path) -> list[tuple[str, str, str]]:
+    """Grids of figures that the model family adds: heading, SVG, caption."""
+    from errpipe.reporting.run_figures import grid
+
+    family = _artefacts.family_in(folder)
+    drawn = family.grids(_artefacts.documents_in(folder, family))
+    return [(g.heading, grid(g.columns, g.rows, g.values, g.remarks, g.best, g.heading), g.caption) for g in drawn]
 
 
 def _seasons(validation: Mapping[str, Any]) -> list[Any]:

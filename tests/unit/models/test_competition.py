@@ -122,8 +122,11 @@ def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
     told = fitted.documents["competition.json"]
     assert set(told["rms_um"]) == {"run", "season", "cold or warm starts"}
     assert sum(w["weight"] for w in told["weights"]) <= 1.0 + 1e-6
-    (table,) = family.tables(fitted.documents, document)
-    assert [row[0] for row in table.rows][-1] == "mixture" and table.columns[1] == "run left out"
+    (grid,) = family.grids(fitted.documents)
+    assert grid.rows[0] == "nothing" and grid.best == "mixture" and grid.rows[-1] == "noise floor"
+    assert grid.columns == ["every run", "every season", "cold or warm starts", *SEASONS, "cold", "warm"]
+    assert all(len(row) == len(grid.columns) for row in grid.values)
+    assert "um on each run left out" in fitted.summary["E_Z"]
 
 
 def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
