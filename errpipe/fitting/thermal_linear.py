@@ -1,10 +1,12 @@
-"""Thermal models that are a sum of gains times drivers: rises of temperatures, and rises through lags.
+"""Thermal models that are a sum of gains times drivers: rises of temperatures, rises through lags, heat of the spindle.
 
 Deviations count from the start of each run, so every driver is zero there and no constant is fitted. Runs are reduced
 once to a triangle each (QR of [drivers, deviation]); any hold-out then costs a stack of triangles.
 
 Lags are first-order responses. Their time constants are a geometric grid from a few samples to the length of a run:
 shorter ones are indistinguishable from none, longer ones from a straight line (`time_constants`).
+Where the spindle speed is recorded, its heat (speed and its square) through the same lags stands beside them: a part
+that no sensor sees warms with it.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over 
 # Of neighbouring time constants. Chosen on seeds 1 to 3 of `trials.thermal`: 2.5 leaves 2 % more, 4 leaves 8 % more.
 RATIO = 1.8
 MOST_LAGS = 12
+SPEED_UNIT = 1e-3  # 1/rpm: a spindle's thousands of rpm then stand beside kelvins
 MOST_DRIVERS = 120  # of all sensors together: a table takes 1024 operations, each lag costs two
 
 
@@ -35,9 +38,9 @@ MOST_DRIVERS = 120  # of all sensors together: a table takes 1024 operations, ea
 class LinearProblem:
     """Drivers on every row, and the triangles of the groups (runs) that may be used.
 
-    drivers: the rises first (`plain` of them), then the lagged rises; values: (rows, drivers), K, counted from the
-    first rows of each run as the response is; response: deviation since the start of the run, um; group: run of each
-    row; rows: mask of usable rows.
+    drivers: the rises first (`plain` of them), then the lagged rises, sensor by sensor, then `heat` of the spindle's,
+    on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is; response:
+    deviation since the start of the run, um; group: run of each row; rows: mask of usable rows.
     """
 
     recording: Recording
@@ -49,6 +52,7 @@ class LinearProblem:
     group: np.ndarray
     triangle: dict[int, np.ndarray]
     count: dict[int, int]
+    heat: int = 0
 
     @property
     def groups(self) -> list[int]:
@@ -70,6 +74,8 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     nodes: list[d.Driver] = [d.rise(n) for n in names]
     taus = time_constants(recording, len(names))
     nodes += [d.Lag(of=d.rise(n), tau_up=tau, tau_down=tau, start="zero") for n in names for tau in taus]
+    heat = spindle_heat(recording, taus)
+    nodes += heat
     response, _ = since_start(recording.array(response_name(recording, component)), run, datum_rows)
     values = centred(columns(recording, nodes), run, datum_rows, 1.0)
     good = np.isfinite(response) & np.isfinite(values).all(axis=1)
@@ -79,7 +85,18 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     group = inner_groups(run, good)
     parts = triangles(values[good], response[good], group[good])
     count = {g: int(np.count_nonzero(good & (group == g))) for g in parts}
-    return LinearProblem(recording, tuple(nodes), len(names), values, response, good, group, parts, count)
+    return LinearProblem(recording, tuple(nodes), len(names), values, response, good, group, parts, count, len(heat))
+
+
+def spindle_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
+    """Speed (either sense of rotation) and its square through lags, 1000 rpm; none without a speed."""
+    name = recording.name("spindle_speed")
+    if name is None:
+        return []
+    speed = d.Affine(weights=(SPEED_UNIT,), of=(d.Input(name=name),))
+    square = d.Product(of=(speed, speed))
+    size = d.Power(of=square, exponent=0.5)
+    return [d.Lag(of=of, tau_up=tau, tau_down=tau, start="zero") for of in (size, square) for tau in taus]
 
 
 def time_constants(recording: Recording, sensors: int = 1) -> tuple[float, ...]:

@@ -67,11 +67,12 @@ def _entrant(family: str, problem: LinearProblem, penalty: float) -> Entrant:
 
 
 def _columns(problem: LinearProblem) -> list[int]:
-    """Numbers of the rises, and of every rise through two of the lags."""
-    count = problem.plain
-    lags = len(problem.drivers) // count - 1
+    """Numbers of the rises, and of every rise and heat of the spindle through two of the lags."""
+    count, heat = problem.plain, problem.heat
+    lags = (len(problem.drivers) - heat) // count - 1
     chosen = sorted({min(int(share * lags), lags - 1) for share in LAGS}) if lags > 0 else []
-    return [*range(count), *(count + k * lags + lag for k in range(count) for lag in chosen)]
+    series = count + heat // max(lags, 1)
+    return [*range(count), *(count + k * lags + lag for k in range(series) for lag in chosen)]
 
 
 def _trained(x: np.ndarray, y: np.ndarray, penalty: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
