@@ -126,6 +126,8 @@ class ThermalFamily(Family):
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
+        import numpy as np
+
         from errpipe.fitting import thermal_competition, thermal_linear
         from errpipe.fitting.solve import one_thread
 
@@ -135,7 +137,10 @@ class ThermalFamily(Family):
             entrants = self.entrants(problem)
             if self.one_environment(problem):
                 entrants = [e for e in entrants if e.physical] or entrants
-            outcome = thermal_competition.compete(entrants, groupings, problem.response, problem.rows, problem.group)
+            runs = np.unique(recording.run_codes()[problem.rows]).size
+            outcome = thermal_competition.compete(
+                entrants, groupings, problem.response, problem.rows, problem.group, runs < len(problem.groups)
+            )
             return _model(self, problem, outcome), outcome
 
     def one_environment(self, problem: LinearProblem) -> bool:
@@ -186,7 +191,9 @@ def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]
     return "tie" if chance.get(name, 0.0) > TIE_LEVEL else ""
 
 
-def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
+def linear(
+    family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray], penalty: float = 0.0
+) -> Entrant:
     """An entrant that is gains (of the first drivers of a problem) from groups."""
     from errpipe.fitting.thermal_competition import Entrant
 
@@ -199,7 +206,7 @@ def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tupl
     def parts(groups: tuple[int, ...]) -> Any:
         return tuple((name, float(g), node) for g, node in zip(known(groups), problem.drivers, strict=False) if g)
 
-    return Entrant(family, name, predict, parts)
+    return Entrant(family, name, predict, parts, penalty=penalty)
 
 
 def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> ThermalModel:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from errpipe.fitting.thermal_competition import Entrant
     from errpipe.fitting.thermal_linear import LinearProblem
 
-STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, on columns of unit rms; the competition chooses
+STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the ridge, on columns of unit rms; the competition chooses
 LEAST_RIDGE = 1e-5  # keeps the normal equations of collinear sensors well conditioned
 FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`thermal_linear.common_gains`)
 
@@ -35,7 +35,7 @@ class Rises(ThermalFamily):
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.ridge(*problem.stacked(groups, width), strength)
 
-            return linear(family, f"rises, ridge {strength:g}", problem, gains)
+            return linear(family, f"rises, ridge {strength:g}", problem, gains, strength)
 
         def common(freedom: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:

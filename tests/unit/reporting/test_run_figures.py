@@ -33,3 +33,14 @@ def test_a_plane_averages_readings_at_one_place() -> None:
     assert len(re.findall(r'<g clip-path="[^"]*">\s*<use [^>]*style="fill: #[^"]*"', text)) == 24, (
         "twelve places in two panels"
     )
+
+
+def test_a_grid_shows_every_figure_and_marks_what_is_used() -> None:
+    values = [[20.0, 10.0], [5.0, None], [4.0, 3.0], [0.5, 0.5]]
+    rows = ["nothing", "rises", "mixture", "noise floor"]
+    text = run_figures.grid(["every run", "winter"], rows, values, ["", "tie", "", ""], "mixture", "Competition")
+    for said in (*rows, "every", "winter", "20", "–", "0.5", "tie"):
+        assert f">{said}<" in text, said
+    assert text == run_figures.grid(
+        ["every run", "winter"], rows, values, ["", "tie", "", ""], "mixture", "Competition"
+    )

@@ -1,0 +1,133 @@
+"""Thermal families where rows lie outside of what fitted: another block of a warm-up, another speed, another season."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.fitting import thermal_competition
+from errpipe.fitting.thermal_arithmetic import limits, since_start
+from errpipe.models.auto import Auto
+from errpipe.models.lagged import Lagged
+from errpipe.models.rises import Rises
+
+STEP = 120.0  # s
+
+
+def recording(frame: pd.DataFrame, more: dict[str, Column] | None = None) -> Recording:
+    kinds = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    kinds |= {n: Column(role="temperature", unit="degC") for n in frame if n.startswith("T_")} | (more or {})
+    kinds["E_Z"] = Column(role="error", component="E_Z", unit="um")
+    return Recording(Manifest(recording=1, tables=("a.csv",), columns=kinds), frame)
+
+
+def lag(u: np.ndarray, tau: float) -> np.ndarray:
+    out = np.zeros(u.size)
+    for k in range(1, u.size):
+        out[k] = u[k - 1] + (out[k - 1] - u[k - 1]) * np.exp(-STEP / tau)
+    return out
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_the_first_block_of_a_warm_up_is_predicted_from_the_rest() -> None:
+    """No fitted row is near the start's zero; a limit on what may be predicted must not keep it away from there."""
+    rng = np.random.default_rng(1)
+    t = STEP * np.arange(500)
+    warm = 20 * (1 - np.exp(-t / 9000))
+    frame = {
+        "run": "a",
+        "t": t,
+        "T_1": 20 + warm + rng.normal(0, 0.02, t.size),
+        "E_Z": warm + rng.normal(0, 0.1, t.size),
+    }
+    whole, rows = recording(pd.DataFrame(frame)), np.arange(t.size) >= 100
+    left = whole.array("E_Z") - Rises(component="E_Z").train(whole, rows).values(whole)
+    assert rms(whole.array("E_Z")[~rows]) > 7.0 and rms(left[~rows]) < 0.5
+    low, high = limits(np.array([10.0, 12.0]))
+    assert low < 0.0 and high > 20.0
+
+
+def spindle_days(seed: int, speeds: tuple[float, ...]) -> Recording:
+    """A shaft warms with the square of its speed; the only sensor is in the room."""
+    rng, frames = np.random.default_rng(seed), []
+    for k in range(6):
+        speed = np.repeat(rng.choice(speeds, 8), 30)
+        room = 20 + np.cumsum(rng.normal(0, 0.05, speed.size))
+        growth = 40 * lag((speed / 8000) ** 2, 1800.0) - 2 * (room - room[0])
+        frame = {"run": str(k), "t": STEP * np.arange(speed.size), "T_room": room, "S": speed}
+        frames.append(pd.DataFrame(frame | {"E_Z": growth + rng.normal(0, 0.2, speed.size)}))
+    return recording(pd.concat(frames, ignore_index=True), {"S": Column(role="spindle_speed", unit="rpm")})
+
+
+def test_a_part_without_a_sensor_is_predicted_from_the_speed() -> None:
+    fitted, judged = spindle_days(2, (0, 2000, 4000, 8000)), spindle_days(3, (0, -4000, 6000))
+    model = Lagged(component="E_Z").train(fitted)
+    y = since_start(judged.array("E_Z"), judged.run_codes(), 3)[0]
+    left = y - since_start(model.values(judged), judged.run_codes(), 3)[0]
+    assert rms(y) > 4.0 and rms(left) < 0.6
+
+
+def test_the_interval_widens_where_runs_disagree_and_not_where_they_agree() -> None:
+    """Two sensors that run apart in no fitted run by more than a little: the difference has an unknown gain."""
+    rng, frames = np.random.default_rng(4), []
+    for k in range(8):
+        warm = 10 * (1 - np.exp(-STEP * np.arange(120) / rng.uniform(2000, 8000)))
+        apart = 0.2 * np.cumsum(rng.normal(0, 0.1, 120))
+        gain = 3.0 + rng.normal(0, 2.0)  # of the difference: each day its own
+        frame = {"run": str(k), "t": STEP * np.arange(120), "T_1": 20 + warm, "T_2": 20 + warm + apart}
+        frames.append(pd.DataFrame(frame | {"E_Z": 2 * warm + gain * apart + rng.normal(0, 0.2, 120)}))
+    fitted = recording(pd.concat(frames, ignore_index=True))
+    model = Auto(component="E_Z", among=("rises",)).train(fitted)
+    warm = np.linspace(0, 20, 120)
+    further = {"run": "x", "t": STEP * np.arange(120), "T_1": 20 + warm, "T_2": 20 + warm, "E_Z": 0.0}
+    apart = further | {"T_2": 20 + 0.5 * warm}
+
+    def half(frame: dict) -> float:
+        told = model.predict(recording(pd.DataFrame(frame)))
+        return float((told.upper - told.lower)[-1] / 2 / (1 + abs(told.predicted[-1]) / 50))
+
+    assert half(apart) > 4 * half(further)
+
+
+def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() -> None:
+    """All entrants are worse than nothing with a duty cycle left out, and good in every other way."""
+    group = np.repeat(np.arange(8), 50)
+    truth = np.tile(np.linspace(0, 20, 50), 8)
+
+    def predict(groups):
+        return truth if set(groups) & {0, 1} and set(groups) & {4, 5} else -truth
+
+    rival = thermal_competition.Entrant("rival", "rival", predict, lambda groups: ())
+    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
+
+    def weights(decides: bool) -> float:
+        cycles = thermal_competition.Grouping("duty", ((0, 1, 2, 3), (4, 5, 6, 7)), ("A", "B"), decides)
+        found = thermal_competition.compete([rival], (runs, cycles), truth, np.ones(400, bool), group)
+        return sum(w for _, w in found.weights)
+
+    assert weights(False) > 0.99 and weights(True) == 0.0
+
+
+def test_among_blocks_of_one_run_the_strongest_penalty_that_ties_is_taken() -> None:
+    """A weak penalty is better by a tenth of the blocks' scatter; a third, stronger, is clearly worse."""
+    rng = np.random.default_rng(7)
+    group = np.repeat(np.arange(5), 100)
+    truth = np.tile(np.linspace(0, 20, 100), 5)
+    noise = np.repeat([0.5, 1.0, 1.5, 2.0, 2.5], 100) * rng.choice([-1.0, 1.0], 500)
+
+    def entrant(penalty: float, error: float) -> thermal_competition.Entrant:
+        name = f"penalty {penalty:g}"
+        return thermal_competition.Entrant("x", name, lambda g: truth + error * noise, lambda g: (), penalty=penalty)
+
+    entrants = [entrant(0.0, 1.0), entrant(1.0, 1.03), entrant(2.0, 3.0)]
+    blocks = (thermal_competition.Grouping("run", tuple((g,) for g in range(5))),)
+
+    def chosen(cautious: bool) -> str:
+        found = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, cautious)
+        return found.weights[0][0].name
+
+    assert chosen(False) == "penalty 0" and chosen(True) == "penalty 1"
