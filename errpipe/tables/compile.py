@@ -90,11 +90,7 @@ def compile_table(
     input's validity, else its plausible range); error_bound: largest interpolation error of each pair at
     its driver's largest value, um or urad. Raises GateError where a component cannot be compiled.
     """
-    slow_every = max(1, round(thermal_cycle_s / position_cycle_s))
-    if slow_every > t.MAX_SLOW_EVERY:
-        raise GateError(
-            f"a thermal cycle of {thermal_cycle_s:g} s is {slow_every} position cycles (at most {t.MAX_SLOW_EVERY})"
-        )
+    slow_every = _cycles(thermal_cycle_s, position_cycle_s)
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
     groups = [_groups(build, c) for c in components]
     monomials = [_monomials(build, o) for o in (outputs_of(components) if outputs is None else outputs)]
@@ -128,6 +124,16 @@ def compile_table(
         outputs=tuple(monomials),
     )
     return with_limits(table, limits or {})
+
+
+def _cycles(thermal_cycle_s: float, position_cycle_s: float) -> int:
+    """Position cycles of one thermal cycle. Raises GateError beyond what a table can count."""
+    cycles = max(1, round(thermal_cycle_s / position_cycle_s))
+    if cycles > t.MAX_SLOW_EVERY:
+        raise GateError(
+            f"a thermal cycle of {thermal_cycle_s:g} s is {cycles} position cycles (at most {t.MAX_SLOW_EVERY})"
+        )
+    return cycles
 
 
 @dataclass
