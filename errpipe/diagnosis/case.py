@@ -40,6 +40,7 @@ class SetUp:
     session: np.ndarray | None  # of each row, where each session has its own datum
     in_part: bool = False  # were effects that act in part added to the library?
     in_own_noise: bool = False  # was the colour of the noise fitted?
+    over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing
 
     def judged(self) -> LeftOut:
         """How held-out rows are predicted."""

@@ -14,9 +14,9 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
-from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, likelihood, zoomed
+from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, zoomed
 from errpipe.diagnosis.prepare import Pair
-from errpipe.diagnosis.search import MORE, Explanation, Search, settled
+from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
@@ -130,7 +130,7 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         prior = made.prior.copy()
         other = _without(made, m)
         joint = [c.search.joint(c.chosen()) for c in (other, case)]
-        whole = [likelihood(c.search, c.explanation) for c in (other, case)]  # gains that it needs count here
+        whole = [c.search.evidence(c.chosen()) - MISSING * len(c.chosen()) for c in (other, case)]
         close = joint[0] > joint[1] - NEARLY and whole[0] > whole[1] - NEARLY
         if other.chosen() and close and not plausible.doubtful(other) and not plausible.impossible(other):
             return other

@@ -64,7 +64,8 @@ def modelled(case: Case, k: int) -> Modelled:
     linear = _linear(hypothesis, b, cov, scale)
     joint = b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores]) / WIDER**2
     if joint < CHI2_95.get(cores, 2.0 * cores):
-        linear = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores)
+        linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores)
+        joint = max(joint, alone)
     estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
@@ -76,8 +77,13 @@ def modelled(case: Case, k: int) -> Modelled:
     return Modelled(hypothesis, tuple(estimates), contribution, share, float(joint), cores)
 
 
-def _projected_sizes(case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int) -> list[Estimate]:
-    """Sizes where departures dominate the textbook form: its projection on the contribution.
+MOSTLY = 0.5  # share of the contribution's variance that the textbook form must carry to have a size at all
+
+
+def _projected_sizes(
+    case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int
+) -> tuple[list[Estimate], float]:
+    """Sizes where departures take the textbook form's place: its projection on the contribution; their chi squared.
 
     Their intervals are those of a fit of the textbook form alone, and the shape's uncertainty beside.
     """
@@ -88,7 +94,10 @@ def _projected_sizes(case: Case, scene: Scene, h: Hypothesis, block, contributio
     cov = cov * _dependence(case, scene, block[:, :cores], nearest)
     out = _linear(h, nearest, cov, scale)
     wider = [DEPARTED * abs(e.value) for e in out]
-    return [replace(e, low=e.low - w, high=e.high + w) for e, w in zip(out, wider, strict=True)]
+    left = contribution - contribution.mean() - core @ nearest
+    carried = 1.0 - float(np.var(left)) / max(float(np.var(contribution)), 1e-300)
+    joint = float(nearest @ np.linalg.solve(cov, nearest)) / WIDER**2 if carried > MOSTLY else 0.0
+    return [replace(e, low=e.low - w, high=e.high + w) for e, w in zip(out, wider, strict=True)], joint
 
 
 def _reported(e: Estimate, response: str, rotary: bool) -> Estimate:

@@ -14,25 +14,33 @@ from errpipe.diagnosis.search import Explanation, Search, settled
 from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
+CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
+COLOUR_PRICE = 6.0  # log of the number of colours that are tried
+EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
 
 def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
-    """Where the residual is autocorrelated: noise and explanation that are likeliest together.
+    """Where the residual is autocorrelated or a finding is weak: noise and explanation that are likeliest together.
 
     The colour of the noise is fitted to what is left with and without the explanation, and the search made again in it:
     a slow wandering is then no evidence for what is slow, and a step in it stands out.
     """
     made.in_own_noise = True
-    if coloured.correlation_time(search.scene(chosen_of(explanation)).residual(), made.run) <= DEPENDENT:
+    weakest = min((f.gain for f in explanation.accepted), default=np.inf)
+    time = coloured.correlation_time(search.scene(chosen_of(explanation)).residual(), made.run)
+    if time <= DEPENDENT and weakest > CERTAIN:
         return search, explanation
-    library = made.library
-    best = (likelihood(search, explanation), library.table.colour, search, explanation)
+    library, handicap = made.library, 0.0 if time > DEPENDENT else EXPLAINED
+    best = (likelihood(search, explanation) + handicap, library.table.colour, search, explanation)
+    wandering = -np.inf  # log evidence of noise alone
     colours = [coloured.fitted(_left(made, search, chosen), made.run) for chosen in ([], chosen_of(explanation))]
     for colour in dict.fromkeys(colours):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
         found = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
+        wandering = max(wandering, likelihood(found[0], replace(found[1], accepted=())))
         best = max(best, (likelihood(*found), colour, *found), key=lambda t: t[0])
+    made.over_noise = best[0] - (handicap if best[2] is search else 0.0) - wandering
     _, colour, search, explanation = best
     if colour != library.table.colour:
         library.recolour(colour)
@@ -48,9 +56,11 @@ def _left(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.nd
 
 
 def likelihood(search: Search, explanation: Explanation) -> float:
-    """Log evidence of an explanation in noise of its colour, less what findings cost."""
-    table, cost = search.library.table, search.threshold * len(explanation.accepted)
-    return search.evidence(chosen_of(explanation)) - cost - coloured.scale(table.colour, table.run)
+    """Log evidence of an explanation in noise of its colour, less what findings and an unusual colour cost."""
+    table, chosen = search.library.table, chosen_of(explanation)
+    gain = search.joint(chosen) if chosen else 0.0
+    price = 0.0 if table.colour == coloured.USUAL else COLOUR_PRICE
+    return search.evidence([]) + gain - price - coloured.scale(table.colour, table.run)
 
 
 def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:

@@ -31,7 +31,7 @@ REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
     "set right first; check which of them is actual minus commanded."
 )
-UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
+UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant, or that noise may play
 UNPROVED = 0.45  # upper limit of the confidence of a finding that does not improve held-out rows
 
 
@@ -42,7 +42,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    sized = [UNSIZED if plausible.no_size(m) else 1.0 for m in made]
+    wandering = case.over_noise < 0.0  # as likely that nothing is missing and the noise wanders
+    sized = [UNSIZED if wandering or plausible.no_size(m) else 1.0 for m in made]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [f.model_copy(update=_capped_confidence(f, most)) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
@@ -143,6 +144,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     rivals = case.search.rivals(accepted, k)
     own = {f.hypothesis.effect for f in accepted}
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
+    margin = min(margin, max(case.over_noise, 0.0))
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
     return confidence.Indicators(
         gain=accepted[k].gain,

@@ -1,0 +1,87 @@
+"""Noise with a memory, tails, steps or a coarse display is no mechanism, and does not hide one; odd but plain cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import coloured, diagnose
+from trials import noise
+
+from .machines import recording
+
+SEED = 5
+NULLS = [("axis", "AR(1) 0.99"), ("axis", "jumps"), ("spindle", "random walk"), ("spindle", "1/f")]
+NULLS += [("spindle", "AR(1) 0.999"), ("axis", "Student t, 2 dof"), ("axis", noise.COARSE), ("trace", "AR(1) 0.99")]
+EFFECTS = [("axis", "random walk"), ("axis", "AR(1) 0.9"), ("spindle", "AR(1) 0.99"), ("spindle", "Student t, 2 dof")]
+EFFECTS += [("trace", "random walk"), ("spindle", noise.COARSE)]
+
+
+@pytest.mark.parametrize(("machine", "kind"), NULLS)
+def test_noise_raises_no_alarm(machine, kind):
+    case, names = noise.case(SEED, machine, kind, hidden=False)
+    assert noise.judged(names, noise.said(case))["right"]
+
+
+@pytest.mark.parametrize(("machine", "kind"), EFFECTS)
+def test_noise_does_not_hide_an_effect(machine, kind):
+    case, names = noise.case(SEED, machine, kind, hidden=True)
+    assert noise.judged(names, noise.said(case)) == {"right": True, "sure_and_wrong": False}
+
+
+@pytest.mark.parametrize(("keep", "white"), [(0.9, 0.0), (0.99, 0.3), (0.0, 1.0)])
+def test_the_colour_of_noise_is_found(keep, white):
+    rng = np.random.default_rng(3)
+    slow = noise.first_order(rng, 2000, keep)
+    values = np.sqrt(1 - white) * slow / slow.std() + np.sqrt(white) * rng.standard_normal(2000)
+    run = np.zeros(2000, dtype=int)
+    colour = coloured.fitted(values, run)
+    assert coloured.correlation_time(coloured.whiten(values, run, colour), run) < 1.5
+    if white < 1:
+        assert 0.4 < colour.memory * -np.log(keep) < 2.5 and colour.share == pytest.approx(1 - white, abs=0.15)
+
+
+def test_a_colour_is_taken_back_exactly():
+    rng = np.random.default_rng(4)
+    values, run = rng.standard_normal((50, 3)), np.repeat([0, 1], 25)
+    slow = coloured.Colour(40.0, 0.97)
+    there = coloured.whiten(values, run, slow)
+    assert np.allclose(coloured.recolour(there, run, slow, coloured.USUAL), coloured.whiten(values, run))
+
+
+def log(lost_motion: float, sign: float = 1.0):
+    """100 s at 20 Hz of an axis of which positions alone are recorded, beside a body that follows 40 s late."""
+    rng = np.random.default_rng(2)
+    t = 0.05 * np.arange(2000)
+    x = 50 + 40 * np.sin(2 * np.pi * t / 8)
+    body = 20 + 6 * (1 - np.exp(-np.clip(t - 15, 0, None) / 3)) - 4 * (1 - np.exp(-np.clip(t - 60, 0, None) / 3))
+    side = np.where(np.gradient(x) < 0, 1.0, -1.0)
+    known = 0.1 * x + 3 * np.sin(x / 9)
+    error = known + 3 * (noise.late(t, body, 40.0) - 20) + lost_motion / 2 * side + 0.3 * rng.standard_normal(t.size)
+    columns = {"t": t, "x": x, "T": body + 0.02 * rng.standard_normal(t.size), "E": sign * error, "S": known}
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "T": {"role": "temperature", "unit": "degC", "location": "bed"},
+        "E": {"role": "error", "component": "EXX", "unit": "um"},
+        "S": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    return recording(columns, kinds)
+
+
+def test_a_slow_lag_and_lost_motion_are_both_found_from_positions_alone():
+    (response,) = diagnose(log(2.0))[0].responses
+    found = {f.effect: f for f in response.findings if f.effect != "recalibration"}
+    assert set(found) == {"thermal_lag", "backlash"} and all(f.confidence >= 0.6 for f in found.values())
+    tau = next(p for p in found["thermal_lag"].parameters if p.name == "tau")
+    assert tau.ci95[0] <= 40.0 <= tau.ci95[1] < 80.0
+    assert found["backlash"].drivers == ("x",)  # the column that the recording has
+
+
+def test_a_reversed_sign_is_a_recalibration_and_is_said():
+    case, _ = noise.case(SEED, "spindle", "white", hidden=False)
+    turned = type(case)(case.manifest, case.frame.assign(E=-case.frame["E"]))
+    (response,) = diagnose(turned)[0].responses
+    assert response.verdict == "recalibrate" and "opposite signs" in response.says
+    (gain,) = [p for f in response.findings for p in f.parameters if p.name == "gain of simulation less 1"]
+    assert -2.1 < gain.value < -1.9 and response.holdout.rms_after_um < 0.3 * response.holdout.rms_before_um
