@@ -37,7 +37,7 @@ class CRuntime(Target):
     remark = {"table.h": "/* {} */"}
     source = "schemas/ect-2.md; compiled and compared to the bit in the tests, on a Cortex-M in an emulator too"
     activation = (
-        "ect_is_identity holds the bytes against the SHA-256 that may run here (ECT_TABLE_IDENTITY in table.h); a "
+        "ect_load_only refuses every table but the one whose SHA-256 may run here (ECT_TABLE_IDENTITY in table.h); a "
         "signature is checked before the table is brought to the controller (`minisign -V`), not by the runtime",
         "ect_load must return ECT_OK; e.crc shows the table's checksum: compare it with `errpipe whatis table.ect`",
         "emergency stop or drives without power: mode ECT_HOLD; before and while homing: ECT_OFF",
@@ -116,11 +116,7 @@ int main(void)
     ect e;
     uint32_t o;
     ect_error error;
-    if (!ect_is_identity(ect_table, ECT_TABLE_SIZE, allowed)) {{
-        printf("refused: another table than the one allowed here\\n");
-        return 1;
-    }}
-    error = ect_load(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work);
+    error = ect_load_only(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work, allowed);
     if (error != ECT_OK) {{
         printf("refused: %s (record %u)\\n", ect_says(error), (unsigned)e.where);
         return 1;

@@ -1492,6 +1492,7 @@ const char *ect_says(ect_error error)
         "sound", "not a compensation table", "damaged by a transfer in text mode", "cut off or too long",
         "another format version", "damaged (checksum)", "header: cycles, times, texts or reserved bytes",
         "a section's size or place", "an input", "a substitute", "a node", "an operand", "a lookup value", "a profile",
-        "a profile value", "a component", "a pair", "an output", "a term", "work area too small or not aligned"};
-    return (unsigned)error <= (unsigned)ECT_WORK ? words[error] : "unknown error";
+        "a profile value", "a component", "a pair", "an output", "a term", "work area too small or not aligned",
+        "another table than the one allowed"};
+    return (unsigned)error <= (unsigned)ECT_FOREIGN ? words[error] : "unknown error";
 }

@@ -50,7 +50,8 @@ typedef enum {
     ECT_PAIR,
     ECT_OUTPUT,
     ECT_TERM,
-    ECT_WORK            /* the work area is too small or not aligned to 8 bytes */
+    ECT_WORK,           /* the work area is too small or not aligned to 8 bytes */
+    ECT_FOREIGN         /* another table than the one allowed (ect_load_only in ect_identity.h) */
 } ect_error;
 
 enum { /* status bits */

@@ -6,6 +6,8 @@
 #ifndef ECT_IDENTITY_H
 #define ECT_IDENTITY_H
 
+#include "ect.h"
+
 #include <stddef.h>
 #include <stdint.h>
 
@@ -18,7 +20,11 @@ extern "C" {
 /* The identity of `size` bytes at `data`. */
 void ect_identity(const void *data, size_t size, uint8_t identity[ECT_IDENTITY_SIZE]);
 
-/* 1 where the bytes have the expected identity, else 0: do not give them to ect_load. */
+/* ect_load of the table with the expected identity: any other is ECT_FOREIGN and is not used, as after any error. */
+ect_error ect_load_only(
+    ect *e, const void *table, size_t size, void *work, size_t work_size, const uint8_t expected[ECT_IDENTITY_SIZE]);
+
+/* 1 where the bytes have the expected identity, else 0. */
 int ect_is_identity(const void *data, size_t size, const uint8_t expected[ECT_IDENTITY_SIZE]);
 
 #ifdef __cplusplus

@@ -309,7 +309,7 @@ def test_memory_is_known_before_it_runs(library):
 
 def test_the_identity_of_a_table_is_its_sha256(tmp_path):
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-shared", "-fPIC"]
-    run(COMPILERS[0], *flags, RUNTIME / "ect_identity.c", "-o", tmp_path / "i.so")
+    run(COMPILERS[0], *flags, RUNTIME / "ect_identity.c", RUNTIME / "ect.c", "-o", tmp_path / "i.so")
     dll, rng = ctypes.CDLL(str(tmp_path / "i.so")), np.random.default_rng(1)
     for size in (*range(200), 4096, len(ect.dumps(machine(thermal=True)))):
         data = rng.bytes(size)
@@ -332,6 +332,35 @@ def test_the_example_refuses_another_table_than_the_one_allowed(tmp_path):
     run(COMPILERS[0], "-std=c99", "-O1", *sources, "-o", tmp_path / "example")
     done = subprocess.run([tmp_path / "example"], capture_output=True, text=True)
     assert done.returncode == 1 and "another table" in done.stdout
+
+
+ONLY = """#include <stdio.h>
+#include "ect_identity.h"
+#include "table.h"
+static uint64_t work[1u << 16];
+int main(void) {
+    uint8_t allowed[ECT_IDENTITY_SIZE] = ECT_TABLE_IDENTITY;
+    static const ect_real readings[8] = {1000};
+    for (int turn = 0; turn < 2; turn++) { /* the table that is allowed, then the same where another one is */
+        ect e;
+        ect_error error = ect_load_only(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work, allowed);
+        ect_cycle(&e, readings, NULL, ECT_ON);
+        printf("%s; %u outputs; running %d\\n", ect_says(error), (unsigned)e.output_count, (int)(e.status & 1u));
+        allowed[31] ^= 1u;
+    }
+    return 0;
+}
+"""
+
+
+def test_a_table_that_is_not_the_one_allowed_is_not_loaded(tmp_path):
+    for name, text in {**CRuntime.write(ten_um_too_long()), "only.c": ONLY}.items():
+        (tmp_path / name).write_text(text)
+    sources = [tmp_path / name for name in ("ect.c", "ect_identity.c", "table.c", "only.c")]
+    run(COMPILERS[0], *STRICT, *sources, "-o", tmp_path / "only")
+    first, second = run(tmp_path / "only").stdout.splitlines()
+    assert first == "sound; 1 outputs; running 1"
+    assert second == "another table than the one allowed; 0 outputs; running 0"
 
 
 # Cortex-M in an emulator -----------------------------------------------------------------------------
