@@ -18,8 +18,7 @@ import re
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
-
-import jinja2
+from typing import TYPE_CHECKING
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
@@ -28,6 +27,9 @@ from errpipe.targets import _sample
 from errpipe.targets._base import ReadBack, Target, expect
 from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
+
+if TYPE_CHECKING:
+    import jinja2
 
 COMPONENT, WIRING = "errpipe_inject.comp", "errpipe-inject.hal"
 TABLE, TABLE_HEADER = "inject_table.c", "inject_table.h"
@@ -131,6 +133,8 @@ def _core(name: str) -> str:
 
 @cache
 def _templates() -> jinja2.Environment:
+    import jinja2
+
     return jinja2.Environment(
         loader=jinja2.PackageLoader("errpipe.targets"),
         trim_blocks=True,

@@ -23,9 +23,9 @@ import re
 import uuid
 import zlib
 from collections.abc import Mapping
+from html import escape  # as xml.sax.saxutils has it, which imports an HTTP client
 from importlib import resources
 from typing import Any
-from xml.sax.saxutils import escape
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import VerifyError
@@ -326,7 +326,7 @@ def _pou(name: str, text: str) -> str:
     kind = "function" if name in FUNCTIONS else "functionBlock"
     return (
         f'<pou name="{name}" pouType="{kind}"><interface>{_interface(declaration)}</interface>'
-        f"<body><ST><xhtml:p>{escape(body)}</xhtml:p></ST></body></pou>"
+        f"<body><ST><xhtml:p>{escape(body, quote=False)}</xhtml:p></ST></body></pou>"
     )
 
 

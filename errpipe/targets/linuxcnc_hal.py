@@ -16,9 +16,7 @@ import re
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
-from typing import Any
-
-import jinja2
+from typing import TYPE_CHECKING, Any
 
 from errpipe.domain import table as t
 from errpipe.errors import GateError
@@ -27,6 +25,9 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Target, expect
 from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
+
+if TYPE_CHECKING:
+    import jinja2
 
 COMPONENT = "errpipe.comp"
 JOINTS = "errpipe-joints.hal"
@@ -208,6 +209,8 @@ def _source(data: bytes) -> dict[str, Any]:
 
 @cache
 def _templates() -> jinja2.Environment:
+    import jinja2
+
     return jinja2.Environment(
         loader=jinja2.PackageLoader("errpipe.targets"),
         trim_blocks=True,
