@@ -99,15 +99,20 @@ def every_state(model: ErrorModel, seed: int = 1) -> Recording:
 
 
 def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -> list[str]:
-    from errpipe.stages.targets import chosen, in_words, losses
+    from errpipe.stages.targets import in_words, losses
+    from errpipe.targets import TARGETS
 
+    known = {t.name: t for t in TARGETS}
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in document["files"]:
+        inside(folder, row["file"], VerifyError)
         if "/" in row["file"]:
             groups.setdefault(row["file"].split("/")[0], []).append(row)
     checks = []
     for name, rows in groups.items():
-        (target,) = chosen([name])
+        if name not in known:
+            raise VerifyError(f"{folder}: export.json lists files of {name!r}, which is no target of this version")
+        target = known[name]
         files = {}
         for row in rows:
             path = inside(folder, row["file"], VerifyError)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
+import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -61,3 +65,49 @@ def test_without_a_folder_kernels_compile_without_a_cache(where: Path, monkeypat
     monkeypatch.setattr(kernels, "_cache_folder", lambda: None)
     double = kernels.kernel(lambda x: 2 * x)
     assert double(21) == 42 and "NUMBA_CACHE_DIR" not in os.environ
+
+
+CALL = "import numpy as np; from errpipe.kernels.responses import first_value as f; f(np.zeros(3, int), np.ones(3))"
+
+
+class Planted:
+    """What an index of a cache becomes where somebody else wrote it: read, it leaves a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple:
+        return os.mkdir, (str(self.path),)
+
+
+@pytest.mark.slow
+def test_a_planted_index_runs_in_no_process(tmp_path: Path) -> None:
+    """End to end: read from a folder that is ours alone the planted index runs; from one that others write, never."""
+    temporary, ran = tmp_path / "tmp", tmp_path / "ran"
+    temporary.mkdir(mode=0o700)
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "XDG_CACHE_HOME": "/proc/none"}
+    env |= {"TMPDIR": str(temporary)}
+    env.pop("NUMBA_CACHE_DIR", None)
+
+    def call() -> None:
+        subprocess.run([sys.executable, "-c", CALL], env=env, capture_output=True, timeout=300)
+
+    call()
+    (folder,) = temporary.iterdir()
+    indices = list(folder.rglob("*.nbi"))
+    assert indices, "the first process keeps what it compiled"
+    for path in indices:
+        head = io.BytesIO(path.read_bytes())
+        pickle.load(head)  # the version of Numba, behind which the index stands
+        path.write_bytes(path.read_bytes()[: head.tell()] + pickle.dumps(Planted(ran)))
+    call()
+    assert ran.exists(), "the plant is none: it must run where the folder is trusted"
+    ran.rmdir()
+    folder.chmod(0o777)
+    call()
+    assert not ran.exists()
+    folder.chmod(0o700)
+    folder.rename(temporary / "elsewhere")
+    (temporary / folder.name).symlink_to(temporary / "elsewhere")
+    call()
+    assert not ran.exists()

@@ -7,6 +7,7 @@ import os
 import resource
 import signal
 import socket
+import time
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,20 @@ def test_scratch_that_is_a_link_elsewhere_is_not_emptied(project: Path, capsys: 
     assert (project / "elsewhere" / "work" / "precious.txt").exists()
 
 
+@pytest.mark.parametrize("name", ["../precious.txt", "linuxcnc_screw/../../precious.txt", "/etc/hostname"])
+def test_an_export_that_names_a_foreign_file_is_not_verified(project: Path, name: str, capsys: Any) -> None:
+    ect.write(machines.too_long_at_plus_x(), project / "t.ect")
+    assert command("export", "t.ect", "--target", "linuxcnc_screw", "--out", "e", capsys=capsys)[0] == 0
+    assert command("verify", "e", capsys=capsys)[0] == 0
+    sound = json.loads((project / "e/export.json").read_text())
+    listed = {**sound, "files": [*sound["files"], {**sound["files"][0], "file": name}]}
+    summed = {**sound, "sha256": {**sound["sha256"], name: jsonfile.fingerprint_bytes(b"precious")}}
+    for changed in (listed, summed):
+        (project / "e/export.json").write_text(json.dumps(changed))
+        code, text = command("verify", "e", capsys=capsys)
+        assert code == 6 and name in text, text
+
+
 @pytest.mark.parametrize(
     "lock", ["[]", "{", '{"errpipe_lock": 1, "stages": {"clean": {"kind": 3}}}', "[" * 100_000, "\xff"]
 )
@@ -173,6 +188,15 @@ def test_a_folder_that_links_to_itself_ends(project: Path, capsys: Any) -> None:
     (project / "rec/again").symlink_to(project / "rec")
     (project / "rec/up").symlink_to(project)
     assert command("run", "p.yaml", "--out", project.parent / f"{project.name}-out", capsys=capsys)[0] == 0
+
+
+@pytest.mark.slow
+def test_a_recording_folder_of_a_hundred_thousand_files_ends(project: Path, capsys: Any) -> None:
+    for number in range(100_000):
+        (project / "rec" / f"{number}.txt").touch()
+    began = time.process_time()
+    code, text = command("run", "p.yaml", "--out", "out", capsys=capsys)
+    assert code in (0, 3) and time.process_time() - began < 60.0, text
 
 
 # ---------------------------------------------------------------- disks that are full
