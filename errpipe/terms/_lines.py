@@ -102,10 +102,11 @@ def power(at: np.ndarray, signal: np.ndarray, frequency: float) -> float:
 
 def combs(
     found: list[tuple[float, float]], span: float, known: Iterable[float] = ()
-) -> Iterator[tuple[float, tuple[int, ...], bool]]:
+) -> Iterator[tuple[float, tuple[float, ...], bool]]:
     """Bases (1/length) of which lines are orders, these orders, the strongest first, and whether the base is known.
 
-    At least two lines of an unknown base. A known base may have a single order; it may make a single turn, and lines
+    At least two lines of an unknown base; where it does not hold all lines, also these as multiples, whole or not, of
+    the strongest (a screw and a coupling). A known base may have a single order; it may make a single turn, and lines
     then have to agree more closely.
     """
     best: tuple[float, float, tuple[int, ...]] | None = None
@@ -118,10 +119,19 @@ def combs(
             best = (total, refined, tuple(k for k, _, _ in orders))
     if best is not None:
         yield best[1], best[2], False
+    every = [(f, a) for f, a in found if f * span >= LEAST_BASE]
+    if len(every) > 1 and (best is None or len(best[2]) < len(every)):
+        yield every[0][0], tuple(_ratio(f / every[0][0], f * span) for f, _ in every), False
     for base in known:
         orders = _orders(found, base, NEAR_KNOWN / span)
         if orders and (len(orders) > 1 or orders[0][0] > 1):
             yield base, tuple(k for k, _, _ in orders), True
+
+
+def _ratio(ratio: float, turns: float) -> float:
+    """The whole number within NEAR of a ratio of two lines, else the ratio; turns: of the line over the span."""
+    whole = round(ratio)
+    return float(whole) if whole >= 1 and abs(whole / ratio - 1) * turns < NEAR else round(ratio, 4)
 
 
 def _orders(found: list[tuple[float, float]], base: float, near: float) -> list[tuple[int, float, float]]:

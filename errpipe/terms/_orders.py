@@ -16,22 +16,22 @@ TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are tol
 LEAST_PLACES = 40  # fewer different positions show no wave of unknown length
 
 
-def named(orders: tuple[int, ...], unit: str, typical: tuple[float, float], bound: float) -> tuple[Parameter, ...]:
+def named(orders: tuple[float, ...], unit: str, typical: tuple[float, float], bound: float) -> tuple[Parameter, ...]:
     """Sine and cosine of each order; those of the first one without a number."""
     out = []
     for k in orders:
-        tail, which = ("", "") if k == orders[0] else (f"_{k}", f" of order {k}")
+        tail, which = ("", "") if k == orders[0] else (f"_{k:g}", f" of order {k:g}")
         for part in ("sine", "cosine"):
             out.append(Parameter(part + tail, unit, typical, (-bound, bound), f"amplitude of the {part} part{which}"))
     return tuple(out)
 
 
-def columns(x: np.ndarray, period: float, orders: tuple[int, ...]) -> np.ndarray:
+def columns(x: np.ndarray, period: float, orders: tuple[float, ...]) -> np.ndarray:
     """Sine and cosine of each order, shape (rows, 2 orders); period: of the first one."""
     return np.column_stack([waves(np.asarray(x, dtype=float), k / orders[0] / period) for k in orders])
 
 
-def total(x: np.ndarray, period: float, orders: tuple[int, ...], parameters: Mapping[str, float]) -> np.ndarray:
+def total(x: np.ndarray, period: float, orders: tuple[float, ...], parameters: Mapping[str, float]) -> np.ndarray:
     """Sum of all orders, shape of x."""
     gains = [parameters[p.name] for p in named(orders, "um", (0.0, 0.0), np.inf)]
     return columns(x, period, orders) @ np.array(gains)
@@ -39,7 +39,7 @@ def total(x: np.ndarray, period: float, orders: tuple[int, ...], parameters: Map
 
 def seen(
     recording: Recording, axis: str, signals: Signals, known: tuple[float, ...] = ()
-) -> Iterator[tuple[float, tuple[int, ...], bool]]:
+) -> Iterator[tuple[float, tuple[float, ...], bool]]:
     """Waves along an axis of which the mismatch shows more than one order: period of the first, orders, is it known?
 
     The first order is the strongest. known: periods stated; one turn of a rotary axis always is.

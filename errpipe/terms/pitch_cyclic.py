@@ -33,7 +33,7 @@ class PitchCyclic(Term):
     term: Literal["pitch_cyclic"] = "pitch_cyclic"
     axis: Axis
     radial: Radial = False
-    orders: tuple[int, ...] = Field(
+    orders: tuple[float, ...] = Field(
         (1,), min_length=1, description="Multiples of a base; the period is that of the first one."
     )
     reports_as = "pitch_cyclic"

@@ -90,7 +90,7 @@ class ThermalLag(Term):
     def located(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[ThermalLag, tuple[float, ...]]]:
-        """For each sensor the two time constants, a factor of three or more apart, that explain the mismatch best."""
+        """For each sensor the time constant, and the two a factor of three or more apart, that explain most."""
         low, high = Times().limits(cls, recording)
         if not (component.startswith("E") and signals.values and recording.name("time") and high > 9 * low):
             return
@@ -99,6 +99,7 @@ class ThermalLag(Term):
             term = cls(sensor=sensor, two_stages=True)
             states = np.column_stack([drive(term._driver(tau), recording)[signals.rows] for tau in taus])
             if np.isfinite(states).all():
+                yield cls(sensor=sensor), (term._one(recording, signals, taus),)
                 best = two_of(states, signals.values, apart=int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0]))))
                 if best is not None:
                     yield term, (taus[best[0]], taus[best[1]])
@@ -107,6 +108,23 @@ class ThermalLag(Term):
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalLag]:
         """Shifts only: a scale that follows its sensor late is within what an expansion of the scale may depart."""
         return (term for term in cls.bind(recording, component) if not term.along)
+
+    def _one(self, recording: Recording, signals: Signals, taus: tuple[float, ...]) -> float:
+        """The time constant that explains the mismatch best beside a datum and gains of the other signals."""
+        from scipy.optimize import minimize_scalar
+
+        known = np.linalg.qr(np.column_stack([np.ones(signals.rows.size), *signals.values[1:]]))[0]
+        y = signals.values[0] - known @ (known.T @ signals.values[0])
+
+        def loss(logarithm: float) -> float:
+            state = drive(self._driver(float(np.exp(logarithm))), recording)[signals.rows]
+            own = state - known @ (known.T @ state)
+            return -float((own @ y) ** 2 / max(float(own @ own), 1e-300))
+
+        rough = min(np.log(taus), key=loss)
+        reach = np.log(taus[1] / taus[0])
+        near = minimize_scalar(loss, bounds=(rough - reach, rough + reach), method="bounded", options={"xatol": 1e-3})
+        return float(np.exp(near.x))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         taus, gains = self.nonlinear_values(parameters), [parameters[p.name] for p in self.linear()]

@@ -32,7 +32,7 @@ class TorqueRipple(Term):
 
     term: Literal["torque_ripple"] = "torque_ripple"
     axis: Axis
-    orders: tuple[int, ...] = Field(
+    orders: tuple[float, ...] = Field(
         (1,), min_length=1, description="Multiples of a base; the period is that of the first one."
     )
     reports_as = "torque_ripple"

@@ -19,6 +19,7 @@ from errpipe.terms._lines import combs, lines
 from errpipe.terms._place import drive_periods, pole_periods
 from errpipe.terms.dead_time import DeadTime
 from errpipe.terms.flexible_mode import FlexibleMode
+from errpipe.terms.following_error import FollowingError
 from errpipe.terms.pitch_cyclic import PitchCyclic
 from errpipe.terms.thermal_lag import ThermalLag
 from errpipe.terms.tool_wear import ToolWear
@@ -117,6 +118,23 @@ def test_a_dead_time_is_located(delay):
     assert_allclose(basis[50:], (late - f)[50:], atol=0.02)
 
 
+# ---------------------------------------------------------------- a loop that settles
+def test_a_loop_that_settles_against_a_linear_system():
+    t, _, a = under_way()
+    v = np.cumsum(a) / 500.0
+    late = lsim(TransferFunction([1.0], [0.012, 1.0]), v, t)[1]
+    case = with_speed(v)
+    basis = FollowingError(axis="X", column="v", settles=True).basis(case, 0.012)[:, 0]
+    assert_allclose(basis, -late, atol=1e-9 * np.abs(v).max())
+    seen = -15.0 * late + 0.5 * np.random.default_rng(8).normal(size=t.size)
+    ((_, (tau,)),) = FollowingError.located(case, "EXX", signals(seen))
+    assert tau == pytest.approx(0.012, rel=0.02)
+
+
+def with_speed(v: np.ndarray) -> Recording:
+    return log().with_columns({"v": v}, {"v": Column(role="velocity", axis="X", unit="mm/s")})
+
+
 # ---------------------------------------------------------------- orders of a wave
 def test_lines_and_what_they_are_orders_of():
     rng = np.random.default_rng(5)
@@ -125,8 +143,15 @@ def test_lines_and_what_they_are_orders_of():
     found = lines(x, y + 1.5 * rng.normal(size=x.size) + 1e-4 * x**2)
     assert_allclose(sorted(1 / f for f, _ in found), [4.0, 24.0, 55.5], rtol=1e-3)
     assert_allclose([a for _, a in found], [6, 4, 3], rtol=0.1)
-    ((base, orders, known),) = combs(found, 700.0)
+    (base, orders, known), (_, every, _) = combs(found, 700.0)
     assert orders == (1, 6) and not known and 1 / base == pytest.approx(24.0, rel=1e-4)
+    assert every == (1, pytest.approx(24 / 55.5, rel=1e-3), 6)
+
+
+def test_a_screw_and_a_coupling():
+    """Two waves that are no multiples of each other are still one finding, as multiples of the stronger one."""
+    ((base, orders, _),) = combs([(1 / 10, 4.0), (1 / 3.7, 3.0)], 400.0)
+    assert 1 / base == pytest.approx(10.0) and orders == (1.0, 2.7027)
 
 
 def test_noise_has_no_lines():
@@ -142,7 +167,7 @@ def test_the_base_may_be_absent():
 
 
 def test_orders_of_one_turn_of_a_motor():
-    """7 pole pairs and 12 slots over a single turn: no base of their own, but all are orders of the turn."""
+    """7 pole pairs and 12 slots over a single turn: all are orders of the turn."""
     found = [(7.01 / 360, 2.5), (27.98 / 360, 1.3), (12.02 / 360, 0.6), (36.0 / 360, 0.7)]
     *_, (base, orders, known) = combs(found, 360.0, [1 / 360])
     assert 1 / base == 360.0 and orders == (7, 28, 36, 12) and known
@@ -185,8 +210,10 @@ def test_two_time_constants_against_the_step_response():
     term = ThermalLag(sensor="T", reference=20.0, two_stages=True)
     assert_allclose(term.basis(case, 400.0, 6000.0), np.column_stack(parts), atol=1e-9)
     seen = 2 * parts[0] + 3 * parts[1] + 0.2 * np.random.default_rng(6).normal(size=t.size)
-    ((found, taus),) = ThermalLag.located(case, "E_Z", signals(seen))
+    _, (found, taus) = ThermalLag.located(case, "E_Z", signals(seen))
     assert found.two_stages and is_close(taus, (400.0, 6000.0))
+    (single, tau), _ = ThermalLag.located(case, "E_Z", signals(parts[1] + 0.01 * seen))
+    assert not single.two_stages and tau[0] == pytest.approx(6000.0, rel=0.05)
 
 
 def is_close(values, expected) -> bool:
