@@ -21,6 +21,7 @@ from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 RATIO, APART = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
+WORTH = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
 
 
 class ThermalLag(Term):
@@ -99,8 +100,12 @@ class ThermalLag(Term):
             term = cls(sensor=sensor, two_stages=True)
             states = np.column_stack([drive(term._driver(tau), recording)[signals.rows] for tau in taus])
             if np.isfinite(states).all():
-                yield cls(sensor=sensor), (term._one(recording, signals, taus),)
-                best = two_of(states, signals.values, apart=int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0]))))
+                single = term._one(recording, signals, taus)
+                yield cls(sensor=sensor), (single,)
+                one = drive(term._driver(single), recording)[signals.rows]
+                best = two_of(
+                    states, one, signals.values, apart=int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0])))
+                )
                 if best is not None:
                     yield term, (taus[best[0]], taus[best[1]])
 
@@ -133,20 +138,21 @@ class ThermalLag(Term):
         return tuple(Lowered(scaled(self._driver(tau), gain)) for tau, gain in zip(taus, gains, strict=True))
 
 
-def two_of(states: np.ndarray, signals: tuple[np.ndarray, ...], apart: int) -> tuple[int, int] | None:
+def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...], apart: int) -> tuple[int, int] | None:
     """The two columns, `apart` or more from each other, that explain the first signal best with gains of one sign.
 
-    A datum and gains of the other signals are free.
+    A datum and gains of the other signals are free. None where the best single column, `one`, leaves hardly more.
     """
     known = np.column_stack([np.ones(len(states)), *signals[1:]])
-    block = np.column_stack([states, signals[0]])
+    block = np.column_stack([states, one, signals[0]])
     block = block - known @ np.linalg.lstsq(known, block, rcond=None)[0]
-    G = block.T @ block
-    best: tuple[float, tuple[int, int] | None] = (0.0, None)
+    products = block.T @ block
+    single = float(products[-2, -1] ** 2 / max(products[-2, -2], 1e-300))
+    best: tuple[float, tuple[int, int] | None] = (products[-1, -1] - (products[-1, -1] - single) * WORTH, None)
     for i in range(states.shape[1]):
         for j in range(i + apart, states.shape[1]):
-            b = np.linalg.lstsq(G[np.ix_([i, j], [i, j])], G[[i, j], -1], rcond=1e-12)[0]
-            explained = float(b @ G[[i, j], -1])
+            b = np.linalg.lstsq(products[np.ix_([i, j], [i, j])], products[[i, j], -1], rcond=1e-12)[0]
+            explained = float(b @ products[[i, j], -1])
             if b[0] * b[1] > 0 and explained > best[0]:
                 best = (explained, (i, j))
     return best[1]

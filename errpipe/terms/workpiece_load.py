@@ -19,7 +19,7 @@ from errpipe.terms._warm import scaled
 class WorkpieceLoad(Term):
     """The mass on the table bends bed and guideway: more with its weight, and with where the table stands.
 
-    Equation   deviation = load / 100 kg * (settle + tilt * u + bend * u^2),  u = position scaled to 0..1
+    Equation   deviation = load / full_load * (settle + tilt * u + bend * u^2),  u = position scaled to 0..1
     Assumes    elastic and in proportion to the mass
     Typical    5..30 um at full load
     Moves      nothing on an empty table
@@ -33,13 +33,16 @@ class WorkpieceLoad(Term):
         0.0, description="Lower end of the axis over which the load acts.", json_schema_extra={"unit": "mm"}
     )
     high: float = Field(1.0, description="Upper end of that axis.", json_schema_extra={"unit": "mm"})
+    full_load: float = Field(
+        100.0, gt=0, description="Mass for which the parameters are stated.", json_schema_extra={"unit": "kg"}
+    )
     order: int = Field(0, description="Highest degree over that axis; 0: the same everywhere.")
     reports_as = "workpiece_load"
     family = "load"
 
     def linear(self) -> tuple[Parameter, ...]:
         names = ("settle", "tilt", "bend")[: self.order + 1]
-        return tuple(Parameter(n, "um", (1.0, 30.0), (-500.0, 500.0), "per 100 kg") for n in names)
+        return tuple(Parameter(n, "um", (1.0, 30.0), (-500.0, 500.0), f"at {self.full_load:g} kg") for n in names)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.column, position_name(recording, self.axis)) if self.axis else (self.column,)
@@ -57,16 +60,22 @@ class WorkpieceLoad(Term):
                 low, high = travel(recording, axis)
                 yield cls(column=name, axis=axis, low=low, high=high, order=2)
 
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[WorkpieceLoad]:
+        """Sizes are stated at the largest mass that was on the table."""
+        for term in cls.bind(recording, component):
+            yield term.model_copy(update={"full_load": float(np.nanmax(recording.array(term.column)))})
+
     def _powers(self, x: np.ndarray) -> np.ndarray:
         unit = (np.asarray(x, dtype=float) - self.low) / (self.high - self.low)
         return np.column_stack([unit**k for k in range(self.order + 1)])
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        load = recording.array(self.column)[:, None] / 100.0
+        load = recording.array(self.column)[:, None] / self.full_load
         return load if self.axis is None else load * self._powers(position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        gains = np.array([parameters[p.name] for p in self.linear()]) / 100.0
+        gains = np.array([parameters[p.name] for p in self.linear()]) / self.full_load
         source = Input(name=self.column)
         if self.axis is None:
             return (Lowered(scaled(source, float(gains[0]))),)

@@ -24,6 +24,7 @@ from errpipe.terms.pitch_cyclic import PitchCyclic
 from errpipe.terms.thermal_lag import ThermalLag
 from errpipe.terms.tool_wear import ToolWear
 from errpipe.terms.torque_ripple import TorqueRipple
+from errpipe.terms.workpiece_load import WorkpieceLoad
 
 
 def recording(data: dict, kinds: dict, **constants) -> Recording:
@@ -212,7 +213,7 @@ def test_two_time_constants_against_the_step_response():
     seen = 2 * parts[0] + 3 * parts[1] + 0.2 * np.random.default_rng(6).normal(size=t.size)
     _, (found, taus) = ThermalLag.located(case, "E_Z", signals(seen))
     assert found.two_stages and is_close(taus, (400.0, 6000.0))
-    (single, tau), _ = ThermalLag.located(case, "E_Z", signals(parts[1] + 0.01 * seen))
+    ((single, tau),) = ThermalLag.located(case, "E_Z", signals(parts[1] + 0.01 * seen))
     assert not single.two_stages and tau[0] == pytest.approx(6000.0, rel=0.05)
 
 
@@ -235,3 +236,11 @@ def test_wear_restarts_where_the_tool_changes():
     assert_allclose(own[0].basis(case, 1.0)[:, 0], np.tile(np.arange(2, 42, 2) / 40, 3))
     restarted = case.with_columns({"L": np.tile(cut[:20], 3)}, {})
     assert not [t for t in ToolWear.hypotheses(restarted, restarted, "E_D") if t.tool]
+
+
+def test_a_load_is_stated_at_the_largest_mass():
+    mass = np.tile([0.0, 4.0, 9.0], 10)
+    kinds = {"m": {"role": "load", "unit": "kg"}, "E_Z": {"role": "error", "component": "E_Z", "unit": "um"}}
+    case = recording({"m": mass, "E_Z": 0 * mass}, kinds)
+    (term,) = WorkpieceLoad.hypotheses(case, case, "E_Z")
+    assert_allclose(term.value(case, {"settle": 18.0}), 2 * mass)
