@@ -21,22 +21,22 @@ from trials.rivals import first_order
 
 @dataclass(frozen=True)
 class Known:
-    """A recording and its answer. powers: of (deviation, temperature, time, position) in the size."""
+    """A recording and its answer. powers: of (deviation, temperature, time, position, force) in the size."""
 
     sheet: Sheet
     component: str
     effect: str
     size: float
     unit: str
-    powers: tuple[int, int, int, int]
+    powers: tuple[int, int, int, int, int]
 
 
 @dataclass(frozen=True)
 class Change:
-    """What is done to a recording, and by how much it scales the four quantities."""
+    """What is done to a recording, and by how much it scales the five quantities."""
 
     apply: Callable[[Known], Known]
-    scales: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    scales: tuple[float, float, float, float, float] = (1.0, 1.0, 1.0, 1.0, 1.0)
     not_for: tuple[str, ...] = field(default=())  # effects to which the change does not apply
 
 
@@ -63,7 +63,7 @@ def wave() -> Known:
         "dir": {"role": "direction", "axis": "X"},
     }
     axis = {"role": "axis", "kind": "linear", "travel": [0.0, 500.0], "unit": "mm"}
-    return Known(_sheet(data, specs, "EXX", "um", axis), "EXX", "pitch_cyclic", 6.0, "um", (1, 0, 0, 0))
+    return Known(_sheet(data, specs, "EXX", "um", axis), "EXX", "pitch_cyclic", 6.0, "um", (1, 0, 0, 0, 0))
 
 
 def lost_motion() -> Known:
@@ -95,7 +95,7 @@ def lag() -> Known:
         "T_frame": {"role": "temperature", "unit": "degC", "location": "frame"},
         "T_room": {"role": "temperature", "unit": "degC", "location": "room air"},
     }
-    return Known(_sheet(data, specs, "E_Z", "um", None), "E_Z", "thermal_lag", 3.0, "um/K", (1, -1, 0, 0))
+    return Known(_sheet(data, specs, "E_Z", "um", None), "E_Z", "thermal_lag", 3.0, "um/K", (1, -1, 0, 0, 0))
 
 
 def friction() -> Known:
@@ -115,10 +115,36 @@ def friction() -> Known:
         "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
     }
     axis = {"role": "axis", "kind": "linear", "travel": [-170.0, 170.0], "unit": "mm"}
-    return Known(_sheet(data, specs, "F_X", "N", axis), "F_X", "coulomb_friction", 25.0, "N", (1, 0, 0, 0))
+    return Known(_sheet(data, specs, "F_X", "N", axis), "F_X", "coulomb_friction", 25.0, "N", (1, 0, 0, 0, 0))
 
 
-CASES: dict[str, Callable[[], Known]] = {"wave": wave, "lost motion": lost_motion, "lag": lag, "friction": friction}
+def push() -> Known:
+    """A tool that gives way by 25 um/kN to a cutting force of up to 800 N, beside a drift of the room."""
+    rng = np.random.default_rng(15)
+    t = 30.0 * np.arange(600)
+    room = 20 + 1.5 * np.sin(t / 3000)
+    force = np.repeat(rng.uniform(0, 800, 30), 20) * (1 + 0.02 * rng.normal(size=600))
+    model = 2 * (room - 20)
+    data = {"run": np.repeat(["1", "2", "3"], 200), "t": t, "T_room": room.round(3), "F": force.round(2)}
+    data["deviation"] = (model + 25e-3 * force + 0.8 * rng.normal(size=600)).round(5)
+    data["model"] = model.round(5)
+    specs = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "T_room": {"role": "temperature", "unit": "degC", "location": "room air"},
+        "F": {"role": "force", "axis": "X", "unit": "N"},
+    }
+    powers = (1, 0, 0, 0, -1)
+    return Known(_sheet(data, specs, "E_X", "um", None), "E_X", "cutting_compliance", 25.0, "um/kN", powers)
+
+
+CASES: dict[str, Callable[[], Known]] = {
+    "wave": wave,
+    "lost motion": lost_motion,
+    "lag": lag,
+    "friction": friction,
+    "push": push,
+}
 
 
 # ---------------------------------------------------------------- what may be done to them
@@ -148,7 +174,7 @@ def positions(factor: float) -> Change:
             values |= {n: -known.sheet.values(n).astype(int) for n in _columns(known, "direction")}
         return _with(known, values, constants=_axis_times(known, factor))
 
-    return Change(apply, (1, 1, 1, abs(factor)), ("thermal_lag",))
+    return Change(apply, (1, 1, 1, abs(factor), 1), ("thermal_lag", "cutting_compliance"))
 
 
 def times(factor: float) -> Change:
@@ -160,7 +186,7 @@ def times(factor: float) -> Change:
         values |= {n: known.sheet.values(n) / factor**2 for n in _columns(known, "acceleration")}
         return _with(known, values)
 
-    return Change(apply, (1, 1, factor, 1))
+    return Change(apply, (1, 1, factor, 1, 1))
 
 
 def deviations(factor: float) -> Change:
@@ -169,7 +195,7 @@ def deviations(factor: float) -> Change:
     def apply(known: Known) -> Known:
         return _with(known, {n: known.sheet.values(n) * factor for n in ("deviation", "model")})
 
-    return Change(apply, (abs(factor), 1, 1, 1))
+    return Change(apply, (abs(factor), 1, 1, 1, 1))
 
 
 def temperatures(factor: float) -> Change:
@@ -179,7 +205,17 @@ def temperatures(factor: float) -> Change:
         names = _columns(known, "temperature")
         return _with(known, {n: 20 + (known.sheet.values(n) - 20) * factor for n in names})
 
-    return Change(apply, (1, factor, 1, 1), ("pitch_cyclic", "backlash", "coulomb_friction"))
+    return Change(apply, (1, factor, 1, 1, 1), ("pitch_cyclic", "backlash", "coulomb_friction", "cutting_compliance"))
+
+
+def forces(factor: float) -> Change:
+    """Cutting forces `factor` times as large."""
+
+    def apply(known: Known) -> Known:
+        return _with(known, {n: known.sheet.values(n) * factor for n in _columns(known, "force")})
+
+    others = tuple(make().effect for make in CASES.values())
+    return Change(apply, (1, 1, 1, 1, factor), tuple(e for e in others if e != "cutting_compliance"))
 
 
 def _shifted(known: Known) -> Known:
@@ -263,10 +299,12 @@ CHANGES: dict[str, Change] = {
     "deviations mirrored": deviations(-1.0),
     "temperatures 1e-3": temperatures(1e-3),
     "temperatures 1e3": temperatures(1e3),
+    "forces 1e-3": forces(1e-3),
+    "forces 1e3": forces(1e3),
     "shifted": Change(_shifted),
     "axis Y": Change(_other_axis, not_for=("thermal_lag",)),
-    "axis C": Change(_rotary_axis, not_for=("thermal_lag",)),
-    "torque in N m": Change(_torque, not_for=("thermal_lag", "pitch_cyclic", "backlash")),
+    "axis C": Change(_rotary_axis, not_for=("thermal_lag", "cutting_compliance")),
+    "torque in N m": Change(_torque, not_for=("thermal_lag", "pitch_cyclic", "backlash", "cutting_compliance")),
     "runs reordered": Change(_runs_reordered, not_for=("coulomb_friction",)),
     "columns renamed": Change(_columns_renamed),
     "rows thinned": Change(_thinned),

@@ -15,6 +15,7 @@ FAST = {
     ("lost motion", "positions mirrored"),
     ("lag", "temperatures 1e-3"),
     ("friction", "axis C"),
+    ("push", "forces 1e-3"),
 }
 
 
