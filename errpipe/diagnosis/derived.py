@@ -21,18 +21,22 @@ LEAST_MOVE = 0.001  # mm or deg; as where the direction is read off the position
 def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
     """The recording with the motion of axes of which positions alone are recorded; the source of each column added.
 
-    A direction where rows are single readings, velocity and acceleration where the axis is recorded under way.
+    A direction where rows are single readings of one axis (of several, the order of the rows does not tell from where
+    each was approached), velocity and acceleration where axes are recorded under way.
     """
+    moving = [*axes(recording), *axes(recording, "rotary")]
     columns: dict[str, Column] = {}
     values: dict[str, np.ndarray] = {}
     source: dict[str, str] = {}
-    for axis in (*axes(recording), *axes(recording, "rotary")):
+    for axis in moving:
         if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
             continue
         name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
         if name is None or not np.isfinite(recording.array(name)).all():
             continue
         for role, unit, made in _motion(recording, axis, name):
+            if role == "direction" and len(moving) > 1:
+                continue
             label = f"{role} of {axis}"
             columns[label], values[label] = Column(role=role, axis=axis, unit=unit), made
             source[label] = name

@@ -31,8 +31,8 @@ REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
     "set right first; check which of them is actual minus commanded."
 )
-UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant, or that noise may play
-UNPROVED = 0.45  # upper limit of the confidence of a finding that does not improve held-out rows
+UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
+UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not bear out, or that noise may play
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
@@ -43,7 +43,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
     wandering = case.over_noise < 0.0  # as likely that nothing is missing and the noise wanders
-    sized = [UNSIZED if wandering or plausible.no_size(m) else 1.0 for m in made]
+    sized = [UNPROVED if wandering else UNSIZED if plausible.no_size(m) else 1.0 for m in made]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [f.model_copy(update=_capped_confidence(f, most)) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
