@@ -229,7 +229,10 @@ class Constant(Frozen):
     )
     teeth: int | None = Field(None, gt=0, description="Teeth of pulley or pinion; of a rotary axis, of its wheel.")
     gear_ratio: float | None = Field(
-        None, gt=0, description="Turns of the motor in one turn of screw, pulley, pinion or wheel."
+        None,
+        gt=0,
+        description="Turns of the motor in one turn of screw, pulley, pinion or wheel.",
+        json_schema_extra={"unit": "1"},
     )
     pole_pairs: int | None = Field(None, gt=0, description="Pole pairs in one turn of the motor.")
     magnet_period: float | None = Field(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
@@ -14,6 +16,16 @@ from errpipe.terms._search import Signals
 
 TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart
 LEAST_PLACES = 40  # fewer different positions show no wave of unknown length
+
+
+Orders = Annotated[
+    tuple[float, ...],
+    Field(
+        min_length=1,
+        description="Multiples of a base; the period is that of the first one.",
+        json_schema_extra={"unit": "1"},
+    ),
+]
 
 
 def named(orders: tuple[float, ...], unit: str, typical: tuple[float, float], bound: float) -> tuple[Parameter, ...]:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
@@ -33,9 +32,7 @@ class PitchCyclic(Term):
     term: Literal["pitch_cyclic"] = "pitch_cyclic"
     axis: Axis
     radial: Radial = False
-    orders: tuple[float, ...] = Field(
-        (1,), min_length=1, description="Multiples of a base; the period is that of the first one."
-    )
+    orders: waves.Orders = (1.0,)
     reports_as = "pitch_cyclic"
     family = "geometric"
     rowwise = True
