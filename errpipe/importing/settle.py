@@ -131,9 +131,15 @@ def _canonical(p: Proposal, name: str) -> np.ndarray:
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
-    """Least-squares slope of y over x; None where x does not vary."""
+    """Least-squares slope of y over x; None where x does not vary, or values are too small or large to say."""
     good = np.isfinite(x) & np.isfinite(y)
-    return float(np.polyfit(x[good], y[good], 1)[0]) if good.sum() > 3 and np.ptp(x[good]) > 0 else None
+    if good.sum() <= 3:
+        return None
+    with np.errstate(all="ignore"):
+        from_mean = x[good] - x[good].mean()
+        spread = np.square(from_mean).sum()
+        slope = float((from_mean * (y[good] - y[good].mean())).sum() / spread)
+    return slope if np.isfinite(spread) and np.isfinite(slope) else None
 
 
 def _sign_shown(p: Proposal, name: str) -> tuple[bool, str] | None:

@@ -29,7 +29,7 @@ def verify(folder: Path) -> dict[str, Any]:
         raise DataError(f"{folder}: there is no such folder (what an export wrote is needed)")
     if not (folder / "export.json").is_file():
         raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe")
-    document = jsonfile.read(folder / "export.json")
+    document = _listed(folder / "export.json", jsonfile.read(folder / "export.json"))
     table = ect.read(folder / _artefacts.TABLE)
     checks = [f"{_artefacts.TABLE}: checksum, layout and limits hold"]
     if ect.read_json(folder / _artefacts.TWIN) != table:
@@ -40,6 +40,29 @@ def verify(folder: Path) -> dict[str, Any]:
     checks += _targets(folder, table, document)
     checks.append(_checksums(folder, document))
     return {"checks": len(checks), "says": checks}
+
+
+def _listed(path: Path, document: Any) -> dict[str, Any]:
+    """The document, whose files and checksums have the types that an export writes. Raises VerifyError."""
+    rows, sums = (document.get("files"), document.get("sha256", {})) if isinstance(document, dict) else (None, None)
+    numbers = ("bound_um", "largest_um", "rms_um", "table_rms_um", "states")
+
+    def sound(row: Any) -> bool:
+        if not isinstance(row, dict) or not all(isinstance(row.get(key), str) for key in ("file", "error")):
+            return False
+        lost = row.get("losses", [])
+        return isinstance(lost, list) and all(
+            isinstance(x, dict)
+            and isinstance(x.get("axis"), str)
+            and all(isinstance(x.get(key, 0), int | float) for key in numbers)
+            for x in lost
+        )
+
+    if not isinstance(rows, list) or not all(map(sound, rows)):
+        raise VerifyError(f"{path}: its list of files is not one that an export writes")
+    if not isinstance(sums, dict) or not all(isinstance(digest, str) for digest in sums.values()):
+        raise VerifyError(f"{path}: its checksums are not those that an export writes")
+    return document
 
 
 def _model(folder: Path, table: CompensationTable) -> str:

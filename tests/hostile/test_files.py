@@ -113,6 +113,28 @@ def test_an_export_that_names_a_foreign_file_is_not_verified(project: Path, name
 
 
 @pytest.mark.parametrize(
+    "change",
+    [
+        {"files": None},
+        {"files": [3]},
+        {"files": [{"error": "0"}]},
+        {"files": [{"file": 7, "error": "0"}]},
+        {"files": [{"file": "linuxcnc_screw/x.comp", "error": "0", "losses": [{"rms_um": 1}]}]},
+        {"files": [{"file": "linuxcnc_screw/x.comp", "error": "0", "losses": [{"axis": "X", "rms_um": "a"}]}]},
+        {"sha256": []},
+        {"sha256": {"table.ect": 1}},
+    ],
+)
+def test_an_export_list_of_other_types_is_a_message(project: Path, change: dict, capsys: Any) -> None:
+    ect.write(machines.too_long_at_plus_x(), project / "t.ect")
+    assert command("export", "t.ect", "--target", "linuxcnc_screw", "--out", "e", capsys=capsys)[0] == 0
+    sound = json.loads((project / "e/export.json").read_text())
+    (project / "e/export.json").write_text(json.dumps(sound | change))
+    code, text = command("verify", "e", capsys=capsys)
+    assert code == 6 and "export.json" in text, text
+
+
+@pytest.mark.parametrize(
     "lock", ["[]", "{", '{"errpipe_lock": 1, "stages": {"clean": {"kind": 3}}}', "[" * 100_000, "\xff"]
 )
 def test_a_lock_file_that_is_none_counts_as_none(project: Path, lock: str, capsys: Any) -> None:

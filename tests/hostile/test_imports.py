@@ -130,3 +130,12 @@ def test_a_stream_of_a_new_item_at_every_time(tmp_path, capsys):
     path = tmp_path / "s.xml"
     path.write_text(f"<MTConnectStreams>{items}</MTConnectStreams>")
     assert f"{20_000**2} cells" in refused(path, tmp_path, capsys)
+
+
+@pytest.mark.parametrize("size", [1e-320, 1e-200, 1e200, 1e306])
+def test_values_too_small_or_large_for_a_slope_say_nothing(size):
+    from errpipe.importing import settle
+
+    x = size * np.arange(6.0)
+    assert settle._slope(x, np.arange(6.0)) is None
+    assert settle._slope(np.arange(6.0), 2.0 * np.arange(6.0) + 1) == pytest.approx(2.0)
