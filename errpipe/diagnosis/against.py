@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.applied import GAIN, block_of, causal, session_datums, terms_of
@@ -24,6 +23,7 @@ from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
+from errpipe.fitting.quantiles import student_quantile, student_tail
 
 LEVEL = 0.05  # chance that any of the unchanged effects is called changed
 MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions estimate the variance between them badly
@@ -157,9 +157,9 @@ def clustered(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> tuple[n
 
 def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int, level: float) -> Held:
     """State of one finding from its factor, the factor's standard deviation, and the interval it had."""
-    reach = float(stats.t.ppf(0.975, degrees)) * sd
+    reach = student_quantile(0.975, degrees) * sd
     then = earlier_spread(f)
-    p = float(2 * stats.t.sf(abs(k - 1.0) / max(float(np.hypot(sd, then)), 1e-12), degrees))
+    p = 2.0 * student_tail(abs(k - 1.0) / max(float(np.hypot(sd, then)), 1e-12), degrees)
     if p >= level:
         state: State = "undecided" if reach > UNDECIDED or k - reach <= 0 else "unchanged"
     elif k - reach <= 0 <= k + reach:

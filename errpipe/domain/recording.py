@@ -312,6 +312,16 @@ class Recording:
 
     def array(self, name: str) -> np.ndarray:
         """One column as float64, shape (rows,). Raises DataError where the rows have none of that name."""
+        if name not in self._arrays:
+            self._arrays[name] = self._array(name)
+        return self._arrays[name]
+
+    @cached_property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """The columns that were asked for: fits ask ten thousand times, and pandas is slow to answer."""
+        return {}
+
+    def _array(self, name: str) -> np.ndarray:
         if name not in self.frame.columns:
             near = did_you_mean(name, self.frame.columns)
             raise MissingColumn(

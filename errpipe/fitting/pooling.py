@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.fitting.quantiles import chi2_quantile
+
 STEPS = 200  # of EM, which converges slowly where machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
 LEAST_MACHINES = 4  # fewer give no estimate of the spread between machines
@@ -70,7 +72,6 @@ def distance(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> float:
 def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
     """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
     from scipy.cluster.hierarchy import fcluster, linkage
-    from scipy.stats import chi2
 
     count = len(estimates)
     if count < 2:
@@ -80,7 +81,7 @@ def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], le
         for i in range(count)
         for j in range(i + 1, count)
     ]
-    limit = float(chi2.ppf(1.0 - level, estimates[0].size))
+    limit = chi2_quantile(1.0 - level, estimates[0].size)
     labels = fcluster(linkage(np.array(pairs), "complete"), limit, "distance")
     groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
     return sorted((g for g in groups if len(g) > 1), key=lambda g: (-len(g), g))

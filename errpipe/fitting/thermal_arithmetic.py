@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.design import response_name
+from errpipe.fitting.quantiles import normal_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
 
 # A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
@@ -53,7 +53,7 @@ def conformal_half_width(
         weight[own_rows] = 1.0 / np.count_nonzero(own_rows)
     reached = np.cumsum(weight[order]) / labels.size
     freedom = max((labels.size if witnesses is None else witnesses) - 1, 1)
-    few = float(stats.t.ppf((1.0 + coverage) / 2, freedom) / stats.norm.ppf((1.0 + coverage) / 2))
+    few = student_quantile((1.0 + coverage) / 2, freedom) / normal_quantile((1.0 + coverage) / 2)
     return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 
 

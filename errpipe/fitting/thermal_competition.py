@@ -19,12 +19,12 @@ from functools import cached_property
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import t as student
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
+from errpipe.fitting.quantiles import student_tail
 
 MOST_FOLDS = 10  # of a grouping; more groups are left out in as many batches
 # p over runs, one-sided, threshold above which a further entrant is not added; 0.15 to 0.5 do alike on seeds 1 to 3
@@ -300,4 +300,4 @@ def _chance(gained: np.ndarray) -> float:
     spread = gained.std(ddof=1) if gained.size > 1 else np.inf
     if spread == 0.0:
         return 0.0
-    return float(student.sf(gained.mean() / (spread / np.sqrt(gained.size)), max(gained.size - 1, 1)))
+    return student_tail(gained.mean() / (spread / np.sqrt(gained.size)), max(gained.size - 1, 1))

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, logit
-from scipy.stats import chi2, t
 
+from errpipe.fitting.quantiles import chi2_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
 from errpipe.kernels import whitening
 
@@ -143,7 +143,7 @@ def larger(modelled: np.ndarray, seen: np.ndarray, runs: int) -> np.ndarray:
     if runs < FEWEST_RUNS:
         return modelled
     ratio = np.sqrt(np.maximum(np.diag(seen), 0.0) / np.maximum(np.diag(modelled), 1e-300) * runs / (runs - 1))
-    doubt = np.sqrt(chi2.ppf(0.95, runs - 1) / (runs - 1))
+    doubt = np.sqrt(chi2_quantile(0.95, runs - 1) / (runs - 1))
     factor = np.where(ratio > doubt, ratio, 1.0)
     return modelled * np.outer(factor, factor)
 
@@ -179,4 +179,4 @@ def degrees_of_freedom(rows: int, parameters: float, noise: Noise) -> float:
 
 def half_width(standard_error: np.ndarray | float, degrees: float, level: float = 0.95) -> np.ndarray | float:
     """Half width of a parameter's interval with `degrees` of freedom behind its noise."""
-    return standard_error * float(t.ppf(0.5 + level / 2.0, max(degrees, 2.0)))
+    return standard_error * student_quantile(0.5 + level / 2.0, max(degrees, 2.0))

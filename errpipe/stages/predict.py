@@ -108,14 +108,17 @@ def _of_model(model: ErrorModel):
     """
     from functools import cache
 
-    from errpipe.fitting.components import evaluate
     from errpipe.validation.predict import of_evaluator
 
     table = cache(lambda: _compiled(model))
 
     def values(recording: Recording) -> Mapping[str, np.ndarray]:
         compiled = table()
-        return evaluate(model, recording) if compiled is None else table_values(compiled, model, recording)
+        if compiled is not None:
+            return table_values(compiled, model, recording)
+        from errpipe.fitting.components import evaluate
+
+        return evaluate(model, recording)
 
     compiled = table()
     return of_evaluator(values, model, None if compiled is None else _begin(compiled, model))

@@ -18,7 +18,6 @@ from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
-from errpipe.fitting.components import evaluate
 from errpipe.fitting.validity import distance
 
 _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
@@ -79,6 +78,8 @@ class Predictor:
 
 def of_model(model: ErrorModel) -> Predictor:
     """The predictor of a fitted model."""
+    from errpipe.fitting.components import evaluate  # a table needs none of the solvers behind it
+
     return of_evaluator(lambda recording: evaluate(model, recording), model)
 
 

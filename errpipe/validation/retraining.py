@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import t as student
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.holdout import Fold, measured
 from errpipe.fitting.judging import FIRST_READINGS, HeldOut
+from errpipe.fitting.quantiles import student_tail
 from errpipe.models import Family
 
 ALPHA = 0.05  # chance of ever promoting a challenger that is no better than the champion
@@ -213,7 +213,7 @@ def significantly_worse(scores: Sequence[float], level: float) -> bool:
     spread = float(np.std(scores, ddof=1)) / np.sqrt(len(scores))
     if spread == 0.0:
         return True
-    return bool(student.cdf(np.mean(scores) / spread, len(scores) - 1) < level)
+    return bool(student_tail(-np.mean(scores) / spread, len(scores) - 1) < level)
 
 
 def rms(scores: Sequence[RunScore], name: str) -> float:

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t as student
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.judging import HeldOut
+from errpipe.fitting.quantiles import student_tail
 
 # Largest p of an exported correction. Chosen on: random offsets by run, 3,000 draws for each of 3 to 20 runs, of which
 # the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
@@ -43,7 +43,7 @@ def _one_sided(gained: np.ndarray) -> float:
     mean = float(gained.mean())
     if spread <= 1e-12 * max(abs(mean), 1e-300):
         return 0.0 if mean > 0 else 1.0
-    return float(student.sf(mean / (spread / np.sqrt(gained.size)), gained.size - 1))
+    return student_tail(mean / (spread / np.sqrt(gained.size)), gained.size - 1)
 
 
 def _mean_squares(recording: Recording, folds: Sequence[HeldOut], gain: float) -> tuple[np.ndarray, np.ndarray]:

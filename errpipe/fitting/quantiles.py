@@ -1,0 +1,25 @@
+"""Quantiles and tails of the usual distributions: the bits of scipy.stats without its half second of import."""
+
+from __future__ import annotations
+
+from scipy import special
+
+
+def student_quantile(p: float, degrees: float) -> float:
+    """Student's t that is not exceeded with probability p."""
+    return float(special.stdtrit(degrees, p))
+
+
+def student_tail(t: float, degrees: float) -> float:
+    """Probability that Student's t exceeds t."""
+    return float(special.stdtr(degrees, -t))
+
+
+def chi2_quantile(p: float, degrees: float) -> float:
+    """Chi-squared that is not exceeded with probability p; nan without degrees of freedom."""
+    return float(2.0 * special.gammaincinv(degrees / 2.0, p)) if degrees > 0 else float("nan")
+
+
+def normal_quantile(p: float) -> float:
+    """Standard normal value that is not exceeded with probability p."""
+    return float(special.ndtri(p))
