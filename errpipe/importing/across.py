@@ -14,6 +14,7 @@ from errpipe.importing.layout import DEEPEST_HEADER, split_header
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
 from errpipe.importing.wide import run_and_side, statistic
 
+Figures = list[float | None]
 FEWEST_TARGETS = 4
 _TARGETS = re.compile(r"(target|soll|nominal|position|ziel|cible|目標|目标)", re.IGNORECASE)
 _READINGS = re.compile(r"(deviation|abweich|error|fehler|ecart|scostamento|偏差|误差)", re.IGNORECASE)
@@ -29,28 +30,36 @@ def upright(sheet: Sheet) -> Sheet:
     targets = [number(c, comma) for c in sheet.rows[at]]
     places = [i for i, v in enumerate(targets) if v is not None]
     sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
-    readings, run, side, title = [], 0, None, ""
+    found: list[tuple[str | None, str, float | None, Figures]] = []
+    run, side, title = 0, None, ""
     for row in sheet.rows[at + 1 + (sides is not None) :]:
         name = label(row[0]) if row else ""
         figures = [number(row[i], comma) if i < len(row) else None for i in range(len(targets))]
         if sum(figures[i] is not None for i in places) < 0.5 * len(places):
             text = " ".join(label(c) for c in row if c)
-            found = run_and_side(text)[1]
-            if found is not None:
-                side, run = found, 0
+            stated = run_and_side(text)[1]
+            if stated is not None:
+                side, run = stated, 0
             title = text if _READINGS.search(text) else title
         elif not statistic(name):
             run += 1
             own_run, own_side = run_and_side(name)
-            readings.append((own_run, str(run), side if own_side is None else own_side, figures))
-    named = any(own is not None for own, *_ in readings)  # then a row without a number is a figure over the runs
-    readings = [(own or count, way, figures) for own, count, way, figures in readings if own or not named]
+            found.append((own_run, str(run), side if own_side is None else own_side, figures))
+    named = any(own is not None for own, *_ in found)  # then a row without a number is a figure over the runs
+    readings = [(own or count, way, figures) for own, count, way, figures in found if own or not named]
     if not readings:
         return sheet
     return _of_readings(sheet, at, title, targets, sides, readings)
 
 
-def _of_readings(sheet, at, title, targets, sides, readings) -> Sheet:
+def _of_readings(
+    sheet: Sheet,
+    at: int,
+    title: str,
+    targets: Figures,
+    sides: dict[int, float] | None,
+    readings: list[tuple[str, float | None, Figures]],
+) -> Sheet:
     """The upright sheet. sides: of every column of the first row where one states them, else None."""
     unit = split_header(label(sheet.rows[at][0]))[1]
     reading_unit = split_header(title)[1]
@@ -59,7 +68,8 @@ def _of_readings(sheet, at, title, targets, sides, readings) -> Sheet:
     columns: list[dict[float, float | None]] = []
     for run, side, figures in readings:
         for way in (1.0, -1.0) if sides else (side,):
-            values, place = {}, None
+            values: dict[float, float | None] = {}
+            place: float | None = None
             for i, target in enumerate(targets):
                 place = target if target is not None else place
                 if place is not None and figures[i] is not None and (sides is None or sides.get(i) == way):
@@ -67,9 +77,11 @@ def _of_readings(sheet, at, title, targets, sides, readings) -> Sheet:
             columns.append(values)
             header.append(f"run {run} {mark[way]}" + (f" [{reading_unit}]" if reading_unit else ""))
     rows: list[list[Cell]] = [[t, *(c.get(t) for c in columns)] for t in targets if t is not None]
-    above = [[c for c in row if c is not None] for row in sheet.rows[:at]]
+    above: list[list[Cell]] = [[c for c in row if c is not None] for row in sheet.rows[:at]]
+    if title:
+        above.append([title])
     note = f"targets across, runs down: {len(rows)} targets, {len(readings)} rows of readings"
-    return Sheet(sheet.name, [*above, *([[title]] if title else []), header, *rows], notes=[*sheet.notes, note])
+    return Sheet(sheet.name, [*above, [*header], *rows], notes=[*sheet.notes, note])
 
 
 def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:

@@ -44,7 +44,8 @@ def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tupl
     from errpipe.importing.proposal import propose
 
     kind, sheets = open_file(file, door)
-    found, problems = [], []
+    found: list[tuple[Proposal, str]] = []
+    problems = []
     for sheet in sheets:
         if len(found) > MOST_NAMED:
             break

@@ -89,8 +89,8 @@ EXPLANATIONS: dict[str, str] = {
         "screws get longer when warm, so the sign is reversed."
     ),
     "temperature-jump": (
-        "A temperature steps by more than 15 K from one row of a run to the next. A sensor without power reads 85 degC "
-        "or 0 degC; clean the recording, or give the column the role ignore."
+        "A temperature steps by more than 15 K from one row of a run to the next and comes back as suddenly. A sensor "
+        "without power reads 85 degC or 0 degC; clean the recording, or give the column the role ignore."
     ),
     "temperature-range": (
         "A temperature lies outside -30 to 150 degC, or follows another one as degF does. Declare its unit "

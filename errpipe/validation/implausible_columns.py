@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,7 +20,8 @@ OUTSIDE = 0.1  # of the travel: by how much positions may exceed a travel that w
 INCH = 25.4  # mm
 SWEEPS = 0.25  # of the moves: with fewer turns the targets are measured in sweeps, not in a random order
 COLDEST = 55.0  # degC: no machine is warmer than that at its coldest place
-STEP, STEP_GAP = 15.0, 600.0  # K from one row to the next, s between them: no sensor in a machine is that fast
+STEP, STEP_GAP = 15.0, 600.0  # K from one row to the next, s between them: faster than anything but a heater
+RETURN = 0.2  # of the step: how near to its level before a failed sensor comes back; a heated bed cools slowly
 
 
 def axis_of_component(recording: Recording) -> Iterator[Finding]:
@@ -162,16 +164,17 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
 
 
 def _steps(recording: Recording, name: str) -> Iterator[Finding]:
-    """A step of a temperature between neighbouring rows of a run that no sensor in a machine makes."""
+    """A temperature that leaves its level from one row of a run to the next, and comes back to it as suddenly."""
     t, time, run = recording.array(name), recording.name("time"), recording.run_codes()
     gap = np.diff(recording.array(time)) if time else np.zeros(t.size - 1)
-    steps = np.where((np.diff(run) == 0) & (gap < STEP_GAP), np.abs(np.diff(t)), 0.0)
-    if t.size >= FEWEST_MOVES and np.nanmax(steps, initial=0.0) > STEP:
-        row = int(np.nanargmax(steps)) + 1
-        evidence = f"a step of {steps[row - 1]:.3g} K between row {row} and the next"
-        yield Finding(
-            "temperature-jump", name, evidence, "a sensor that lost contact or power (clean it, or ignore it)"
-        )
+    steps = np.where((np.diff(run) == 0) & (gap < STEP_GAP), np.diff(t), 0.0)
+    sudden = np.flatnonzero(np.abs(np.nan_to_num(steps)) > STEP)
+    for away, back in pairwise(sudden):
+        if steps[away] * steps[back] < 0 and abs(t[back + 1] - t[away]) < RETURN * abs(steps[away]):
+            evidence = f"a step of {abs(steps[away]):.3g} K between row {away + 1} and the next, and back as suddenly"
+            meant = "a sensor that lost contact or power (clean it, or ignore it)"
+            yield Finding("temperature-jump", name, evidence, meant)
+            return
 
 
 def warm_everywhere(recording: Recording) -> Iterator[Finding]:

@@ -94,6 +94,12 @@ def test_a_machine_that_cooled_over_night_has_no_broken_sensor() -> None:
     assert plausibility.findings(cold) == []
 
 
+def test_a_heated_bed_has_no_broken_sensor() -> None:
+    plain = axis_test(8, warm=False)
+    heated = np.where(np.arange(210) > 60, 75.0 - 0.3 * np.maximum(np.arange(210) - 90, 0), 20.0)
+    assert plausibility.findings(put(plain, T_nut=heated)) == []
+
+
 def test_allowing_one_name_allows_no_other() -> None:
     found = plausibility.findings(next(w for w in WRONG if w.declared == "positions in m declared as mm").made())
     codes = {f.code for f in found if f.level == "refuse"}
