@@ -14,7 +14,7 @@ from errpipe.fitting.solve import one_thread
 # 3.3 and 4.0 or 4.3 and 3.3 at the ends.
 DATUM_SHARE = 0.5
 BLOCKS = 5  # inner groups where there are fewer than three runs
-SPAN_BEYOND = 1.0  # of the span of deviations seen: limit of the sum beyond it; 0.25 to 1 do alike on seeds 1 to 3
+SPAN_BEYOND = 0.25  # of the span of deviations seen: limit of the sum beyond it; 0.25 to 1 do alike on seeds 1 to 3
 
 
 def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:

@@ -141,8 +141,7 @@ def compete(
     """The mixture of entrants. response: um, (rows,); rows: mask of usable rows; group: run of each row.
 
     cautious: groups are neighbouring blocks of one run, between which weak penalties interpolate: of each family the
-    strongest penalty within one standard error of the best is taken. One warm-up of a gantry machine, its first fifth
-    left out: 7.8 um with, 25 um without.
+    strongest penalty within one standard error of the best is taken.
 
     Raises DataError where nothing can be left out.
     """

@@ -11,14 +11,14 @@ Jones 1976; Gertler 1998). With x the readings and C the covariance of u for hea
                                                  every other s_j by |P_ij| / sqrt(P_ii P_jj) < 1, so it is the largest
     a2_j = the same with the sensor of the largest s left out: a second one that fails (two whose plugs were swapped)
     frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than it ever was when healthy
-    fault_i = 1 from the first a_i or a2_i on, until the next start; or while frozen
+    fault_i = 1 from the first a_i or a2_i on, until the next start, for the first two sensors; or while frozen
 
 What stands in for a failed reading:
 
     r_i = x_i - sum v_ij x_j, less its value at the start     residual of the best estimate of a shift's changes
     m_i = lag(r_i, settle) as it was when the largest s^2 was last below SUSPECT and x_i moved
     guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, carried on
-               by its estimate from the others. Solved exactly for two failed sensors; for three and more approximately.
+               by its estimate from the others. Solved exactly for two failed sensors, approximately for more (frozen).
                Where one sensor fails alone, r_i = x_i - sum p_ij x_j - sum q_ij lag(x_j, horizon): bodies of a machine
                lag behind each other, which halves what is left of a room sensor (turning centre, run left out)
 

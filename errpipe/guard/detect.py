@@ -17,6 +17,7 @@ WARM_UP = 3.0  # freeze times after the start before stillness means anything: i
 ALIVE = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be believed (taste)
 SUSPECT = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
 UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
+AGE_S = 1e6  # time constant of how long a sensor has been blamed: above any shift
 TIE = 1e-6  # relative: below single precision's rounding of a sum, above double's
 
 shared = lru_cache(maxsize=256)
@@ -83,6 +84,23 @@ def blamed(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
+def _first_two(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """1 for the sensors that were blamed first and second, else 0.
+
+    A third one would have to be judged without both, and with their readings in every residual it is mostly healthy:
+    replaced by an estimate that is solved for two it is worse than its own reading.
+    """
+    flags = blamed(guard)
+    ages = tuple(d.Lag(of=flag, tau_up=AGE_S, tau_down=AGE_S, start="zero") for flag in flags)
+    oldest, _ = _largest(ages)
+    younger = tuple(d.Product(of=(age, c.none_of(o))) for age, o in zip(ages, oldest, strict=True))
+    next_oldest, _ = _largest(younger)
+    alone = d.Switch(of=d.Affine(weights=(-1.0,) * len(oldest), of=oldest), on=-1.5, off=-1.5 - TIE)
+    kept = (c.any_of(o, d.Product(of=(alone, n))) for o, n in zip(oldest, next_oldest, strict=True))
+    return tuple(d.Product(of=pair) for pair in zip(flags, kept, strict=True))
+
+
+@shared
 def stillness(guard: SensorGuard, name: str) -> d.Driver:
     """How much alive one reading is: the lagged square of its own quick part, K2."""
     reading = d.Input(name=name)
@@ -108,7 +126,7 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
 @shared
 def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 while a reading is not believed; else 0."""
-    return tuple(c.any_of(*pair) for pair in zip(blamed(guard), frozen(guard), strict=True))
+    return tuple(c.any_of(*pair) for pair in zip(_first_two(guard), frozen(guard), strict=True))
 
 
 @shared

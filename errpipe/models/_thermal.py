@@ -268,7 +268,7 @@ def _interval(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -
 
     The variance of a prediction is that left on runs left out, plus the spread of fits without a run
     (`thermal_spread`): a row far outside in a direction in which they disagree has a wide interval.
-    Turning centre, winter predicted from spring: covered 0.95 with, 0.83 without.
+    Turning centre, winter predicted from spring: covered 0.95 with, 0.82 without.
     """
     from errpipe.drivers.evaluation import drive
     from errpipe.fitting import thermal_competition, thermal_spread
