@@ -186,6 +186,10 @@ def _pooled(grouping: str) -> str:
 
 
 def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]) -> str:
+    from errpipe.fitting.thermal_competition import MIXTURE
+
+    if name == MIXTURE:
+        return "exported"
     if name in weights:
         return f"{weights[name]:.2f} of it"
     return "tie" if chance.get(name, 0.0) > TIE_LEVEL else ""

@@ -10,6 +10,7 @@ import numpy as np
 from errpipe.reporting import svg
 
 GAP = 20.0  # median steps of time: a longer pause breaks the line
+FLOOR_ROW = "noise floor"  # row of a grid that does not compete
 PANELS = 3  # groups drawn: the one that is predicted worst, then those with most rows
 
 
@@ -114,9 +115,10 @@ def grid(
     """
     table = np.array([[np.nan if v is None else float(v) for v in row] for row in values])
     share = np.log10(np.clip(table / np.where(table[:1] > 0, table[:1], 1.0), 1e-2, 10.0))
-    with svg.figure(7.2, 0.32 * len(rows) + 1.0) as (canvas, axes):
+    share[[k for k, name in enumerate(rows) if name == FLOOR_ROW]] = np.nan
+    with svg.figure(7.2, 0.32 * len(rows) + 1.2) as (canvas, axes):
         axes.imshow(share, cmap="PuOr_r", vmin=-2.5, vmax=2.5, aspect="auto")
-        compared = [k for k, name in enumerate(rows) if k and name != best and name != "noise floor"]
+        compared = [k for k, name in enumerate(rows) if k and name not in (best, FLOOR_ROW)]
         for j in range(table.shape[1]):
             least = min(compared, key=lambda k: np.nan_to_num(table[k, j], nan=np.inf), default=-1)
             for i in range(table.shape[0]):
@@ -128,7 +130,7 @@ def grid(
         for i, remark in enumerate(remarks):
             axes.text(table.shape[1] - 0.45, i, remark, ha="left", va="center", fontsize=8, color=svg.INK)
         axes.set(xticks=range(len(columns)), yticks=range(len(rows)), xlim=(-0.5, table.shape[1] + 0.6))
-        axes.set_xticklabels([c.replace(" ", "\n", 1) for c in columns], fontsize=8)
+        axes.set_xticklabels([c.replace(" ", "\n") for c in columns], fontsize=8)
         axes.set_yticklabels(rows, fontsize=8)
         axes.xaxis.tick_top()
         axes.tick_params(length=0)

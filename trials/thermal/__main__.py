@@ -81,7 +81,7 @@ def by_training(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
         return {"failed": [str(e)]}
     predicted = since_start(told.predicted, judged.runs())
     half = 0.5 * (told.upper - told.lower)
-    return {"exported": True, "prediction": predicted} | coverage(judged, predicted, half)
+    return {"exported": True, "judged_without_gate": True, "prediction": predicted} | coverage(judged, predicted, half)
 
 
 def coverage(judged: Sheet, predicted: Array, half: Array) -> dict[str, float]:
@@ -143,7 +143,9 @@ def markdown(rows: list[dict[str, Any]], title: str) -> str:
     for family in dict.fromkeys(f for r in rows for f in r["families"]):
         of = [r["families"][family] for r in rows]
         covered = [f["covered"] for f in of if "covered" in f]
-        text = f"{family}: exported on {sum(bool(f.get('exported')) for f in of)} of {len(of)}"
+        gated = [f for f in of if "judged_without_gate" not in f]
+        text = f"{family}: exported on {sum(bool(f.get('exported')) for f in gated)} of {len(gated)}"
+        text = text if gated else f"{family}: judged without the gate of an export"
         text += f", failed on {sum('failed' in f for f in of)}"
         if covered:
             text += f"; 90 % interval covers {100 * np.mean(covered):.0f} %, "
