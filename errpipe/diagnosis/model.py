@@ -62,10 +62,10 @@ def modelled(case: Case, k: int) -> Modelled:
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
-    joint = b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores]) / WIDER**2
+    joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
     if joint < CHI2_95.get(cores, 2.0 * cores):
         linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores)
-        joint = max(float(joint), alone)
+        joint = max(joint, alone)
     estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]

@@ -104,8 +104,8 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], en
         if 1 < len(members) < len(groups):
             quantity = str(recording.manifest.columns[name].of or name)
             folds = _batches([tuple(m) for m in members.values()])
-            labels = tuple(members) if len(folds) == len(members) else ()
-            candidates.append(Grouping(quantity, folds, labels, environment in (quantity, name)))
+            of_folds = tuple(members) if len(folds) == len(members) else ()
+            candidates.append(Grouping(quantity, folds, of_folds, environment in (quantity, name)))
     warmth = _start_warmth(recording, first)
     order = sorted(groups, key=lambda g: (warmth[g], g))
     half = len(order) // 2
@@ -166,7 +166,7 @@ def compete(
         best = {f: _simplest(k, entrants, chooser, score) for f, k in best.items()}
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _selected([k for k in ranked if np.isfinite(score[k])], chooser)
-    named = {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
+    named: dict[str, dict[int, float]] = {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     left = {way: {name: judge.rms(w) for name, w in named.items()} for way, judge in judged.items()}
     by_group = {
         w.name: {
