@@ -116,10 +116,10 @@ def recalibration(
     return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names], every, np.r_[1.0, size]
 
 
-def together(found: tuple[parts.Part, ...]) -> list[parts.Part]:
+def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
     """Parts that nearly cancel are merged: with gains of their own they could reproduce almost anything."""
     out: list[parts.Part] = []
-    for part in found:
+    for part in separate:
         for k, other in enumerate(out):
             if np.corrcoef(part.contribution, other.contribution)[0, 1] < -0.9:
                 out[k] = replace(other, core=other.core + part.core, slack=other.slack + part.slack)

@@ -130,16 +130,16 @@ class Search:
         """Findings of a set of hypotheses, strongest first."""
         return tuple(sorted(self._worth(chosen), key=lambda f: -f.gain))
 
-    def rivals(self, found: tuple[Accepted, ...], k: int) -> list[tuple[str, float, int]]:
+    def rivals(self, accepted: tuple[Accepted, ...], k: int) -> list[tuple[str, float, int]]:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
-        others = [(f.index, f.size) for j, f in enumerate(found) if j != k]
+        others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
         gain = self.score(others).gain + self.prior
         best: dict[str, tuple[float, int]] = {}
         for i in np.argsort(-gain):
             effect = self.library.hypotheses[i].effect
             if effect not in best:
                 best[effect] = (float(gain[i]), int(i))
-        own = max(best.pop(found[k].hypothesis.effect)[0], found[k].gain)
+        own = max(best.pop(accepted[k].hypothesis.effect)[0], accepted[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
     def evidence(self, chosen: list[tuple[int, float]]) -> float:

@@ -217,9 +217,9 @@ def _outlying_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return np.flatnonzero(np.abs(gap) > EVENT * np.maximum(scale, 2.0 * spread)), gap, scale
 
 
-def _events_text(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, unit: str) -> str:
+def _events_text(spikes: Events, t: np.ndarray, turns: np.ndarray, usual: float, unit: str) -> str:
     """Events in words: how many, how high, how often, and whether where axes turn."""
-    at = t[found.rows]
+    at = t[spikes.rows]
     intervals = np.diff(at)
     often = ""
     if intervals.size:
@@ -227,16 +227,14 @@ def _events_text(found: Events, t: np.ndarray, turns: np.ndarray, usual: float, 
         often = f", {'every' if spread < 0.05 * middle else 'on average one in'} {middle:.3g} s"
     near = 0.0
     if turns.size:
-        after = t[turns][np.clip(np.searchsorted(turns, found.rows, side="right") - 1, 0, None)]
+        after = t[turns][np.clip(np.searchsorted(turns, spikes.rows, side="right") - 1, 0, None)]
         near = float(np.mean((at >= after) & (at - after < 200 * usual)))
     where = f", {near:.0%} of them within {200 * usual:.2g} s after an axis turned" if near > 0.5 else ""
-    many = "s" if found.rows.size > 1 else ""
-    length = f"row{many}" if found.width == 1 else f"stretch{'e' * len(many)}{many} of about {found.width} rows"
+    many = "s" if spikes.rows.size > 1 else ""
+    length = f"row{many}" if spikes.width == 1 else f"stretch{'e' * len(many)}{many} of about {spikes.width} rows"
     first = f"the first at {at[0]:.6g} s" if many else f"at {at[0]:.6g} s"
-    text = f"{found.rows.size} {'single ' * (found.width == 1)}{length}"
-    return (
-        f"{text} standing out by {found.height:.3g} {unit}{often}{where} ({first}); too rare to weigh in what is judged"
-    )
+    text = f"{spikes.rows.size} {'single ' * (spikes.width == 1)}{length} standing out by {spikes.height:.3g} {unit}"
+    return f"{text}{often}{where} ({first}); too rare to weigh in what is judged"
 
 
 def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:

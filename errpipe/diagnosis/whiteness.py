@@ -176,9 +176,9 @@ def levels(u: np.ndarray) -> np.ndarray:
     return (np.searchsorted(edges, u, side="right")[:, None] == np.arange(edges.size + 1)).astype(float)
 
 
-def structured(found: Whiteness) -> list[WhitenessTest]:
+def structured(whiteness: Whiteness) -> list[WhitenessTest]:
     """Tests that alone would raise the alarm, the strongest first; inputs before the order of the rows."""
-    alarming = [t for t in found.tests if t.p * len(found.tests) < ALARM]
+    alarming = [t for t in whiteness.tests if t.p * len(whiteness.tests) < ALARM]
     # collinear inputs have the same p up to rounding: the first one is then named
     return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
 

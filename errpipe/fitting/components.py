@@ -88,11 +88,11 @@ def solved_plainly(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> E
     return whole_model(recording, spec, mask, models)
 
 
-def _values(slot: Slot, found: Estimate) -> FittedTerm:
+def _values(slot: Slot, estimate: Estimate) -> FittedTerm:
     term = slot.term
-    gains = dict(zip((p.name for p in slot.free), found.coefficients[slot.columns], strict=True)) | term.fixed
+    gains = dict(zip((p.name for p in slot.free), estimate.coefficients[slot.columns], strict=True)) | term.fixed
     inner = dict(
-        zip((p.name for p in term.nonlinear()), inner_values(term, found.nonlinear[slot.searched]), strict=True)
+        zip((p.name for p in term.nonlinear()), inner_values(term, estimate.nonlinear[slot.searched]), strict=True)
     )
     told = [(p, gains[p.name]) for p in term.linear()] + [(p, inner[p.name]) for p in term.nonlinear()]
     return FittedTerm(
@@ -153,18 +153,18 @@ def _fit_group(recording, spec, group, mask) -> list[ComponentModel]:
     return models
 
 
-def component_model(problem: Problem, found: Estimate, block: int, component: str, before, after) -> ComponentModel:
+def component_model(problem: Problem, estimate: Estimate, block: int, component: str, before, after) -> ComponentModel:
     """A block of a solved problem as a component of an error model; before, after: on the block's rows, (n,)."""
     unit = problem.recording.manifest.columns[response_name(problem.recording, component)].unit or "um"
     own = [s for s in problem.slots if s.block in (block, -1)]
-    terms = tuple(fitted_term(s, found, problem.width, unit) for s in own if not s.nuisance)
-    nuisance = tuple(fitted_term(s, found, problem.width, unit) for s in own if s.nuisance)
+    terms = tuple(fitted_term(s, estimate, problem.width, unit) for s in own if not s.nuisance)
+    nuisance = tuple(fitted_term(s, estimate, problem.width, unit) for s in own if s.nuisance)
     names, index = [], []
     for k, s in enumerate(s for s in own if not s.nuisance):
         names += [f"{s.term.term}[{k}].{p.name}" for p in (*s.free, *s.term.free())]
         index += [*range(s.columns.start, s.columns.stop)]
         index += [problem.width + j for j in range(s.searched.start, s.searched.stop)]
-    spread = found.covariance[np.ix_(index, index)]
+    spread = estimate.covariance[np.ix_(index, index)]
     share = after.size / max(problem.response.size, 1)
     return ComponentModel(
         component=component,
@@ -174,14 +174,14 @@ def component_model(problem: Problem, found: Estimate, block: int, component: st
         parameter_names=tuple(names),
         covariance=tuple(tuple(map(float, row)) for row in spread),
         rows=int(after.size),
-        rows_effective=float(found.rows_effective * share),
+        rows_effective=float(estimate.rows_effective * share),
         rms_before=_rms(before),
         rms_after=_rms(after),
         noise_floor=noise_floor(problem.recording, problem.rows[block], after),
     )
 
 
-def fitted_term(slot: Slot, found: Estimate, width: int, unit: str) -> FittedTerm:
+def fitted_term(slot: Slot, estimate: Estimate, width: int, unit: str) -> FittedTerm:
     """Parameters of one term with 95 % intervals; a non-linear one's by its logarithm where it cannot be negative."""
     term, out = slot.term, []
     gains = dict(zip((p.name for p in slot.free), range(slot.columns.start, slot.columns.stop), strict=True))
@@ -189,20 +189,20 @@ def fitted_term(slot: Slot, found: Estimate, width: int, unit: str) -> FittedTer
         if p.name in term.fixed:
             out.append(FittedParameter(name=p.name, value=term.fixed[p.name], unit=unit_in(p.unit, unit), note="fixed"))
             continue
-        value = float(found.coefficients[gains[p.name]])
-        error = float(np.sqrt(max(found.covariance[gains[p.name], gains[p.name]], 0.0)))
-        half = half_width(error, found.freedom)
+        value = float(estimate.coefficients[gains[p.name]])
+        error = float(np.sqrt(max(estimate.covariance[gains[p.name], gains[p.name]], 0.0)))
+        half = half_width(error, estimate.freedom)
         told = {"unit": unit_in(p.unit, unit), "standard_error": error, "note": _remark(p, value)}
         out.append(FittedParameter(name=p.name, value=value, ci95=(value - half, value + half), **told))
-    values = inner_values(term, found.nonlinear[slot.searched])
+    values = inner_values(term, estimate.nonlinear[slot.searched])
     places = iter(range(width + slot.searched.start, width + slot.searched.stop))
     for p, value in zip(term.nonlinear(), values, strict=True):
         if p.name in term.fixed:
             out.append(FittedParameter(name=p.name, value=value, unit=p.unit, note="fixed"))
             continue
         place = next(places)
-        error = float(np.sqrt(max(found.covariance[place, place], 0.0)))
-        half = half_width(error, found.freedom)
+        error = float(np.sqrt(max(estimate.covariance[place, place], 0.0)))
+        half = half_width(error, estimate.freedom)
         ends = (value - half, value + half)
         if p.bounds[0] >= 0 and value > 0:
             spread = min(half / value, 20.0)

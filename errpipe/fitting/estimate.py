@@ -105,13 +105,13 @@ def _noise_guess(design: np.ndarray, y: np.ndarray) -> float:
     return float(np.sqrt(np.sum(solution.residual**2) / max(y.size - solution.degrees, 1.0)))
 
 
-def _with_effective_rows(problem, nonlinear, penalties, priors, found) -> solve.Solution:
+def _with_effective_rows(problem, nonlinear, penalties, priors, solution) -> solve.Solution:
     """Repeat the choice of smoothing with the effective number of rows: autocorrelated noise makes it too rough."""
     design = problem.design(nonlinear)
-    noise = uncertainty.noise_model(problem.sequence, design, found.residual, _sum(penalties, found.strength))
+    noise = uncertainty.noise_model(problem.sequence, design, solution.residual, _sum(penalties, solution.strength))
     effective = uncertainty.rows_effective(problem.sequence, noise)
-    if effective > 0.8 * found.residual.size:
-        return found
+    if effective > 0.8 * solution.residual.size:
+        return solution
     return solve.penalised(design, problem.response, penalties, priors=priors, rows_effective=effective)
 
 
@@ -186,15 +186,15 @@ def _within(problem: Problem, fold) -> tuple[np.ndarray, np.ndarray]:
     return fold[0][rows], fold[1][rows]
 
 
-def _penalty(problem, spec, penalties, found, priors) -> np.ndarray | None:
+def _penalty(problem, spec, penalties, solution, priors) -> np.ndarray | None:
     """Regularisation that the solve added to the normal matrix, shape (width, width)."""
     total = np.zeros((problem.width, problem.width))
     if spec.method == "ridge":
         return None
     if penalties:
-        total += _sum(penalties, found.strength)
+        total += _sum(penalties, solution.strength)
     if priors:
-        noise = float(np.sqrt(np.mean(found.residual**2)))
+        noise = float(np.sqrt(np.mean(solution.residual**2)))
         for p in priors:
             total[p.column, p.column] += (noise / p.spread) ** 2
     return total if penalties or priors else None

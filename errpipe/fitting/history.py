@@ -127,12 +127,12 @@ def _sequence(history: History, sample: Recording) -> np.ndarray:
     return np.r_[0, np.cumsum(jump | (np.diff(sample.run_codes()) != 0))]
 
 
-def _estimate(source, history: History, problem: Problem, rows, found: solve.Solution, prepare) -> Estimate:
+def _estimate(source, history: History, problem: Problem, rows, solution: solve.Solution, prepare) -> Estimate:
     """Parameters with intervals: the noise from the sample, its effect on the parameters from all rows."""
-    b, width = found.coefficients, history.width
+    b, width = solution.coefficients, history.width
     residual = problem.response - rows[:, 1:-2] @ b
     noise = uncertainty.noise_model(problem.sequence, rows[:, 1:-2], residual, None)
-    gram = np.linalg.inv(found.inverse) if noise.share <= 0.0 else _coloured(source, history, noise, prepare)
+    gram = np.linalg.inv(solution.inverse) if noise.share <= 0.0 else _coloured(source, history, noise, prepare)
     by_run: dict[str, list[int]] = {}
     for (run, _), k in history.keys.items():
         if history.counts[k]:
@@ -141,8 +141,8 @@ def _estimate(source, history: History, problem: Problem, rows, found: solve.Sol
     pulls = np.array(
         [sum(history.factors[k][:, 1:-2].T @ (history.factors[k] @ weights) for k in ks) for ks in by_run.values()]
     )
-    seen = found.inverse @ (pulls.T @ pulls) @ found.inverse
-    spread = uncertainty.larger(noise.sigma**2 * found.inverse @ gram @ found.inverse, seen, len(by_run))
+    seen = solution.inverse @ (pulls.T @ pulls) @ solution.inverse
+    spread = uncertainty.larger(noise.sigma**2 * solution.inverse @ gram @ solution.inverse, seen, len(by_run))
     lengths = np.array([sum(history.counts[k] for k in ks) for ks in by_run.values()])
     freedom = uncertainty.degrees_of_freedom(int(lengths.sum()), float(width), noise)
     effective = uncertainty.effective_rows(lengths, noise)

@@ -186,15 +186,15 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
             yield Fold(label, train, test)
 
 
-def _batch(unique: list[str], codes: np.ndarray, found: np.ndarray, number: int) -> str:
+def _batch(unique: list[str], codes: np.ndarray, labels: np.ndarray, number: int) -> str:
     """Label of a batch: its first and last group."""
-    inside = [label for label in unique if codes[found == label][0] == number]
+    inside = [label for label in unique if codes[labels == label][0] == number]
     return inside[0] if len(inside) == 1 else f"{inside[0]} to {inside[-1]}"
 
 
-def _codes(found: np.ndarray, unique: list[str]) -> np.ndarray:
+def _codes(labels: np.ndarray, unique: list[str]) -> np.ndarray:
     number = {label: k for k, label in enumerate(unique)}
-    return np.array([number[label] for label in found])
+    return np.array([number[label] for label in labels])
 
 
 def _near(recording: Recording, test: np.ndarray, gap: float) -> np.ndarray:

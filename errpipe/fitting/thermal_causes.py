@@ -113,7 +113,7 @@ def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern) -> s
     return next((n for n in names if pattern.search(_place(recording, n))), None)
 
 
-def running(recording: Recording, found: Sensors, rows: np.ndarray | None = None) -> d.Driver | None:
+def running(recording: Recording, sensors: Sensors, rows: np.ndarray | None = None) -> d.Driver | None:
     """1 while the spindle runs, 0 while it stands, or None where no column shows it.
 
     From the spindle speed where it is recorded; else from the heat that its bearings must be taking up to warm as
@@ -124,10 +124,10 @@ def running(recording: Recording, found: Sensors, rows: np.ndarray | None = None
     if speed is not None:
         squared = d.Product(of=(d.Input(name=speed), d.Input(name=speed)))  # either sense of rotation
         return d.Switch(of=squared, on=100.0, off=1.0)
-    near_spindle = tuple(n for n in found.spindles if n != found.bed)
-    if not near_spindle or found.bed is None:
+    near_spindle = tuple(n for n in sensors.spindles if n != sensors.bed)
+    if not near_spindle or sensors.bed is None:
         return None
-    heat = _heat(near_spindle, found.bed)
+    heat = _heat(near_spindle, sensors.bed)
     heat_values = drive(heat, recording)
     on, off = _levels(heat_values if rows is None else heat_values[rows])
     return d.Switch(of=heat, on=on, off=off)
@@ -220,11 +220,11 @@ def _towards(mix: float, room: str) -> str:
     return f" {100 * mix:.0f} % towards {room}" if mix else ""
 
 
-def oil(found: Sensors, thinning: float) -> d.Driver | None:
+def oil(sensors: Sensors, thinning: float) -> d.Driver | None:
     """Friction of an oil as warm as the machine at the start of the run, 1 at 20 degC; None where it does not thin."""
     if thinning == 0.0:
         return None
-    starts = tuple(_first_of(n) for n in found.bodies)
+    starts = tuple(_first_of(n) for n in sensors.bodies)
     level = d.Affine(weights=(1.0 / len(starts),) * len(starts), of=starts)
     grid = np.linspace(*OIL_RANGE, 25)
     values = tuple(float(v) for v in np.exp(-thinning * (grid - OIL_REFERENCE)))

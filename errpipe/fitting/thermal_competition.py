@@ -166,7 +166,9 @@ def compete(
         best = {f: _simplest(k, entrants, chooser, score) for f, k in best.items()}
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _selected([k for k in ranked if np.isfinite(score[k])], chooser)
-    named: dict[str, dict[int, float]] = {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
+    named: dict[str, dict[int, float]] = (
+        {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
+    )
     left = {way: {name: judge.rms(w) for name, w in named.items()} for way, judge in judged.items()}
     by_group = {
         w.name: {

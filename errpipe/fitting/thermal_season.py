@@ -355,13 +355,13 @@ class Problem:
         return float(np.mean(levels)), float(np.std(levels))
 
 
-def _balance(found: thermal_causes.Sensors) -> d.Driver:
+def _balance(sensors: thermal_causes.Sensors) -> d.Driver:
     """Rise of the machine, mean over its sensors, minus the rise of the room, K."""
-    rises = tuple(d.rise(n) for n in found.bodies)
+    rises = tuple(d.rise(n) for n in sensors.bodies)
     weights = (1.0 / len(rises),) * len(rises)
-    if found.room is None:
+    if sensors.room is None:
         return d.Affine(weights=weights, of=rises)
-    return d.Affine(weights=(*weights, -1.0), of=(*rises, d.rise(found.room)))
+    return d.Affine(weights=(*weights, -1.0), of=(*rises, d.rise(sensors.room)))
 
 
 def _sum(parts: Sequence[Part]) -> d.Driver:

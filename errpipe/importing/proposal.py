@@ -107,9 +107,9 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
     return guessing.ColumnGuess(role, stated.get("axis") or guessing.axis_in(column.header), "")
 
 
-def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], found: wide.Wide | None) -> str | None:
+def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
-    runs = {c.header for c, _, _ in found.readings} if found is not None else set()
+    runs = {c.header for c, _, _ in unfolded.readings} if unfolded is not None else set()
     named = [g.axis for header, g in guesses.items() if g.axis is not None and g.kind in motion and header not in runs]
     return named[0] if named else guessing.axis_above(layout.above)
 

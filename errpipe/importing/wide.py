@@ -107,22 +107,22 @@ def _rises(c: RawColumn) -> bool:
     return x.size > 2 and bool(np.all(np.diff(x) > 0) or np.all(np.diff(x) < 0))
 
 
-def unfold(found: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
+def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     """Row of the table, run, side and reading of every reading: runs after one another.
 
     A pass down goes through the targets as they fall. Raises DataError where no row has a target and a reading.
     """
-    target, readings = found.target.values, [c for c, _, _ in found.readings]
+    target, readings = layout.target.values, [c for c, _, _ in layout.readings]
     keep = np.isfinite(target) & np.any([np.isfinite(c.values) for c in readings], axis=0)
     rows = np.flatnonzero(keep)
     if not rows.size:
         raise DataError("no row holds a target and a reading")
-    names = ["" for _ in target] if found.run is None else [label(c) for c in found.run.cells]
+    names = ["" for _ in target] if layout.run is None else [label(c) for c in layout.run.cells]
     order, run, side, value = [], [], [], []
     for name in dict.fromkeys(names[i] for i in rows):
         block = np.array([i for i in rows if names[i] == name])
         rising = target[block[-1]] > target[block[0]]
-        for c, number_of_run, way in found.readings:
+        for c, number_of_run, way in layout.readings:
             own = block if way is None or rising == (way > 0) else block[::-1]
             own = own[np.isfinite(c.values[own])]
             order.append(own)

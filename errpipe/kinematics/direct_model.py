@@ -23,7 +23,7 @@ SEGMENTS = 48  # of the spline that represents a curve; more where the curve has
 CLOSE = 0.02  # um, urad: largest difference allowed between the spline and the identified curve
 
 
-def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[str, float]) -> ErrorModel:
+def error_model(recording: Recording, curves: Mapping[str, Any], noise: Mapping[str, float]) -> ErrorModel:
     """The components of a recording, from the document of an identification. noise: of a reading, by component.
 
     Raises VerifyError where a curve is too rough for the spline.
@@ -38,11 +38,11 @@ def error_model(recording: Recording, found: Mapping[str, Any], noise: Mapping[s
         seen = at[np.isfinite(at) & np.isfinite(value)]
         ranges[column] = (float(seen.min()), float(seen.max()))
         columns[column] = recording.manifest.columns[column].model_dump(mode="json", exclude_none=True)
-        curve, side = found["curves"][name], recording.name("direction", axis=axis)
+        curve, side = curves["curves"][name], recording.name("direction", axis=axis)
         terms = _curve(name, axis, curve)
-        if side is not None and name in found.get("reversal", {}):
+        if side is not None and name in curves.get("reversal", {}):
             columns[side] = recording.manifest.columns[side].model_dump(mode="json", exclude_none=True)
-            terms += _reversal(axis, found["reversal"][name])
+            terms += _reversal(axis, curves["reversal"][name])
         reading_noise, curve_error = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
         parts.append(
             ComponentModel(

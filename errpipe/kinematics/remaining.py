@@ -42,14 +42,14 @@ def places(chain: Chain, count: int = PLACES, seed: int = SEED) -> np.ndarray:
     return rng.uniform(chain.travel[:, 0], chain.travel[:, 1], (count, len(chain.axes)))
 
 
-def of_truth(chain: Chain, truth: MachineErrors, found: MachineErrors, tip: np.ndarray | None = None) -> Remaining:
-    """Error of the true machine before and after compensation by `found`, each less its best-fitting rigid pose."""
+def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors, tip: np.ndarray | None = None) -> Remaining:
+    """Error of the true machine before and after compensation by `model`, each less its best-fitting rigid pose."""
 
     def true(q: np.ndarray) -> np.ndarray:
         return synthesis.exact(chain, q, truth.at(q), tip)[:, :3]
 
     def left(q: np.ndarray) -> np.ndarray:
-        return true(q) - synthesis.first_order(chain, q, found.at(q), tip)[:, :3]
+        return true(q) - synthesis.first_order(chain, q, model.at(q), tip)[:, :3]
 
     q = places(chain)
     before, after = (without_pose(chain, field, q, tip) for field in (true, left))
@@ -76,12 +76,12 @@ def _pose_columns(chain: Chain, q: np.ndarray, tip: np.ndarray | None, middle: n
     return np.stack([*shifts, *turns], axis=2)
 
 
-def spread(found: Identified, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
+def spread(identified: Identified, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
     """Size of the standard error of the predicted tool point at q, um, shape (n,)."""
 
     def size(q: np.ndarray) -> np.ndarray:
         parts = np.array_split(q, max(1, len(q) // PIECE))
-        return np.concatenate([np.linalg.norm(found.predict(p, tip)[1], axis=1) for p in parts])
+        return np.concatenate([np.linalg.norm(identified.predict(p, tip)[1], axis=1) for p in parts])
 
     return size
 
@@ -105,7 +105,7 @@ class Expected:
         return figures | ({"axes": {name: axis.document() for name, axis in self.axes.items()}} if self.axes else {})
 
 
-def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
+def expected(identified: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
     """Expected benefit of a compensation from the posterior, where no reading can be held out.
 
     With m the identified field and the true one m + e, e ~ N(0, S), compensating leaves |e| instead of |m + e|. It is
@@ -113,19 +113,19 @@ def expected(found: Identified, tip: np.ndarray | None = None, count: int = JUDG
     observes enters S with its prior variance, so the residual may outweigh the correction. Where positioning alone was
     read (a screw compensation), it is judged along its own line, so the others count neither before nor after.
     """
-    chain, prior = found.model.chain, found.model.prior
+    chain, prior = identified.model.chain, identified.model.prior
     q = places(chain, count)
     jac = synthesis.jacobian(chain, q, tip)[:, :3]
-    rows = (jac[:, :, prior.component] * found.model.functions(q)[:, None, :]).reshape(3 * count, -1)
-    read = np.unique(prior.component[found.mean != 0.0])
+    rows = (jac[:, :, prior.component] * identified.model.functions(q)[:, None, :]).reshape(3 * count, -1)
+    read = np.unique(prior.component[identified.mean != 0.0])
     if all(parse(chain.components[c]).kind == "positioning" for c in read):
         rows = np.where(np.isin(prior.component, read), rows, 0.0)
     columns = _pose_columns(chain, q, tip, synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
     by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(linear_motion(chain, q, tip)), rows)
-    axes = {name: _expected(found, own) for name, own in zip(linear_axes(chain), by_axis, strict=True)}
-    return replace(_expected(found, by_axis.reshape(-1, rows.shape[2]), count), axes=axes)
+    axes = {name: _expected(identified, own) for name, own in zip(linear_axes(chain), by_axis, strict=True)}
+    return replace(_expected(identified, by_axis.reshape(-1, rows.shape[2]), count), axes=axes)
 
 
 def linear_axes(chain: Chain) -> tuple[str, ...]:
@@ -139,13 +139,13 @@ def linear_motion(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) ->
     return synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
 
 
-def _expected(found: Identified, rows: np.ndarray, count: int | None = None) -> Expected:
+def _expected(identified: Identified, rows: np.ndarray, count: int | None = None) -> Expected:
     """rows (readings, parameters) of a field in um; count: places that its squares are the mean over."""
     count = len(rows) if count is None else count
-    field = rows @ found.mean
+    field = rows @ identified.mean
     power = float(field @ field)
-    deviation_along = float(np.sqrt(max(field @ (rows @ (found.covariance @ (rows.T @ field))), 0.0)))
-    trace = float(np.einsum("ij,jk,ik->", rows, found.covariance, rows, optimize=True))
+    deviation_along = float(np.sqrt(max(field @ (rows @ (identified.covariance @ (rows.T @ field))), 0.0)))
+    trace = float(np.einsum("ij,jk,ik->", rows, identified.covariance, rows, optimize=True))
     harm = 0.5 * math.erfc(power / (2 * deviation_along) / math.sqrt(2.0)) if deviation_along > 0.0 else 0.0
     return Expected(math.sqrt(power / count), math.sqrt(max(trace, 0.0) / count), harm, {})
 

@@ -85,14 +85,14 @@ def _numbers(values: np.ndarray) -> list[float]:
     return [round(float(v), 4) + 0.0 for v in values]
 
 
-def errors(chain: Chain, found: Mapping[str, Any], nodes: int = 201) -> MachineErrors:
+def errors(chain: Chain, parameters: Mapping[str, Any], nodes: int = 201) -> MachineErrors:
     """The components that `document` wrote. Raises VerifyError where they are of another machine or version."""
-    if found.get("identification") != 1:
-        raise VerifyError(f"not an identification of version 1 (found {found.get('identification')!r})")
-    if found["machine"] != chain.machine.name:
-        raise VerifyError(f"the identification is of machine {found['machine']!r}, not of {chain.machine.name!r}")
-    values: dict[str, Any] = {row["component"]: float(row["value"]) for row in found["constants"]}
-    for name, curve in found["curves"].items():
+    if parameters.get("identification") != 1:
+        raise VerifyError(f"not an identification of version 1 (found {parameters.get('identification')!r})")
+    if parameters["machine"] != chain.machine.name:
+        raise VerifyError(f"the identification is of machine {parameters['machine']!r}, not of {chain.machine.name!r}")
+    values: dict[str, Any] = {row["component"]: float(row["value"]) for row in parameters["constants"]}
+    for name, curve in parameters["curves"].items():
         grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
         values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
         nodes = max(nodes, len(grid))

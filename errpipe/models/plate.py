@@ -151,11 +151,11 @@ def chosen_plates(recording: Recording, chosen: str) -> Recording:
     return recording.take(recording.run_codes() == labels.index(label))
 
 
-def _parts(found: Any) -> list[dict[str, Any]]:
+def _parts(fitted: Any) -> list[dict[str, Any]]:
     """What the map is made of, in words, with the range of each part over the pattern, um; largest first."""
     import numpy as np
 
-    box, curves = found.functions.box, found.components(POINTS)
+    box, curves = fitted.functions.box, fitted.components(POINTS)
     out = [
         {"component": f"E_{name[1]}", "part": f"curve over {name[2]} ({name})", "range_um": float(np.ptp(curve[1]))}
         for name, curve in curves.items()
@@ -164,26 +164,26 @@ def _parts(found: Any) -> list[dict[str, Any]]:
     lean = abs(curves["C0Y"]) * 1e-3 * (box.y[1] - box.y[0])
     out.append({"component": "E_X", "part": "squareness (C0Y)", "range_um": float(lean)})
     for name in ("E_X", "E_Y"):
-        products = [(over_x, over_y) for component, _, over_x, _, over_y in found.products() if component == name]
+        products = [(over_x, over_y) for component, _, over_x, _, over_y in fitted.products() if component == name]
         size = float(np.ptp(sum(np.outer(x, y) for x, y in products))) if products else 0.0
         out.append({"component": name, "part": f"{len(products)} products of curves over X and Y", "range_um": size})
     return sorted(out, key=lambda part: (part["component"], -part["range_um"]))
 
 
-def _error_model(found: Any, recording: Recording) -> ErrorModel:
+def _error_model(fitted: Any, recording: Recording) -> ErrorModel:
     """The map as curves over X, curves over Y and their products, one component per direction."""
     from errpipe import __version__
     from errpipe.domain import driver as d
     from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
 
     names = [str(recording.name("position", axis=a)) for a in "XY"]
-    box, c = found.functions.box, found.components(POINTS)
+    box, c = fitted.functions.box, fitted.components(POINTS)
     terms: dict[str, list] = {"E_X": [], "E_Y": []}
     lean = d.Affine(offset=c["C0Y"] * 1e-3 * box.middle[1], weights=(-c["C0Y"] * 1e-3,), of=(d.Input(name=names[1]),))
     for component, over, name in (("E_X", "EXX", 0), ("E_X", "EXY", 1), ("E_Y", "EYX", 0), ("E_Y", "EYY", 1)):
         terms[component].append(_term((_lookup(names[name], *c[over]),)))
     terms["E_X"].append(_term((lean,)))
-    for component, x, over_x, y, over_y in found.products():
+    for component, x, over_x, y, over_y in fitted.products():
         terms[component].append(_term((_lookup(names[0], x, over_x), _lookup(names[1], y, over_y))))
     manifest = recording.manifest
     before = _rms_without_setup(recording)
@@ -196,11 +196,11 @@ def _error_model(found: Any, recording: Recording) -> ErrorModel:
             ComponentModel(
                 component=name,
                 terms=tuple(terms[name]),
-                rows=found.rows,
-                rows_effective=float(found.rows),
+                rows=fitted.rows,
+                rows_effective=float(fitted.rows),
                 rms_before=before[name],
-                rms_after=found.noise,
-                half_width90=1.645 * found.noise,
+                rms_after=fitted.noise,
+                half_width90=1.645 * fitted.noise,
             )
             for name in terms
         ),

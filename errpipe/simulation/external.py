@@ -123,21 +123,21 @@ def _needed(file: Path | None, what: str) -> Path:
     return Path(file)
 
 
-def _placed(recording: Recording, component: str, found: Values, how: TwinOptions) -> tuple[Recording, Twin]:
+def _placed(recording: Recording, component: str, simulated: Values, how: TwinOptions) -> tuple[Recording, Twin]:
     """The recording with one more (or one replaced) simulated column."""
     error = error_column(recording, component)
     recorded = recording.array(error)
-    values, notes = found.values, list(found.notes)
-    if (how.datum or found.datum) == "run_start":
+    values, notes = simulated.values, list(simulated.notes)
+    if (how.datum or simulated.datum) == "run_start":
         values = from_first_readings(recording, recorded, values)
         notes.append("each run's simulated values start at its first readings")
     known = np.isfinite(recorded)
     have = known & np.isfinite(values)
-    missing = {why: int(np.count_nonzero(known & rows)) for why, rows in found.why.items()}
+    missing = {why: int(np.count_nonzero(known & rows)) for why, rows in simulated.why.items()}
     missing = {why: count for why, count in missing.items() if count}
     unit = recording.manifest.columns[error].unit or "um"
     column = recording.name("simulated", component=component) or _free_name(recording, f"{error}_sim")
-    twin = Twin(component, column, unit, found.source, int(known.sum()), int(have.sum()), missing, tuple(notes))
+    twin = Twin(component, column, unit, simulated.source, int(known.sum()), int(have.sum()), missing, tuple(notes))
     _refuse_missing(twin, how.most_missing)
     kind = Column(role="simulated", component=component, unit=unit)
     return recording.with_columns({column: values}, {column: kind}), twin

@@ -67,8 +67,8 @@ class Diagnosis(Stage):
         return _summary(diagnosed, document)
 
 
-def _summary(found: Any, document: Mapping[str, Any]) -> dict[str, Any]:
-    summary = {r.component: r.says or r.verdict for r in found.responses}
+def _summary(diagnosis: Any, document: Mapping[str, Any]) -> dict[str, Any]:
+    summary = {r.component: r.says or r.verdict for r in diagnosis.responses}
     for what in ("accepted", "refused"):
         rows = [f"{d['effect']} ({d['component']})" for d in document[what]]
         summary[what] = ", ".join(rows) or "nothing"

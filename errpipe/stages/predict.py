@@ -90,10 +90,10 @@ def _with_readings(
     return frame, {"readings": said}
 
 
-def _why_empty(found: ErrorModel | CompensationTable, without: list[str]) -> str:
+def _why_empty(source: ErrorModel | CompensationTable, without: list[str]) -> str:
     """Why the columns of the interval are empty, in words."""
     names = ", ".join(without)
-    if not hasattr(found, "fingerprint"):
+    if not hasattr(source, "fingerprint"):
         return f"empty for {names}: the model states no interval"
     return (
         f"empty for {names}: a table carries the deviation alone; its interval stands in the error model that it was "

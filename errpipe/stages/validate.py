@@ -99,7 +99,7 @@ def headline(component: Mapping[str, Any]) -> str:
     )
 
 
-def _write_rows(path: Path, found: Mapping[str, list]) -> None:
+def _write_rows(path: Path, columns: Mapping[str, list]) -> None:
     """One line per held-out row and component: the deviation, and the residual of the model."""
     import pandas as pd
     import pyarrow as pa
@@ -107,7 +107,7 @@ def _write_rows(path: Path, found: Mapping[str, list]) -> None:
 
     parts = [
         pd.DataFrame({"component": name, "group": f.label, "row": f.rows, "before": f.before, "after": f.after})
-        for name, folds in found.items()
+        for name, folds in columns.items()
         for f in folds
     ]
     table = pa.Table.from_pandas(pd.concat(parts, ignore_index=True), preserve_index=False)

@@ -426,14 +426,14 @@ def _slice(rows: list[tuple], first: int, count: int, what: str) -> list[tuple]:
     return rows[first : first + count]
 
 
-def _contradiction(expected: bytes, found: bytes) -> str:
+def _contradiction(expected: bytes, actual: bytes) -> str:
     """Where a file that can be read is not what its own content writes: reserved bytes, reciprocals, lag factors."""
-    pairs = enumerate(zip(expected, found, strict=False))
-    at = next((n for n, (a, b) in pairs if a != b and not 20 <= n < 24), min(len(expected), len(found)))
+    pairs = enumerate(zip(expected, actual, strict=False))
+    at = next((n for n, (a, b) in pairs if a != b and not 20 <= n < 24), min(len(expected), len(actual)))
     where = "header"
-    for number, offset in _offsets(found):
+    for number, offset in _offsets(actual):
         if at >= offset:
-            what, record = _records(found)[number]
+            what, record = _records(actual)[number]
             where = f"{what}, record {(at - offset) // record.size}, byte {(at - offset) % record.size}"
     return f"contradicts itself at byte {at} ({where})"
 

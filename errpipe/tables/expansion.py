@@ -307,8 +307,8 @@ def _bent_inputs(table: t.CompensationTable, axes: Mapping[str, np.ndarray]) -> 
     return [i for i in known if i.name in bent and not (i.kind == "position" and i.axis in axes)]
 
 
-def _within(found: Sequence[np.ndarray], low: float, high: float) -> np.ndarray:
-    every = np.unique(np.concatenate([np.array([low, high]), *found]))
+def _within(candidates: Sequence[np.ndarray], low: float, high: float) -> np.ndarray:
+    every = np.unique(np.concatenate([np.array([low, high]), *candidates]))
     return every[(every >= low) & (every <= high)]
 
 

@@ -31,10 +31,10 @@ def findings(recording: Recording) -> list[Finding]:
     return sorted(results, key=lambda f: (f.level != "refuse", f.column, f.code))
 
 
-def refuse(found: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
+def refuse(findings: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
     """Notes for the report. Raises GateError with every refusal that is not allowed by its name."""
-    found = list(found)
-    refused = [f for f in found if f.level == "refuse" and f.code not in allow]
+    findings = list(findings)
+    refused = [f for f in findings if f.level == "refuse" and f.code not in allow]
     if refused:
         names = ", ".join(dict.fromkeys(f.code for f in refused))
         raise GateError(
@@ -43,7 +43,7 @@ def refuse(found: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
             + f"\nMend the declaration, or allow it by name where it is true: export: {{allow: [{names}]}}"
             " (errpipe explain NAME says more). Nothing was exported."
         )
-    return [f"Allowed by name: {f}" if f.level == "refuse" else f"Check: {f}" for f in found]
+    return [f"Allowed by name: {f}" if f.level == "refuse" else f"Check: {f}" for f in findings]
 
 
 # ---------------------------------------------------------------- size of the correction

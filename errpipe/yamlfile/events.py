@@ -179,9 +179,9 @@ class Builder:
             return _VARIABLE.sub(lambda match: self._variable(match, event, place), value)
         return value
 
-    def _variable(self, found: re.Match[str], event: Any, place: Place) -> str:
-        name, default = found[1], found[2]
-        if found[0] == "$${":
+    def _variable(self, match: re.Match[str], event: Any, place: Place) -> str:
+        name, default = match[1], match[2]
+        if match[0] == "$${":
             return "${"
         if name is None:
             self._note(event.start_mark, place, "'${' is not followed by NAME} or NAME:-default}")

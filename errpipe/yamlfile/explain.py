@@ -142,11 +142,11 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
     return message
 
 
-def _allowed(words: Iterable[Any], found: Any = "") -> str:
+def _allowed(words: Iterable[Any], value: Any = "") -> str:
     """' (allowed: a, b, c).'; of a long list only the nearest ones."""
     names = list(map(str, words))
     if len(names) > MAX_CHOICES_LISTED:
-        near = difflib.get_close_matches(str(found), names, n=5, cutoff=0.3) or names[:5]
+        near = difflib.get_close_matches(str(value), names, n=5, cutoff=0.3) or names[:5]
         return f" (allowed: {', '.join(near)} and {len(names) - len(near)} others)."
     return f" (allowed: {', '.join(names)})." if names else "."
 

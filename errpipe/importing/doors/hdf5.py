@@ -64,11 +64,11 @@ def _unit(item: Any) -> str:
     return ""
 
 
-def sheets_of(found: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
+def sheets_of(datasets: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
     """(name, array, unit) of every data set as sheets: the columns of one length and group belong together."""
     groups: dict[tuple[str, int], list[tuple[str, Any, str]]] = {}
     matrices = []
-    for key, value, unit in found:
+    for key, value, unit in datasets:
         array = np.squeeze(np.asarray(value))
         group, _, leaf = key.rpartition("/")
         if array.dtype.names:
