@@ -74,7 +74,7 @@ def modelled(case: Case, k: int) -> Modelled:
     share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
     rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
     estimates = [_reported(e, case.pair.unit, rotary) for e in estimates]
-    return Modelled(hypothesis, tuple(estimates), contribution, share, float(joint), cores)
+    return Modelled(hypothesis, tuple(estimates), contribution, share, joint, cores)
 
 
 MOSTLY = 0.5  # share of the contribution's variance that the textbook form must carry to have a size at all
