@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.errors import DataError
@@ -34,6 +34,13 @@ class FittedTerm(Frozen):
 
     term: dict[str, Any] = Field(description="The term as declared.")
     parameters: tuple[FittedParameter, ...] = Field(description="Its parameters.")
+
+    @field_validator("term")
+    @classmethod
+    def _named(cls, term: dict[str, Any]) -> dict[str, Any]:
+        if not isinstance(term.get("term"), str):
+            raise ValueError("a declared term has its name under `term`")
+        return term
 
     def values(self) -> dict[str, float]:
         """Parameter name -> value; asking for one that the model does not hold raises DataError."""

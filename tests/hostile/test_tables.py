@@ -171,3 +171,12 @@ def test_many_sensors_and_many_runs_are_cleaned_in_bounded_time() -> None:
 
     assert seconds(60, 2000, 20) < 0.5 + 3 * seconds(30, 2000, 20)
     assert seconds(4, 24_000, 24_000) < 0.5 + 10 * seconds(4, 24_000, 24)
+
+
+def test_a_model_whose_term_has_no_name_is_a_message() -> None:
+    from pydantic import ValidationError
+
+    from errpipe.domain.error_model import FittedTerm
+
+    with pytest.raises(ValidationError, match="has its name under `term`"):
+        FittedTerm.model_validate({"term": {"axis": "X"}, "parameters": []})
