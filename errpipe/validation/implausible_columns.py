@@ -173,7 +173,7 @@ def _steps(recording: Recording, name: str) -> Iterator[Finding]:
         if steps[away] * steps[back] < 0 and abs(t[back + 1] - t[away]) < RETURN * abs(steps[away]):
             evidence = f"a step of {abs(steps[away]):.3g} K between row {away + 1} and the next, and back as suddenly"
             meant = "a sensor that lost contact or power (clean it, or ignore it)"
-            yield Finding("temperature-jump", name, evidence, meant)
+            yield Finding("temperature-jump", name, evidence, meant, "ask")  # fits give such rows no leverage
             return
 
 

@@ -94,6 +94,13 @@ def test_a_machine_that_cooled_over_night_has_no_broken_sensor() -> None:
     assert plausibility.findings(cold) == []
 
 
+def test_a_sensor_that_lost_its_power_is_asked() -> None:
+    plain = axis_test(9)
+    f = plain.frame
+    (found,) = plausibility.findings(put(plain, T_nut=f.T_nut.where(~f.index.isin(range(60, 75)), 85.0)))
+    assert found.code == "temperature-jump" and found.level == "ask"
+
+
 def test_a_heated_bed_has_no_broken_sensor() -> None:
     plain = axis_test(8, warm=False)
     heated = np.where(np.arange(210) > 60, 75.0 - 0.3 * np.maximum(np.arange(210) - 90, 0), 20.0)

@@ -308,12 +308,6 @@ WRONG: tuple[Wrong, ...] = (
         "temperature-range",
         "degF",
     ),
-    Wrong(
-        "a sensor that lost its power for a while",
-        _column("T_nut", lambda f: f.T_nut.where(~f.index.isin(range(60, 75)), 85.0)),
-        "temperature-jump",
-        "lost contact or power",
-    ),
     # among runs and directions
     Wrong("one run of the other sign", _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)), "mixed-sign", "turn"),
     Wrong("the way back in the order of the way there", _error(_mirrored), "mirrored-rows", "order of the targets"),
