@@ -20,7 +20,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.fitting.thermal_competition import Groups, Outcome
 
-DIRECTIONS = 3  # principal ones that are kept; a third adds under 2 % of the spread on seeds 1 to 3 of `trials.thermal`
+DIRECTIONS = 3  # principal ones that are kept: a table of fits without a run has few large ones (chosen, not measured)
 
 
 def directions(
