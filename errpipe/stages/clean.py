@@ -51,21 +51,21 @@ class Clean(Stage):
         return {"rows": report.rows_after, "removed": report.rows_before - report.rows_after}
 
     def _in_pieces(self, folder: Path) -> bool:
-        from errpipe.cleaning import pieces
+        from errpipe.cleaning import _pieces
         from errpipe.formats import manifest_folder
 
         if manifest_folder.rows_written(folder) <= self.rows_in_memory:
             return False
         run = manifest_folder.load_manifest(folder).names("run")
-        longest = pieces.longest_run(manifest_folder.iter_batches(folder, run)) if run else None
+        longest = _pieces.longest_run(manifest_folder.iter_batches(folder, run)) if run else None
         return longest is not None and longest <= self.rows_in_memory
 
     def _piece_by_piece(self, folder: Path, out: Path) -> CleaningReport:
-        from errpipe.cleaning import pieces
+        from errpipe.cleaning import _pieces
         from errpipe.formats import manifest_folder
 
         manifest = manifest_folder.canonical(manifest_folder.load_manifest(folder))
-        cleaning = pieces.Cleaning(self.rules, manifest)
-        runs = pieces.whole_runs(manifest_folder.iter_batches(folder), self.rows_in_memory // 2)
+        cleaning = _pieces.Cleaning(self.rules, manifest)
+        runs = _pieces.whole_runs(manifest_folder.iter_batches(folder), self.rows_in_memory // 2)
         manifest_folder.write_pieces(cleaning.pieces(runs), cleaning.written(), cleaning.manifest, out)
         return cleaning.report()

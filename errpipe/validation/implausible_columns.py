@@ -19,6 +19,7 @@ COPY = 1e-6  # of its range: largest rms residual of an affine copy
 OUTSIDE = 0.1  # of the travel: by how much positions may exceed a travel that was stated as a round number
 INCH = 25.4  # mm
 SWEEPS = 0.25  # of the moves: with fewer turns the targets are measured in sweeps, not in a random order
+BOTH_WAYS = 0.2  # threshold: share of the steps one way, from which the rows are in the order of the motion
 COLDEST = 55.0  # degC: no machine is warmer than that at its coldest place
 STEP, STEP_GAP = 15.0, 600.0  # K from one row to the next, s between them: faster than anything but a heater
 RETURN = 0.2  # of the step: how near to its level before a failed sensor comes back; a heated bed cools slowly
@@ -72,7 +73,9 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
         if moved.sum() < FEWEST_MOVES:
             continue
         agree = float(np.mean(np.sign(step[moved]) == d[1:][moved]))
+        rising = float(np.mean(step[moved] > 0))
         sweeps = np.count_nonzero(np.diff(np.sign(step[moved]))) < SWEEPS * moved.sum()
+        sweeps &= BOTH_WAYS < rising < 1 - BOTH_WAYS  # a table sorted by targets rises from first to last on both sides
         if agree <= 0.1:
             evidence = f"it says the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
             yield Finding("reversed-direction", side, evidence, "+1 when approached from below (the position rises)")

@@ -61,17 +61,20 @@ class Response:
 
 
 Check = Callable[[Response], Finding | None]
+LARGEST = 1e15  # of a position or a deviation in its unit; sums of squares of larger ones overflow
 
 
 def responses(recording: Recording) -> list[Response]:
-    """Every error column of a recording that has rows."""
+    """Every error column of a recording; without the readings that are too large to be any, which a door refuses."""
     out = []
     for name in recording.names("error"):
         component = components.parse(str(recording.manifest.columns[name].component))
         d = recording.array(name)
         place = _own(recording, ("command", "position"), component.axis)
         side = _own(recording, ("direction",), component.axis)
-        good = np.isfinite(d) if place is None else np.isfinite(d) & np.isfinite(recording.array(place))
+        good = np.abs(d) < LARGEST
+        if place is not None:
+            good &= np.abs(recording.array(place)) < LARGEST
         rows = np.flatnonzero(good)
         out.append(
             Response(
