@@ -8,9 +8,9 @@ import pytest
 
 from errpipe import jsonfile
 from errpipe.cleaning import DEFAULT, WHOLE_RUN, clean
+from errpipe.cleaning._pieces import Cleaning, longest_run, whole_runs
 from errpipe.cleaning.gaps import Gaps
 from errpipe.cleaning.outliers import Outliers
-from errpipe.cleaning._pieces import Cleaning, longest_run, whole_runs
 from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
