@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class SetUp:
     session: np.ndarray | None  # of each row, where each session has its own datum
     in_part: bool = False  # were effects that act in part added to the library?
     in_own_noise: bool = False  # was the colour of the noise fitted?
+    plain: bool = False  # noise of the usual colour, non-linear parameters on their grid?
     over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing
 
     def judged(self) -> LeftOut:
@@ -55,6 +57,7 @@ class Case(SetUp):
     explanation: Explanation = None  # type: ignore[assignment]
     sigma: float = 0.0
     remainder: admit.Remainder = None  # type: ignore[assignment]
+    held: Any = None  # the hold-out's figures (`holdout.HeldOut`), once they are known
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""

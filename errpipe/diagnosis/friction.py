@@ -157,13 +157,18 @@ def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
 def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Finding]:
     """The findings once friction is known to differ by direction.
 
-    Dry friction gets its two levels. A Stribeck part that would have friction rise from standstill is no such thing: it
-    only mended one law for both ways, and the damping of each way takes its place.
+    Dry friction gets its two levels, and the damping of each way where no viscous finding carries it. A Stribeck part
+    that would have friction rise from standstill is no such thing: it only mended one law for both ways, and the
+    damping of each way takes its place.
     """
     out: list[Finding] = []
+    carried = any(
+        PARTS.get(f.effect) == "viscous" or (PARTS.get(f.effect) == "falling" and mends(f, findings)) for f in findings
+    )
     for f in findings:
         if PARTS.get(f.effect) == "dry":
-            f = f.model_copy(update={"parameters": (*f.parameters, *law.force()), "says": f"{f.says} {law.says()}"})
+            parameters = (*f.parameters, *law.force(), *(() if carried else law.damping()))
+            f = f.model_copy(update={"parameters": parameters, "says": f"{f.says} {law.says()}"})
         elif PARTS.get(f.effect) == "viscous":
             # a common damping is redundant where each direction has its own
             f = f.model_copy(update={"parameters": law.damping(), "says": law.says()})

@@ -8,10 +8,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from errpipe.diagnosis import admit, hypotheses, model, partial, plausible, recalibration
+from errpipe.diagnosis import admit, holdout, hypotheses, model, partial, plausible, recalibration
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
-from errpipe.diagnosis.coloured import correlation_time
+from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
 from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, zoomed
@@ -85,9 +85,36 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
 OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
 
 
+HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
+PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
+BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explanation
+
+
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
+    """The explanation in noise of its own colour, or that in usual noise where held-out rows speak for it.
+
+    Neighbouring rows that sit out share the slow noise of those that do not: there the plain explanation takes the
+    place of one that harms, or where it predicts nearly all. Whole runs share none: there the better one stands.
+    """
+    case = _without_outliers(raw, conditioned, pair, progress, plain=False)
+    if not case.explanation.accepted:
+        return case
+    case.held = own = holdout.held_out(case)
+    harms = own.after > HARMFUL * own.before
+    if not harms and case.library.table.colour == USUAL:
+        return case
+    other = _without_outliers(raw, conditioned, pair, progress, plain=True)
+    if not other.explanation.accepted:
+        return case
+    other.held = usual = holdout.held_out(other)
+    better = usual.after < BETTER * min(own.after, usual.before)
+    proves = "whole runs" in own.scheme or usual.after < PROVES * usual.before
+    return other if better and (harms or proves) else case
+
+
+def _without_outliers(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress, plain: bool) -> Case:
     """Explain one response; outliers of its residual are set aside, and it is explained again."""
-    case = _judge(raw, conditioned, pair, progress)
+    case = _judge(raw, conditioned, pair, progress, plain)
     outlying = _isolated_outliers(residual(case))
     if not outlying.any() or outlying.mean() > 0.03:
         return case
@@ -98,7 +125,7 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
         outliers=np.sort(np.r_[pair.outliers, pair.rows[outlying]]),
     )
     del case  # frees one table of products before the next is built
-    return _judge(raw, conditioned, kept, progress)
+    return _judge(raw, conditioned, kept, progress, plain)
 
 
 def _isolated_outliers(left: np.ndarray) -> np.ndarray:
@@ -113,9 +140,9 @@ NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may 
 RETRIES = 4  # further searches, each without the findings ruled out before
 
 
-def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> Case:
+def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress, plain: bool) -> Case:
     """Explain one response; findings that cannot be true are ruled out, and it is explained again."""
-    made = _set_up(raw, conditioned, pair, progress)
+    made = replace(_set_up(raw, conditioned, pair, progress), plain=plain)
     progress(0.5, f"{pair.component}: looking for what is missing")
     case = _explained(made)
     for _ in range(RETRIES):
@@ -184,11 +211,12 @@ def _explained(made: SetUp) -> Case:
     """The best explanation of a response, and the remainder beside it."""
     library, nuisance, rows = made.library, made.nuisance, made.pair.rows
     search, explanation = settled(library, made.data, nuisance, made.prior, made.noise_estimate)
-    search, explanation = zoomed(made, search, explanation)
+    if not made.plain:
+        search, explanation = zoomed(made, search, explanation)
     if not made.in_part:
         explanation = _with_parts(search, explanation, made.recording, rows)
         made.prior, made.in_part = search.prior.copy(), True
-    if not made.in_own_noise:
+    if not made.in_own_noise and not made.plain:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
     if search.rows is None:  # else the residual is correlated and the gains are poorly known

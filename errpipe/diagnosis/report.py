@@ -38,7 +38,7 @@ UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
     """One response of diagnosis.json, the findings' contributions on the judged rows, and the residual."""
     before, after = case.y + 2.0 * case.simulated if case.pair.reversed else case.y, residual(case)
-    held = holdout.held_out(case)
+    held = case.held or holdout.held_out(case)
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
@@ -254,7 +254,8 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[lis
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (p_unknown >= unnamed.PROVISIONAL > 2.0 * surest)):
+    doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful):
         named = [f.model_copy(update=_capped_confidence(f, 1.0 - p_unknown)) for f in findings]
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:

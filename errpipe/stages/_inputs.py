@@ -8,7 +8,7 @@ from typing import Any
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.table import AXIS, NAME, Kind, TableInput, text_problem
-from errpipe.errors import GateError
+from errpipe.errors import GateError, UsageError
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rates import ReadingRate
 
@@ -137,12 +137,16 @@ def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
 
 
 def unknown_inputs(names: set[str], model: ErrorModel) -> None:
-    """Raises GateError naming an input that no controller can feed (such as the time of a recording)."""
+    """Raises GateError naming an input that no controller can feed (such as the time of a recording).
+
+    Raises UsageError where a term was given a response for a sensor.
+    """
     readings = {c.datum_input for c in model.components if c.readings is not None}
     for name in sorted(names - readings):
         role = model.columns.get(name, {}).get("role")
         if role not in CHANNELS:
-            raise GateError(f"a driver reads {name!r} (role {role}), which a controller cannot be given")
+            refusal = UsageError if role in ("error", "simulated") else GateError
+            raise refusal(f"a driver reads {name!r} (role {role}), which a controller cannot be given")
 
 
 def read_by(drivers: list[d.Driver]) -> set[str]:

