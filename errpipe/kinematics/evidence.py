@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
 ROUGHER, ROUGH_POWER = 2.0, 1.5  # second start of the search: log of sizes over typical ones; smoothness power
@@ -67,7 +68,7 @@ def _whitened(spreads: Spreads, moments: Moments, hyper: np.ndarray):
 def solve(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Posterior mean and covariance of the parameters."""
     spread, factor, u = _whitened(spreads, moments, hyper)
-    half = solve_triangular(factor, np.diag(spread), lower=True, check_finite=False)
+    half = dtrtri(factor, lower=1)[0] * spread
     return spread * u, half.T @ half
 
 
@@ -97,7 +98,8 @@ def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarr
             spread, factor, u = _whitened(spreads, moments, hyper)
         except LinAlgError:
             return 1e30, standardised
-        posterior_variance = np.diag(cho_solve((factor, True), np.eye(len(u)), check_finite=False))
+        # (M^-1)_ii = sum_k (L^-1)_ki^2: the inverse of the factor costs a sixth of that of M
+        posterior_variance = np.sum(dtrtri(factor, lower=1)[0] ** 2, axis=0)
         fit = (moments.square - u @ (moments.cross * spread)) / noise2
         value = (
             0.5 * fit
