@@ -148,7 +148,7 @@ PROTOCOLS: dict[str, Callable[[_Run], o.Observations]] = {
     "point_cloud": _points("XYZABC"),
     "ball_plate": _points("XYZABC"),
     "ball_array": _points("XYZABC"),
-    "hole_pattern": _points("XYC"),
+    "hole_pattern": _points("XYZABC"),  # E_Z, too, counts from the plane that the holes were measured from
     "part": _part,  # features that a CMM measured: bores and faces
 }
 

@@ -167,8 +167,6 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
     else:
         middle = ideal[:, 0].mean(axis=0)
         turn = rng.normal(0, setup * 1e-6, 3) if protocol != "r_test" else np.zeros(3)
-        if protocol == "hole_pattern":
-            turn[:2] = 0.0
         moved = point + np.cross(turn, point - middle) + rng.normal(0, setup * 1e-3, 3)
         for d in directions:
             i = "XYZ".index(d)

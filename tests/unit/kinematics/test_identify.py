@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from errpipe.errors import DataError
 from errpipe.formats.manifest_folder import read
-from errpipe.kinematics import identify, protocols, synthesis
+from errpipe.kinematics import identify, protocols, remaining, synthesis
 from errpipe.simulation import folder, metrology
 
 SEEDS = int(os.environ.get("IDENTIFY_SEEDS", "50"))  # 200: about 6 minutes on two cores
@@ -35,25 +35,11 @@ def play(chain, known, protocol, runs, seed, noise=0.5):
     return values, recording
 
 
-def shape(chain, protocol, q, tip):
-    """Projector on what the test can say: all but a rigid motion; in a plate's plane for hole patterns."""
-    if protocol != "hole_pattern":
-        return played.rigid_free(chain, q, tip)
-    p = synthesis.ideal_pose(chain, q, tip)[:, 0]
-    rows = np.zeros((len(p), 2, 3))
-    rows[:, :, :2] = np.eye(2)
-    rows[:, 0, 2], rows[:, 1, 2] = -p[:, 1], p[:, 0]
-    basis, _ = np.linalg.qr(rows.reshape(-1, 3))
-    out = np.zeros((2 * len(p), 3 * len(p)))
-    out[:, np.ravel(np.arange(len(p))[:, None] * 3 + [0, 1])] = np.eye(2 * len(p)) - basis @ basis.T
-    return out
-
-
 def score(build, seeds) -> tuple[float, float, float]:
     """Coverage of 95 % intervals at unseen places, of the constants', and residual over propagated noise (rms)."""
     chain, known, model, protocol, runs = setting(build)
     q, tip = played.unseen_places(protocol, chain, runs)
-    take = shape(chain, protocol, q, tip)
+    take = played.rigid_free(chain, q, tip)
     inside, constants, squares = [], [], []
     for seed in seeds:
         values, recording = play(chain, known, protocol, runs, seed)
@@ -85,7 +71,7 @@ def test_every_protocol_explains_its_readings_and_predicts_what_it_did_not_see(b
     found = identify.identify(model, protocols.observations(chain, recording))
     assert 0.7 < found.noise / 0.5 < 1.4
     q, tip = played.unseen_places(protocol, chain, runs)
-    take = shape(chain, protocol, q, tip)
+    take = played.rigid_free(chain, q, tip)
     truth = synthesis.exact(chain, q, metrology.components_at(chain, values, q), tip)[:, :3]
     before, after = take @ truth.ravel(), take @ (truth - found.predict(q, tip)[0]).ravel()
     weak = build in (played.circles, played.diagonals, played.step_diagonals, played.ball_array)
@@ -140,6 +126,20 @@ def test_large_set_up_errors_do_not_matter():
     assert found.noise < 0.35
     once = identify.identify(model, test, iterations=1)
     assert once.noise > 1.5 * found.noise
+
+
+@pytest.mark.parametrize("build", played.THREE_AXES, ids=lambda b: b.__name__)
+def test_where_a_test_stood_is_no_error_of_the_machine(build):
+    """A machine without errors, sockets and artefacts placed by hand: nothing is found beyond what is left open."""
+    chain = ready("cmm")
+    protocol, runs = build(chain)
+    recording = metrology.record(chain, {}, protocol, runs, 6, noise=0.5, setup=100.0)
+    found = identify.identify(identify.Parametrisation.of(chain, modes=10), protocols.observations(chain, recording))
+    q, tip = remaining.places(chain, 60), chain.tip(120.0)
+    take = played.rigid_free(chain, q, tip)
+    predicted = take @ found.predict(q, tip)[0].ravel()
+    left_open = np.trace(take @ found.covariance_at(q, tip) @ take.T) / len(predicted)
+    assert np.mean(predicted**2) < max(0.5**2, 1.5 * left_open)  # um2; they were placed some 100 um off
 
 
 def test_x_and_y_exchanged_give_the_same_numbers():
