@@ -92,6 +92,7 @@ def test_the_text_has_four_recipes_of_one_file_and_one_registry_entry_each() -> 
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("recipes")
 def test_every_command_of_the_text_runs_on_a_copy(project: Path) -> None:
     commands = [line for kind, _, text in steps() if kind == "run" for line in text.splitlines()]
     generated = [c for c in commands if "--write" in c]
@@ -106,6 +107,7 @@ def test_every_command_of_the_text_runs_on_a_copy(project: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("recipes")
 def test_the_new_term_is_a_finding_of_the_diagnosis(project: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     t = np.arange(0.0, 86400.0, 240.0)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -157,13 +158,27 @@ def test_a_machine_identified_and_compiled(tmp_path, at_root):
     assert main(["verify", str(out / "export_volumetric")]) == 0
 
 
+SEASONS = "pipelines/turning-centre-seasons.yaml"
+
+
+@pytest.fixture(scope="module")
+def seasons(tmp_path_factory):
+    """One run of the pipeline of the seasons; who changes an option runs on in a copy, and fits nothing again."""
+    out = tmp_path_factory.mktemp("seasons") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        patch.setenv("ERRPIPE_REAL_DATA", str(REAL))
+        run(SEASONS, out)
+    return out
+
+
 class TestReal:
     pytestmark = real
 
-    def test_turning_centre_over_seasons(self, tmp_path, at_root):
+    @pytest.mark.xdist_group("seasons")
+    def test_turning_centre_over_seasons(self, seasons, tmp_path):
         """A season left out whole: at most 10 um in winter, below 8.7 in spring (doing nothing); table equals fit."""
-        out = tmp_path / "out"
-        document = run("pipelines/turning-centre-seasons.yaml", out)
+        document = json.loads((seasons / "validate" / "validation.json").read_text())
         groups = {g["left_out"]: g for g in document["seasons"]["groups"]}
         assert groups["winter"]["out_of_season"] <= 10.0
         assert groups["spring"]["out_of_season"] < 8.7
@@ -174,26 +189,27 @@ class TestReal:
         assert all(0.85 < g["coverage"] < 0.99 for g in groups.values())
         recording = REAL / "turning-centre-thermal"
         for source in ("table.ect", "error_model.json"):
-            assert main(["predict", str(out / "export" / source), str(recording), "--out", str(tmp_path / source)]) == 0
+            table = str(seasons / "export" / source)
+            assert main(["predict", table, str(recording), "--out", str(tmp_path / source)]) == 0
         by_table, by_model = (pd.read_csv(tmp_path / s) for s in ("table.ect", "error_model.json"))
         gap = by_table["dia_disp_predicted"] - by_model["dia_disp_predicted"]
         assert len(by_table) == 4686
         assert np.abs(gap).max() < 1e-3
 
-    def test_prediction_is_causal(self, tmp_path, at_root):
+    @pytest.mark.xdist_group("seasons")
+    def test_prediction_is_causal(self, seasons, tmp_path):
         """Rows after k do not change what is predicted at k."""
-        out = tmp_path / "out"
-        run("pipelines/turning-centre-seasons.yaml", out)
         whole = manifest_folder.read(REAL / "turning-centre-thermal")
         one = whole.take(whole.run_codes() == 3)
         for name, rows in (("long", len(one)), ("short", 60)):
             manifest_folder.write(one.take(np.arange(rows)), tmp_path / name)
-            table = str(out / "export" / "table.ect")
+            table = str(seasons / "export" / "table.ect")
             assert main(["predict", table, str(tmp_path / name), "--out", str(tmp_path / f"{name}.csv")]) == 0
         long, short = (pd.read_csv(tmp_path / f"{n}.csv") for n in ("long", "short"))
         pd.testing.assert_frame_equal(long.iloc[:60], short)
 
-    def test_a_guarded_table_stands_in_for_a_failed_sensor(self, tmp_path, at_root):
+    @pytest.mark.xdist_group("seasons")
+    def test_a_guarded_table_stands_in_for_a_failed_sensor(self, seasons, tmp_path, at_root):
         """Each sensor reads zero from the third hour on: the guarded table stays near its healthy residual.
 
         The table knows these runs, so that the healthy residual is small. What the room does no other sensor tells.
@@ -214,8 +230,8 @@ class TestReal:
 
         tables = {}
         for guard in ("true", "false"):
-            out = tmp_path / guard
-            run("pipelines/turning-centre-seasons.yaml", out, "--set", f"export.guard={guard}")
+            out = shutil.copytree(seasons, tmp_path / guard)
+            run(SEASONS, out, "--set", f"export.guard={guard}")
             tables[guard] = out / "export" / "table.ect"
         healthy = left(tables["true"], recording.frame)
         for sensor in recording.names("temperature"):

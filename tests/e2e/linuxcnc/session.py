@@ -17,6 +17,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 MODULES = Path("/usr/lib/linuxcnc/modules")
 NOBODY = 65534
 MARK = "ERRPIPE_LINUXCNC_SESSION"
@@ -32,6 +34,13 @@ def missing() -> str:
     if not os.access(MODULES, os.W_OK):
         return f"{MODULES} is not writable: a HAL component can only be installed by root"
     return ""
+
+
+MARKS = [
+    pytest.mark.toolchain,
+    pytest.mark.skipif(bool(missing()), reason=missing() or "LinuxCNC"),
+    pytest.mark.xdist_group("linuxcnc"),  # one worker takes them all: another one would only wait for the lock
+]
 
 
 @contextlib.contextmanager

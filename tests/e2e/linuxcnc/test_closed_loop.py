@@ -20,11 +20,7 @@ from errpipe.targets.linuxcnc_screw import LinuxcncScrew
 from tests.e2e.linuxcnc import machine, session
 from tests.unit.targets import machines
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
-]
+pytestmark = [*session.MARKS, pytest.mark.slow]
 
 MINUTES = float(os.environ.get("ERRPIPE_LINUXCNC_MINUTES", "0.25"))  # of the run that must not miss a cycle
 # Cycles after a reversal in which a screw file's value may still be on its way: motmod smooths it, and a step just

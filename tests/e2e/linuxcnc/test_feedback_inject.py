@@ -22,11 +22,7 @@ from errpipe.tables import bounds
 from errpipe.targets import TARGETS, _sample
 from tests.e2e.linuxcnc import session
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
-]
+pytestmark = [*session.MARKS, pytest.mark.slow]
 TRAVEL = (0.0, 50.0)  # mm
 COUNTS = 1000  # per mm; one turn of the encoder, and one index, a millimetre
 BASE = 50_000  # ns: 20 kHz

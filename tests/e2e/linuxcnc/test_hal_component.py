@@ -17,10 +17,7 @@ from errpipe.tables.reference import Evaluator
 from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
 from tests.e2e.linuxcnc import session
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
-]
+pytestmark = session.MARKS
 
 CYCLES = 7000
 PERIOD_NS = 50_000  # twenty times faster than a machine's servo thread: the same cycles in less time

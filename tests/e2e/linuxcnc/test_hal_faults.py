@@ -12,10 +12,7 @@ from tests.e2e.linuxcnc import session
 from tests.e2e.linuxcnc.test_hal_component import stream
 from tests.faults import sequences
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
-]
+pytestmark = session.MARKS
 
 CYCLES = 7000
 UNCONNECTED = 1e31  # what a pin reads that nobody drives: not sane, so missing

@@ -25,9 +25,8 @@ REAL = (
     Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared/real-data")) / "turning-centre-thermal"
 )
 pytestmark = [
-    pytest.mark.toolchain,
+    *session.MARKS,
     pytest.mark.slow,
-    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
     pytest.mark.skipif(not REAL.is_dir(), reason="the turning centre's recording is not here"),
 ]
 CYCLE = 0.001  # s

@@ -16,11 +16,7 @@ import pytest
 from errpipe.tables import batch, ect
 from tests.e2e.linuxcnc import session, test_lathe
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(session.missing()), reason=session.missing() or "LinuxCNC"),
-]
+pytestmark = [*session.MARKS, pytest.mark.slow]
 TOP = Path(__file__).parents[3]
 PIPELINE = TOP / "examples" / "cutting-force" / "pipeline.yaml"
 SECONDS = 14
