@@ -26,7 +26,9 @@ from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.thermal_arithmetic import rms, since_start_of
 from errpipe.models import Family
-from errpipe.validation.champion import Fitter
+
+# Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it knows its interval.
+Fitter = Callable[[Recording, str, np.ndarray], Any]
 
 VERSION = 1
 RANDOM_FOLDS = 5  # folds of random rows, for the optimism gap
@@ -43,7 +45,6 @@ def table(
 ) -> dict[str, Any]:
     """The seasonal document: one row per left-out group, and the optimism gap. um.
 
-    fit: rows of a mask -> something with `values`, and `predict` where it knows its interval.
     in_season: also refit without each run, for the ratio (costs a fit per run).
     """
     folds = holdout.groups(recording, scheme)
@@ -130,40 +131,6 @@ def _row(fold: Fold, y, residual, covered, half, own) -> dict[str, Any]:
         "coverage": float(np.nanmean(inside)) if np.isfinite(inside).any() else None,
         "half_width": float(np.nanmean(half[judged])) if np.isfinite(inside).any() else None,
     }
-
-
-def text(document: dict[str, Any]) -> str:
-    """The table for a terminal."""
-    names = (
-        "left_out",
-        "uncompensated",
-        "in_season",
-        "out_of_season",
-        "ratio",
-        "bias",
-        "scatter",
-        "worst",
-        "coverage",
-        "half_width",
-    )
-    lines = ["  ".join(f"{n:>13}" for n in names)]
-    for row in document["groups"]:
-        cells = [row["left_out"], *(row[n] for n in names[1:])]
-        lines.append("  ".join(f"{_cell(c):>13}" for c in cells))
-    for month in document.get("months", ()):
-        figures = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f} um over {month['days']} days"
-        lines.append(f"{month['month']}  {figures}")
-    gap = document["optimism"]
-    if gap:
-        promised, kept = gap["random_rows"], gap["groups_left_out"]
-        lines.append(f"random rows promise {promised:.2f} um; groups left out keep {kept:.2f} um")
-    return "\n".join(lines)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return "-" if value is None else f"{value:.2f}"
 
 
 def documents(

@@ -1,7 +1,7 @@
 """Does a thermal model survive the season? Every figure of the seasonal question, on a recording of yours.
 
     python examples/seasons/survey.py RECORDING_FOLDER --component E_D --out out/seasons [table cycles
-        forward daily champions hotter readings hours failures]
+        forward daily hotter readings hours failures]
 
 Writes one JSON and one SVG per question into the output folder and prints the table. All of it takes minutes.
 """
@@ -14,15 +14,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from learning_curve import curve
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
 from errpipe.fitting import holdout, recalibration, thermal_arithmetic, thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.reporting import run_figures, svg
-from errpipe.validation import champion, learning_curve, seasons
+from errpipe.validation import seasons
 
 SEASON = "leave-one-group-out:season"
+
+
+def season(correction: bool = True) -> seasons.Fitter:
+    """Fits the season model, with or without its correction."""
+    options = thermal_season.SeasonOptions(correction=correction)
+    return lambda recording, component, rows: thermal_season.fit(recording, component, options, rows)
 
 
 def bars(groups: list[str], series: dict[str, list[float]], label: str, title: str) -> str:
@@ -50,11 +57,44 @@ def lines(series: dict[str, tuple[list[float], list[float]]], across: str, up: s
         return svg.to_svg(canvas, title)
 
 
+def text(document: dict[str, Any]) -> str:
+    """The table for a terminal."""
+    names = (
+        "left_out",
+        "uncompensated",
+        "in_season",
+        "out_of_season",
+        "ratio",
+        "bias",
+        "scatter",
+        "worst",
+        "coverage",
+        "half_width",
+    )
+    lines = ["  ".join(f"{n:>13}" for n in names)]
+    for row in document["groups"]:
+        cells = [row["left_out"], *(row[n] for n in names[1:])]
+        lines.append("  ".join(f"{_cell(c):>13}" for c in cells))
+    for month in document.get("months", ()):
+        figures = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f} um over {month['days']} days"
+        lines.append(f"{month['month']}  {figures}")
+    gap = document["optimism"]
+    if gap:
+        promised, kept = gap["random_rows"], gap["groups_left_out"]
+        lines.append(f"random rows promise {promised:.2f} um; groups left out keep {kept:.2f} um")
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return "-" if value is None else f"{value:.2f}"
+
+
 def table(recording: Recording, component: str, scheme: str = SEASON, runs: bool = True) -> tuple[Any, str]:
     """Item: left-out group x uncompensated, in season, out of season, ratio, bias, scatter, worst row, coverage."""
-    fit = champion.season(thermal_season.SeasonOptions())
-    told = seasons.table(recording, component, fit, scheme, in_season=runs)
-    print(seasons.text(told))
+    told = seasons.table(recording, component, season(), scheme, in_season=runs)
+    print(text(told))
     rows = told["groups"]
     series = {"uncompensated": [r["uncompensated"] for r in rows]}
     if runs:
@@ -110,18 +150,6 @@ def hotter(recording: Recording, component: str) -> tuple[Any, str]:
     return told, lines(series, "all temperatures shifted by, K", "um", "The same days in another climate")
 
 
-def champions(recording: Recording, component: str) -> tuple[Any, str]:
-    """Who holds on seasons left out: doing nothing, physics, least squares, learners."""
-    told = champion.compare(recording, component, holdout.groups(recording, SEASON), champion.candidates())
-    for name, figures in told["rms"].items():
-        print(f"{name:32s}", {g: round(v, 2) for g, v in figures.items()}, told["verdict"][name])
-    print("champion:", told["champion"])
-    groups = list(told["groups"])
-    best = ["do nothing", told["champion"], "ridge on lagged rises", "gradient boosting"]
-    series = {n: [told["rms"][n][g] for g in groups] for n in dict.fromkeys(best)}
-    return told, bars(groups, series, "rms in um", "Champion and challengers on seasons left out")
-
-
 def readings(recording: Recording, component: str) -> tuple[Any, str]:
     """Residual against the number of probe readings in eight hours, the season left out whole."""
     y, folds = thermal_arithmetic.since_start_of(recording, component), holdout.groups(recording, SEASON)
@@ -137,8 +165,7 @@ def readings(recording: Recording, component: str) -> tuple[Any, str]:
 
 def hours(recording: Recording, component: str) -> tuple[Any, str]:
     """Residual of a season left out against hours of data."""
-    fit = champion.season(thermal_season.SeasonOptions(correction=False))
-    told = learning_curve.curve(recording, component, fit, SEASON, orders=4)
+    told = curve(recording, component, season(correction=False), SEASON, orders=4)
     series = {}
     for group in dict.fromkeys(e["left_out"] for e in told):
         mine = [e for e in told if e["left_out"] == group]
@@ -229,7 +256,7 @@ def _recover(recording: Recording, name: str, relation) -> tuple[Recording, floa
     return mended, float(np.mean(waits)) if waits else None
 
 
-ASKED = (table, cycles, forward, daily, champions, hotter, readings, hours, failures)
+ASKED = (table, cycles, forward, daily, hotter, readings, hours, failures)
 QUESTIONS = {f.__name__: f for f in ASKED}
 
 

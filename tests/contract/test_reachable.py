@@ -32,7 +32,6 @@ KNOWN = {
 KNOWN_MODULES = {
     "errpipe.guard.trials": "sensors failed on purpose: tests and examples/sensor-failure",
     "errpipe.simulation.fmu_worker": "run as a process of its own",
-    "errpipe.validation.learning_curve": "examples/seasons only, no command yet",
 }
 
 

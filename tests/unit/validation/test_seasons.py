@@ -1,10 +1,12 @@
-"""Hold-outs of a calendar, the seasonal table, champions and learning curves, on a machine whose truth is known."""
+"""Hold-outs of a calendar, the seasonal table and learning curves, on a machine whose truth is known."""
 
 from __future__ import annotations
 
+import learning_curve
 import numpy as np
 import pandas as pd
 import pytest
+import survey
 from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
@@ -12,7 +14,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout, thermal_arithmetic
 from errpipe.fitting.thermal_season import SeasonOptions
 from errpipe.models.season import Season
-from errpipe.validation import champion, learning_curve, seasons
+from errpipe.validation import seasons
 
 COLUMNS = {
     "run": Column(role="run"),
@@ -57,7 +59,7 @@ class Slope:
         self.slope = float(x @ y / (x @ x))
 
     def rise(self, recording: Recording) -> np.ndarray:
-        return champion.rises(recording)[:, recording.names("temperature").index(self.name)]
+        return thermal_arithmetic.since_start(recording.array(self.name), recording.run_codes(), 1)[0]
 
     def values(self, recording: Recording) -> np.ndarray:
         return self.slope * self.rise(recording)
@@ -100,7 +102,7 @@ def test_the_table_tells_a_season_that_fails(recording):
     spring = bad["groups"][1]
     assert not bad["never_worse"] and spring["out_of_season"] > spring["uncompensated"]
     assert bad["optimism"]["gap"] > 3.0
-    assert "spring" in seasons.text(bad)
+    assert "spring" in survey.text(bad)
 
 
 def test_days_are_pooled_by_months(recording):
@@ -110,7 +112,7 @@ def test_days_are_pooled_by_months(recording):
     squares = sum(r["rows"] * r["out_of_season"] ** 2 for r in spring)
     assert_allclose(told["months"][1]["out_of_season"] ** 2 * told["months"][1]["rows"], squares)
     assert "months" not in seasons.table(recording, "E_D", Slope, in_season=False)
-    assert "2017-02" in seasons.text(told)
+    assert "2017-02" in survey.text(told)
 
 
 def test_a_season_model_is_judged_like_every_other_model(recording):
@@ -121,48 +123,6 @@ def test_a_season_model_is_judged_like_every_other_model(recording):
     assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
 
 
-def test_nothing_wins_ties_and_a_model_that_hurts_one_season_never_wins():
-    entrants = (
-        champion.Candidate("do nothing", champion.nothing),
-        champion.Candidate("brave", champion.nothing),
-        champion.Candidate("learner", champion.nothing, compiled=False),
-    )
-    base = {"winter": 20.0, "spring": 8.0}
-    same = champion.decide(base, {"do nothing": base, "brave": base, "learner": base}, entrants)
-    assert same["champion"] == "do nothing"
-    hurts = {"do nothing": base, "brave": {"winter": 2.0, "spring": 8.1}, "learner": base}
-    told = champion.decide(base, hurts, entrants)
-    assert told["champion"] == "do nothing" and "spring" in told["verdict"]["brave"]
-    learns = {"do nothing": base, "brave": {"winter": 9.0, "spring": 7.0}, "learner": {"winter": 1.0, "spring": 1.0}}
-    told = champion.decide(base, learns, entrants)
-    assert told["champion"] == "brave" and "refused" in told["verdict"]["learner"]
-
-
-def test_compare_runs_everyone_on_left_out_groups(recording):
-    folds = holdout.groups(recording, "leave-one-group-out:season")
-    told = champion.compare(
-        recording,
-        "E_D",
-        folds,
-        (
-            champion.Candidate("do nothing", champion.nothing),
-            champion.Candidate("a", Slope),
-            champion.Candidate("b", on_b),
-        ),
-    )
-    assert told["champion"] == "a" and told["rms"]["do nothing"] == told["groups"]
-    with pytest.raises(DataError):
-        champion.compare(recording, "E_D", [], ())
-
-
-@pytest.mark.slow
-def test_the_learners_take_part(recording):
-    folds = holdout.groups(recording, "leave-one-group-out:season")
-    told = champion.compare(recording, "E_D", folds, champion.candidates())
-    assert set(told["rms"]) == {c.name for c in champion.candidates()}
-    assert told["champion"] in {c.name for c in champion.candidates() if c.compiled} - {"do nothing"}
-
-
 def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):
     found = learning_curve.curve(recording, "E_D", Slope, sizes=(1, 2), orders=1)
     spring = [e for e in found if e["left_out"] == "spring" and e["order"] == 0]
@@ -171,13 +131,3 @@ def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):
     assert all(e["rms"] < e["rms_before"] for e in found)
     with pytest.raises(DataError):
         learning_curve.curve(recording, "E_D", Slope, sizes=(0,))
-
-
-def test_differences_of_rises_compete(recording):
-    every = np.ones(len(recording), dtype=bool)
-    found = champion.differences(recording, "E_D", every)
-    a, b = champion.rises(recording).T
-    y = thermal_arithmetic.since_start_of(recording, "E_D")
-    gap = b - a
-    assert_allclose(found.values(recording), gap * (gap @ y) / (gap @ gap), atol=1e-9)
-    assert "linear on differences of rises" in [c.name for c in champion.candidates()]

@@ -16,7 +16,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.thermal_arithmetic import rms, since_start_of
-from errpipe.validation.champion import Fitter
+from errpipe.validation.seasons import Fitter
 
 
 def curve(
