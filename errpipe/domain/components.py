@@ -160,24 +160,6 @@ def of_machine(linear: Sequence[str] = ("X", "Y", "Z"), rotary: Sequence[str] = 
     return (*motions, *map(_squareness, combinations(linear, 2)), *(e for axis in rotary for e in _location(axis)))
 
 
-def count(linear: int = 3, rotary: int = 0) -> int:
-    """Number of components of `of_machine`: 21 for three linear axes, 43 for five axes."""
-    return 6 * (linear + rotary) + linear * (linear - 1) // 2 + 5 * rotary
-
-
-def thermal_and_geometric(
-    linear: Sequence[str] = ("Z", "X", "Y"), drifting: Sequence[str] = ("X", "Y")
-) -> tuple[str, ...]:
-    """The 32 of a three-axis machine with a warm spindle (Ni 1997).
-
-    21 rigid-body components; growth of the spindle along three directions and its tilt about two; drift of the
-    origins of two frames along three directions each: the paper's three of the x slide (Ozx) and three of the y
-    slide (Oxy). The third frame's drift would be the machine's own zero, so the paper has none.
-    """
-    spindle = ("X0S", "Y0S", "Z0S", "A0S", "B0S")
-    return (*of_machine(linear), *(f"{d}0{axis}" for axis in drifting for d in "XYZ"), *spindle)
-
-
 def _unit(direction: str) -> Literal["um", "urad"]:
     return "urad" if direction in ABOUT else "um"
 

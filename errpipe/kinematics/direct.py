@@ -118,12 +118,6 @@ class Curve:
         """Up minus down, NaN where one is missing."""
         return self.up - self.down
 
-    @property
-    def reversal_mean(self) -> float:
-        """Mean of `reversal`; 0 where the record has one direction."""
-        values = self.reversal[np.isfinite(self.reversal)]
-        return float(values.mean()) if values.size else 0.0
-
 
 @dataclass(frozen=True)
 class Direct:
@@ -387,15 +381,3 @@ def _squareness(component: str, curves: Mapping[str, Curve]) -> tuple[float, flo
     value = sum(sign * curves[name].slope for name, sign in pair)
     first, second = (curves[name].slope_error for name, _ in pair)
     return value, float(np.hypot(first, second))
-
-
-def straightness_from_angles(position: np.ndarray, angle: np.ndarray, base: float) -> np.ndarray:
-    """Profile of a guideway from a level or autocollimator stepped by its base length, um, less its line.
-
-    position (mm) of the front foot, angle (urad) there; each step rises by base x angle.
-    """
-    if base <= 0 or not np.allclose(np.diff(position), base, rtol=0.02):
-        raise DataError(f"positions must step by the base length {base:g} mm")
-    height = np.r_[0.0, np.cumsum(np.asarray(angle, dtype=float)) * base * 1e-3]
-    place = np.r_[position[0] - base, position]
-    return height - straight_part(place, height)[0]

@@ -47,7 +47,6 @@ class Observability:
 
     rank: int
     parameters: int
-    singular_values: np.ndarray
     seen: dict[str, float]
     unseen: tuple[Unseen, ...]
 
@@ -73,15 +72,14 @@ def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tup
     known, spread = information(model, obs, noise)
     posterior = np.linalg.inv(known + np.eye(len(spread)))
     values, vectors = np.linalg.eigh(posterior)
-    singular = np.sqrt(np.maximum(np.linalg.eigvalsh(known)[::-1], 0.0))
-    rank = int((singular**2 > 1.0).sum())
+    rank = int((np.linalg.eigvalsh(known) > 1.0).sum())
     unseen = tuple(_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)[::-1])
     seen = {}
     for c, name in enumerate(chain.components):
         rows = model.prior.component == c
         if rows.any():
             seen[name] = float(1.0 - np.mean(np.diag(posterior)[rows]))
-    return Observability(rank, len(spread), singular, seen, _merged(unseen))
+    return Observability(rank, len(spread), seen, _merged(unseen))
 
 
 def information(model: ident.Parametrisation, obs: Observations, noise: float) -> tuple[np.ndarray, np.ndarray]:

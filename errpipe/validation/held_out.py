@@ -218,14 +218,3 @@ def _coverage(folds: Sequence[HeldOut]) -> float | None:
     found = [_covered(folds, k) for k in range(len(folds))]
     known = [c for c in found if c is not None]
     return float(np.mean(known)) if known else None
-
-
-def refuse_overlap(fitted: Recording, judged: Recording) -> None:
-    """Raise DataError where rows of one recording are in the other: a model must not be judged on what fitted it."""
-    names = [n for n in (*fitted.names("run"), *fitted.names("time"), *fitted.names("error")) if n in judged.frame]
-    if not names:
-        return
-    seen = set(map(tuple, fitted.frame[names].to_numpy(dtype=object).tolist()))
-    both = sum(row in seen for row in map(tuple, judged.frame[names].to_numpy(dtype=object).tolist()))
-    if both:
-        raise DataError(f"validate: the hold-out overlaps the fit: {both} of {len(judged)} rows took part in it")

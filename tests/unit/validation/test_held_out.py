@@ -5,7 +5,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
-from errpipe.validation.held_out import held_out, refuse_overlap
+from errpipe.validation.held_out import held_out
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +62,6 @@ def test_an_overlap_is_refused(drift):
     everything = np.ones(len(drift), dtype=bool)
     with pytest.raises(DataError, match=r"hold-out mine: \d+ rows both fit and judge"):
         held_out(drift, spec(*GOOD), folds=[("mine", everything, everything)])
-    with pytest.raises(DataError, match="the hold-out overlaps the fit: 222 of 222 rows"):
-        refuse_overlap(drift, drift.take(np.arange(222)))
-    refuse_overlap(drift.take(drift.run_codes() > 0), drift.take(drift.run_codes() == 0))
 
 
 def test_nuisance_is_taken_from_both_sides_alike(drift):
