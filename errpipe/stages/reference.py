@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -150,34 +151,31 @@ def _rule(rule: Any) -> Iterator[str]:
     yield from _options(rule)
 
 
-def _terms() -> Iterator[str]:
-    from errpipe.terms import TERMS
+def _entries(where: str, page: Callable[[Any], Iterator[str]]) -> Iterator[str]:
+    """The part about each plug-in of a registry, given as module:name, with an empty line between two."""
+    module, _, name = where.partition(":")
+    for number, plugin in enumerate(getattr(import_module(module), name)):
+        if number:
+            yield ""
+        yield from page(plugin)
 
-    yield from _pages("term", TERMS, _term)
+
+def _terms() -> Iterator[str]:
+    yield from _entries("errpipe.terms:TERMS", _term)
 
 
 def _formats() -> Iterator[str]:
-    from errpipe.formats import FORMATS
-
-    yield from _pages("format", FORMATS, _format)
+    yield from _entries("errpipe.formats:FORMATS", _format)
 
 
 def _targets() -> Iterator[str]:
-    from errpipe.targets import TARGETS
-
-    yield from _pages("target", TARGETS, _target)
+    yield from _entries("errpipe.targets:TARGETS", _target)
 
 
 def _stages() -> Iterator[str]:
-    from errpipe.cleaning import RULES
-    from errpipe.stages import STAGES
-
-    yield from _pages("stage", STAGES, _stage)
-    yield ""
-    yield "## Cleaning rules"
-    for rule in RULES:
-        yield ""
-        yield from _rule(rule)
+    yield from _entries("errpipe.stages:STAGES", _stage)
+    yield from ("", "## Cleaning rules", "")
+    yield from _entries("errpipe.cleaning:RULES", _rule)
 
 
 def _recordings() -> Iterator[str]:
@@ -197,88 +195,90 @@ def _recordings() -> Iterator[str]:
     yield from _options(Constant)
 
 
-def _pages(word: str, registry: Iterable[Any], page: Callable[[Any], Iterator[str]]) -> Iterator[str]:
-    for number, entry in enumerate(registry):
-        if number:
-            yield ""
-        yield from page(entry)
-
-
 PAGES: Mapping[str, tuple[str, str, Callable[[], Iterator[str]]]] = {
     "terms": (
         "Terms",
-        "A term is one piece of physics: fitting solves for its parameters, diagnosis offers it as a hypothesis, "
-        "simulation plays it, tables compile it. Deviation = actual minus commanded, um; positions mm, rises K.\n\n"
-        "```yaml\n"
-        "stages:\n"
-        "  - {kind: simulate}\n"
-        "  - {kind: ingest}\n"
-        "  - kind: fit\n"
-        "    components:\n"
-        "      - component: EXX\n"
-        "        terms:\n"
-        "          - {term: offset}\n"
-        "          - {term: chebyshev, axis: X, degree: 6}\n"
-        "          - {term: scale_expansion, axis: X, sensor: T_nut}\n"
-        "```",
+        """\
+A term is one piece of physics: fitting solves for its parameters, diagnosis offers it as a hypothesis, \
+simulation plays it, tables compile it. Deviation = actual minus commanded, um; positions mm, rises K.
+
+```yaml
+stages:
+  - {kind: simulate}
+  - {kind: ingest}
+  - kind: fit
+    components:
+      - component: EXX
+        terms:
+          - {term: offset}
+          - {term: chebyshev, axis: X, degree: 6}
+          - {term: scale_expansion, axis: X, sensor: T_nut}
+```""",
         _terms,
     ),
     "formats": (
         "Measurement file formats",
-        "`ingest` recognises a file by its content, or reads it as the format that is named:\n\n"
-        "```yaml\n"
-        "stages:\n"
-        "  - {kind: ingest, recording: recordings/x-axis, format: manifest}\n"
-        "```",
+        """\
+`ingest` recognises a file by its content, or reads it as the format that is named:
+
+```yaml
+stages:
+  - {kind: ingest, recording: recordings/x-axis, format: manifest}
+```""",
         _formats,
     ),
     "targets": (
         "Controller formats",
-        "A correction is minus the deviation. Every format states its sign in words and is read back by a reader that "
-        "works as the controller does; what it cannot express is reported in um.\n\n"
-        "```yaml\n"
-        "stages:\n"
-        "  - {kind: export, targets: [linuxcnc_screw, c_runtime]}\n"
-        "```",
+        """\
+A correction is minus the deviation. Every format states its sign in words and is read back by a reader that \
+works as the controller does; what it cannot express is reported in um.
+
+```yaml
+stages:
+  - {kind: export, targets: [linuxcnc_screw, c_runtime]}
+```""",
         _targets,
     ),
     "stages": (
         "Stages of a pipeline",
-        "Stages are linked by the types of what they take and give, in the order of the file.\n\n"
-        "```yaml\n"
-        "pipeline: 1\n"
-        "title: a simulated axis\n"
-        "stages:\n"
-        "  - {kind: simulate}\n"
-        "  - {kind: ingest}\n"
-        "  - {kind: clean}\n"
-        "  - kind: fit\n"
-        "    components:\n"
-        "      - {component: EXX, terms: [{term: offset}, {term: backlash, axis: X}]}\n"
-        "  - {kind: validate}\n"
-        "  - {kind: export}\n"
-        "  - {kind: report}\n"
-        "```",
+        """\
+Stages are linked by the types of what they take and give, in the order of the file.
+
+```yaml
+pipeline: 1
+title: a simulated axis
+stages:
+  - {kind: simulate}
+  - {kind: ingest}
+  - {kind: clean}
+  - kind: fit
+    components:
+      - {component: EXX, terms: [{term: offset}, {term: backlash, axis: X}]}
+  - {kind: validate}
+  - {kind: export}
+  - {kind: report}
+```""",
         _stages,
     ),
     "recordings": (
         "Recordings",
-        "A recording is a folder: `recording.yaml` says what every column of its tables is; nothing is guessed from a "
-        "name.\n\n"
-        "```yaml\n"
-        "recording: 1\n"
-        "title: X axis, bidirectional positioning\n"
-        "tables: [recording.csv]\n"
-        "constants:\n"
-        "  X: {role: axis, kind: linear, travel: [0, 800], screw_lead: 10, unit: mm}\n"
-        "columns:\n"
-        "  run:   {role: run}\n"
-        "  t:     {role: time, unit: s}\n"
-        "  x:     {role: position, axis: X, unit: mm}\n"
-        "  dir:   {role: direction, axis: X}\n"
-        "  T_nut: {role: temperature, unit: degC, location: ball-screw nut}\n"
-        "  EXX:   {role: error, component: EXX, unit: um}\n"
-        "```",
+        """\
+A recording is a folder: `recording.yaml` says what every column of its tables is; nothing is guessed from a name.
+
+```yaml
+recording: 1
+title: X axis, bidirectional positioning
+tables: [recording.csv]
+constants:
+  X: {role: axis, kind: linear, travel: [0, 800], screw_lead: 10, unit: mm}
+columns:
+  run:   {role: run}
+  t:     {role: time, unit: s}
+  x:     {role: position, axis: X, unit: mm}
+  dir:   {role: direction, axis: X}
+  T_nut: {role: temperature, unit: degC, location: ball-screw nut}
+  EXX:   {role: error, component: EXX, unit: um}
+```""",
         _recordings,
     ),
 }
