@@ -53,17 +53,12 @@ class Table:
         self._seen: dict[bytes, int] = {}
         self.width = 0
         self.places = [self._put(block) for block in blocks]
-        self._room = self.width + ROOM
-        self._products = [np.zeros((self._room, self._room)) for _ in range(len(self.rows) + 1)]
+        self._products = np.zeros((self.width + ROOM, self.width + ROOM))
         self._multiply()
 
     def _multiply(self) -> None:
         """Form all products anew."""
-        self.G[:] = 0.0
-        for part, rows in zip(self.parts, self.rows, strict=True):
-            inside = self.W[rows]
-            np.matmul(inside.T, inside, out=part)
-            self.G[:] += part
+        np.matmul(self.W.T, self.W, out=self.G)
 
     def recolour(self, colour: Colour) -> None:
         """Whiten every column by another model of the noise, in place; signals (`Data`) must be made again."""
@@ -73,15 +68,21 @@ class Table:
         self.colour = colour
         self._multiply()
 
-    @property
-    def parts(self) -> list[np.ndarray]:
-        """Products of the columns over each fold's rows."""
-        return [p[: self.width, : self.width] for p in self._products[1:]]
+    def without(self, fold: int) -> np.ndarray:
+        """Products of the columns over the rows outside of a fold; formed when needed, for they are as large as `G`."""
+        out = self.G.copy()
+        for k in range(0, self.width, 4 * AT_ONCE):
+            columns = slice(k, k + 4 * AT_ONCE)
+            for first, last, f in self.stretches:
+                if f == fold:
+                    out[k:, columns] -= self.W[first:last, k:].T @ self.W[first:last, columns]
+            out[columns, k:] = out[k:, columns].T
+        return out
 
     @property
     def G(self) -> np.ndarray:
         """Products of the columns over all rows."""
-        return self._products[0][: self.width, : self.width]
+        return self._products[: self.width, : self.width]
 
     @property
     def W(self) -> np.ndarray:
@@ -117,18 +118,12 @@ class Table:
         """Append columns (rows, k) and form their products; returns their indices."""
         before = self.width
         self._append(columns)
-        if self.width > self._room:
-            self._room = self.width + ROOM
-            for f, part in enumerate(self._products):
-                self._products[f] = np.zeros((self._room, self._room))
-                self._products[f][:before, :before] = part[:before, :before]
-        whole, parts = self.G, self.parts
-        for first, last, f in self.stretches:
-            parts[f][:, before:] += self.W[first:last].T @ self.W[first:last, before:]
-        for part in parts:
-            part[before:, :before] = part[:before, before:].T
-            whole[:, before:] += part[:, before:]
-        whole[before:, :before] = whole[:before, before:].T
+        if self.width > self._products.shape[0]:
+            known = self._products[:before, :before]
+            self._products = np.zeros((self.width + ROOM, self.width + ROOM))
+            self._products[:before, :before] = known
+        self.G[:, before:] = self.W.T @ self.W[:, before:]
+        self.G[before:, :before] = self.G[:before, before:].T
         return np.arange(before, self.width)
 
 
@@ -169,7 +164,7 @@ class Data:
         if self.without is None:
             return self.table.G
         if self._train is None or self._train.shape[0] != self.table.width:
-            self._train = self.table.G - self.table.parts[self.without]
+            self._train = self.table.without(self.without)
         return self._train
 
     def products(self) -> np.ndarray:

@@ -84,6 +84,7 @@ def held_out(case: Case) -> HeldOut:
         columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
         with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))
         same.append(first is None or first in [library.hypotheses[i].effect for i in names[:1]])
+        del part  # frees its products before those of the next fold are formed
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)

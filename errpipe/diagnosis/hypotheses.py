@@ -82,10 +82,20 @@ class Library:
         self.scales.append(scale)
         return columns
 
-    def extend(self, h: Hypothesis, block: np.ndarray, freedom: np.ndarray, scale: np.ndarray, cores: int) -> int:
-        """Append a hypothesis; returns its index."""
-        self.places.append(self.add(self._listed(h, (block, freedom, scale), cores)))
-        return len(self.hypotheses) - 1
+    def extend(self, made: list[tuple[Hypothesis, Block, int]]) -> None:
+        """Append hypotheses, each with its scaled block and the number of its core columns."""
+        blocks = [self._listed(*one) for one in made]
+        edges = np.cumsum([0, *[block.shape[1] for block in blocks]])
+        index = self.add(np.column_stack(blocks))
+        self.places += [index[a:b] for a, b in itertools.pairwise(edges)]
+
+    def forget(self, hypotheses: int, columns: int) -> None:
+        """Go back to the state of so many hypotheses and columns."""
+        for h in self.hypotheses[hypotheses:]:
+            self._families[h.key].pop()
+        for listed in (self.hypotheses, self.cores, self.freedoms, self.scales, self.places):
+            del listed[hypotheses:]  # type: ignore[attr-defined]
+        self.table.width, self._together = columns, None
 
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
@@ -93,8 +103,9 @@ class Library:
 
     def recolour(self, colour: Colour) -> None:
         """Judge everything in noise of another colour; signals (`Data`) must be made again."""
-        self.table.recolour(colour)
-        self._together = None
+        if colour != self.table.colour:
+            self.table.recolour(colour)
+            self._together = None
 
     def block(self, i: int, recording: Recording, rows: np.ndarray) -> np.ndarray:
         """Columns of a hypothesis before whitening, made again (rows, k)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -14,7 +15,7 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
-from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, zoomed
+from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, zoomed
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -91,30 +92,8 @@ BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explana
 
 
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
-    """The explanation in noise of its own colour, or that in usual noise where held-out rows speak for it.
-
-    Neighbouring rows that sit out share the slow noise of those that do not: there the plain explanation takes the
-    place of one that harms, or where it predicts nearly all. Whole runs share none: there the better one stands.
-    """
-    case = _without_outliers(raw, conditioned, pair, progress, plain=False)
-    if not case.explanation.accepted:
-        return case
-    case.held = own = holdout.held_out(case)
-    harms = own.after > HARMFUL * own.before
-    if not harms and case.library.table.colour == USUAL:
-        return case
-    other = _without_outliers(raw, conditioned, pair, progress, plain=True)
-    if not other.explanation.accepted:
-        return case
-    other.held = usual = holdout.held_out(other)
-    better = usual.after < BETTER * min(own.after, usual.before)
-    proves = "whole runs" in own.scheme or usual.after < PROVES * usual.before
-    return other if better and (harms or proves) else case
-
-
-def _without_outliers(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress, plain: bool) -> Case:
     """Explain one response; outliers of its residual are set aside, and it is explained again."""
-    case = _judge(raw, conditioned, pair, progress, plain)
+    case = _judge(raw, conditioned, pair, progress)
     outlying = _isolated_outliers(residual(case))
     if not outlying.any() or outlying.mean() > 0.03:
         return case
@@ -125,7 +104,39 @@ def _without_outliers(raw: Recording, conditioned: Recording, pair: Pair, progre
         outliers=np.sort(np.r_[pair.outliers, pair.rows[outlying]]),
     )
     del case  # frees one table of products before the next is built
-    return _judge(raw, conditioned, kept, progress, plain)
+    return _judge(raw, conditioned, kept, progress)
+
+
+def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> Case:
+    """The explanation in noise of its own colour, or that in usual noise where held-out rows speak for it.
+
+    Neighbouring rows that sit out share the slow noise of those that do not: there the plain explanation takes the
+    place of one that harms, or where it predicts nearly all. Whole runs share none: there the better one stands.
+    """
+    made = _set_up(raw, conditioned, pair, progress)
+    progress(0.5, f"{pair.component}: looking for what is missing")
+    library = made.library
+    search, first = _settled(made)
+    plain = _possible(replace(made, prior=made.prior.copy(), plain=True), copy.copy(search), first)
+    if plain.explanation.accepted and needs_own_noise(plain, plain.search, plain.explanation):
+        plain.held = holdout.held_out(plain)
+    count, width = len(library.hypotheses), library.table.width
+    search.prior = made.prior = np.r_[made.prior, np.full(count - made.prior.size, NEVER)]
+    case = _possible(made, search, first)
+    if not case.explanation.accepted:
+        return case
+    case.held = own = holdout.held_out(case)
+    harms = own.after > HARMFUL * own.before
+    if plain.held is None or (library.table.colour == USUAL and not harms):
+        return case
+    better = plain.held.after < BETTER * min(own.after, plain.held.before)
+    proves = "whole runs" in own.scheme or plain.held.after < PROVES * plain.held.before
+    if not (better and (harms or proves)):
+        return case
+    library.forget(count, width)
+    library.recolour(USUAL)
+    plain.data = plain.search.data = Data(library.table, plain.y)
+    return plain
 
 
 def _isolated_outliers(left: np.ndarray) -> np.ndarray:
@@ -140,11 +151,9 @@ NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may 
 RETRIES = 4  # further searches, each without the findings ruled out before
 
 
-def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress, plain: bool) -> Case:
-    """Explain one response; findings that cannot be true are ruled out, and it is explained again."""
-    made = replace(_set_up(raw, conditioned, pair, progress), plain=plain)
-    progress(0.5, f"{pair.component}: looking for what is missing")
-    case = _explained(made)
+def _possible(made: SetUp, search: Search, first: Explanation) -> Case:
+    """The best explanation of a response without findings that cannot be true; `first` is what the search found."""
+    case = _explained(made, search, first)
     for _ in range(RETRIES):
         out = plausible.impossible(case)
         if not out:
@@ -152,7 +161,7 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         case = _without(made, out[0])
     else:
         made.prior[:] = NEVER  # no effect is accepted in their place either
-        case = _explained(made)
+        case = _explained(made, *_settled(made))
     for m in plausible.doubtful(case)[:1]:
         prior = made.prior.copy()
         other = _without(made, m)
@@ -171,7 +180,11 @@ def _without(made: SetUp, m: model.Modelled) -> Case:
     for i, h in enumerate(made.library.hypotheses):
         if (h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers):
             made.prior[i] = NEVER
-    return _explained(made)
+    return _explained(made, *_settled(made))
+
+
+def _settled(made: SetUp) -> tuple[Search, Explanation]:
+    return settled(made.library, made.data, made.nuisance, made.prior, made.noise_estimate)
 
 
 def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> SetUp:
@@ -207,10 +220,9 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     )  # fmt: skip
 
 
-def _explained(made: SetUp) -> Case:
-    """The best explanation of a response, and the remainder beside it."""
+def _explained(made: SetUp, search: Search, explanation: Explanation) -> Case:
+    """The best explanation of a response, from what the search found, and the remainder beside it."""
     library, nuisance, rows = made.library, made.nuisance, made.pair.rows
-    search, explanation = settled(library, made.data, nuisance, made.prior, made.noise_estimate)
     if not made.plain:
         search, explanation = zoomed(made, search, explanation)
     if not made.in_part:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from errpipe.diagnosis import coloured
 from errpipe.diagnosis.case import SetUp, chosen_of
 from errpipe.diagnosis.evidence import Data
-from errpipe.diagnosis.hypotheses import columns_of, scaled
+from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import Explanation, Search, settled
 from errpipe.terms import search_of
 
@@ -19,6 +20,17 @@ COLOUR_PRICE = 6.0  # log of the number of colours that are tried
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
 
+def needs_own_noise(made: SetUp, search: Search, explanation: Explanation) -> bool:
+    """Is the residual autocorrelated, or a finding weak?"""
+    weakest = min((f.gain for f in explanation.accepted), default=np.inf)
+    return weakest <= CERTAIN or _dependence(made, search, explanation) > DEPENDENT
+
+
+def _dependence(made: SetUp, search: Search, explanation: Explanation) -> float:
+    """Rows per independent row of the residual."""
+    return coloured.correlation_time(search.scene(chosen_of(explanation)).residual(), made.run)
+
+
 def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
     """Where the residual is autocorrelated or a finding is weak: noise and explanation that are likeliest together.
 
@@ -26,11 +38,10 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     a slow wandering is then no evidence for what is slow, and a step in it stands out.
     """
     made.in_own_noise = True
-    weakest = min((f.gain for f in explanation.accepted), default=np.inf)
-    time = coloured.correlation_time(search.scene(chosen_of(explanation)).residual(), made.run)
-    if time <= DEPENDENT and weakest > CERTAIN:
+    if not needs_own_noise(made, search, explanation):
         return search, explanation
-    library, handicap = made.library, 0.0 if time > DEPENDENT else EXPLAINED
+    dependent = _dependence(made, search, explanation) > DEPENDENT
+    library, handicap = made.library, 0.0 if dependent else EXPLAINED
     best = (likelihood(search, explanation) + handicap, library.table.colour, search, explanation)
     wandering = -np.inf  # log evidence of noise alone
     colours = [coloured.fitted(_left(made, search, chosen), made.run) for chosen in ([], chosen_of(explanation))]
@@ -68,19 +79,19 @@ def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Searc
 
     What a grid value leaves of a true one would be taken for a second effect, or for slow noise.
     """
-    for f in explanation.accepted:
-        _add_neighbours(made, f.index)
-    if len(made.library.hypotheses) == search.prior.size:
+    fresh = [(f.index, *near) for f in explanation.accepted for near in _neighbours(made, f.index)]
+    if not fresh:
         return search, explanation
-    search.prior = made.prior
+    made.library.extend([near[1:] for near in fresh])
+    search.prior = made.prior = np.r_[made.prior, made.prior[[near[0] for near in fresh]]]
     chosen = search.tune(chosen_of(explanation))
     search.sigma = max(search.scene(chosen).rms(), 1e-9)
     alone = search.score([]).gain + search.prior
     return search, replace(explanation, accepted=search.accepted(chosen), alone=alone)
 
 
-def _add_neighbours(made: SetUp, index: int) -> None:
-    """Hypotheses with each non-linear parameter of this one in turn near its value."""
+def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, int]]:
+    """Hypotheses with each non-linear parameter of this one in turn near its value, blocks, numbers of core columns."""
     h, rows = made.library.hypotheses[index], made.pair.rows
     term, known = h.terms[0], {made.library.hypotheses[i].nonlinear for i in made.library.family(index)}
     for j, p in enumerate(term.nonlinear()):
@@ -95,5 +106,4 @@ def _add_neighbours(made: SetUp, index: int) -> None:
             core, slack, freedom = columns_of(fine, made.recording)
             block = scaled(core[rows], slack[rows], freedom)
             if near not in known and block is not None:
-                made.library.extend(fine, *block, core.shape[1])
-                made.prior = np.r_[made.prior, made.prior[index]]
+                yield fine, block, core.shape[1]

@@ -201,6 +201,6 @@ def _extend(library: Library, search: Search, recording: Recording, rows, index:
     if made is None:
         return None
     prior = search.prior[index] - 5.0
-    fresh = library.extend(h, *made, core.shape[1])
+    library.extend([(h, made, core.shape[1])])
     search.prior = np.r_[search.prior, prior]
-    return fresh
+    return len(library.hypotheses) - 1

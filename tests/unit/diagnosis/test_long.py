@@ -13,5 +13,5 @@ def test_a_long_recording_takes_neither_half_a_minute_nor_one_and_a_half_gigabyt
     took = long.measured(shape)
     assert took["columns"] >= 10
     assert took["named"][0] == long.SHAPES[shape][1]
-    assert took["peak_mb"] < 1300  # of 1500; a fast trace 1190, slow ones 860
-    assert took["cpu_seconds"] < 20  # of 30 s; what other programs take of the clock is not its own
+    assert took["peak_mb"] < 1000  # of 1500; a fast trace 900, slow ones 390 to 540
+    assert took["cpu_seconds"] < 25  # of 30 s; what other programs take of the clock is not its own
