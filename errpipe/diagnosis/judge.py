@@ -121,8 +121,9 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     if plain.explanation.accepted and needs_own_noise(plain, plain.search, plain.explanation):
         plain.held = holdout.held_out(plain)
     count, width = len(library.hypotheses), library.table.width
-    search.prior = made.prior = np.r_[made.prior, np.full(count - made.prior.size, NEVER)]
-    case = _possible(made, search, first)
+    plain_only = np.full(count - made.prior.size, NEVER)  # effects in part, which are sought anew
+    search.prior = made.prior = np.r_[made.prior, plain_only]
+    case = _possible(made, search, replace(first, alone=np.r_[first.alone, plain_only]))
     if not case.explanation.accepted:
         return case
     case.held = own = holdout.held_out(case)
