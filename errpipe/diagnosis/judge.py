@@ -59,10 +59,6 @@ MIN_SHARE_OF_PART = (
 
 def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
     """The explanation without findings below the size thresholds: they only correct the form of another effect."""
-    own = {
-        (p.hypothesis.effect, p.hypothesis.drivers): MIN_SHARE_OF_PART * float(np.std(p.contribution))
-        for p in held.parts
-    }
     kept = list(explanation.accepted)
     while kept:
         scene = search.scene([(f.index, f.size) for f in kept])
@@ -74,13 +70,21 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
             first += block.shape[1]
             active = np.abs(contribution) > 0.1 * np.abs(contribution).max()
             size = float(np.sqrt(np.mean(contribution[active] ** 2)))
-            negligible = size < own.get((f.hypothesis.effect, f.hypothesis.drivers), 0.0)
-            sizes.append(0.0 if negligible else size / search.sigma)
+            sizes.append(0.0 if size < _least_size(search.library, f.index, held) else size / search.sigma)
         too_small = [k for k, size in enumerate(sizes) if size < MIN_SIZE[min(k, 1)]]
         if not too_small:
             break
         del kept[too_small[-1]]
     return replace(explanation, accepted=tuple(kept))
+
+
+def _least_size(library, i: int, held: parts.Decomposition) -> float:
+    """The rms below which a hypothesis only corrects what the simulation holds of it: of the same form, not of another
+    wave or of a bump elsewhere."""
+    h = library.hypotheses[i]
+    same = [p for p in held.parts if (p.hypothesis.effect, p.hypothesis.drivers) == (h.effect, h.drivers)]
+    sizes = [float(np.std(p.contribution)) * recalibration.share_held(library, i, p.contribution) for p in same]
+    return MIN_SHARE_OF_PART * max(sizes, default=0.0)
 
 
 OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier

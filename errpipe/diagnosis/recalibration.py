@@ -8,6 +8,7 @@ import numpy as np
 
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis import gains, hypotheses
+from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 
@@ -133,9 +134,22 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
     """Log prior odds: lower for effects that the simulation already holds."""
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
-    held_by = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
+    same: dict[tuple, list[np.ndarray]] = {}
+    for p in d.parts:
+        if p.certainty > SURE:
+            same.setdefault((p.hypothesis.effect, p.hypothesis.drivers), []).append(p.contribution)
     prior = np.array([h.prior for h in library.hypotheses])
     for i, h in enumerate(library.hypotheses):
         if h.effect in present:
-            prior[i] += PRESENT + (SAME if (h.effect, h.drivers) in held_by else 0.0)
+            own = same.get((h.effect, h.drivers))
+            prior[i] += PRESENT if own is None else (PRESENT + SAME) * max(share_held(library, i, p) for p in own)
     return prior
+
+
+def share_held(library: hypotheses.Library, i: int, held: np.ndarray) -> float:
+    """Share of a part of the simulation that a hypothesis' textbook form explains: another wave, or a bump elsewhere,
+    is another effect of the same name."""
+    table = library.table
+    form, signal = table.W[:, library.indices(i)[: library.cores[i]]], whiten(held, table.run, table.colour)
+    rest = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
+    return float(np.clip(1.0 - rest @ rest / (signal @ signal), 0.0, 1.0))

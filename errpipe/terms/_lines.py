@@ -16,6 +16,9 @@ MOST_ORDER = 100
 NEAR = 0.35  # turns over the positions covered by which a line may miss a multiple of the base
 NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
+FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
+FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
+FASTEST_WAVE = 2.0  # waves within the mean step between places, the most that uneven places are asked about
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
 
@@ -23,8 +26,9 @@ def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...
     """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart."""
     span = float(np.ptp(at)) if at.size else 0.0
     strongest: set[float] = set()
+    few = np.unique(at).size <= FEW_PLACES
     for signal in signals:
-        for f in peaks(at, signal, STRONGEST):
+        for f in waves_of_few_places(at, signal) if few else peaks(at, signal, STRONGEST):
             for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
                 strongest.add(float(1.0 / max(f + shift / span, 0.5 / span)))
     return tuple(sorted(strongest))
@@ -57,6 +61,43 @@ def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
     power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
     found = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
     return frequency[found[np.argsort(-power[found], kind="stable")][:most]]
+
+
+def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """Frequencies (1/length) of waves that stand out of the means of a few places, visited often, strongest first.
+
+    Rows of one place share its error, so places are counted, not rows: beside a cubic, P places and a wave that leaves
+    the share q of the sum of squares, chance leaves as little with q^((P - 6) / 2) times the number of frequencies
+    (F test; Lomb-Scargle false-alarm probability). From FEWEST_TURNS to twice the smallest step between places:
+    uneven places tell waves apart that even ones alias.
+    """
+    places, index = np.unique(at, return_inverse=True)
+    free = places.size - 6
+    if free < 1:
+        return np.zeros(0)
+    mean = np.bincount(index, signal) / np.bincount(index)
+    gaps = np.diff(places)
+    span = float(places[-1] - places[0])
+    highest = min(0.5 / float(gaps.min()), FASTEST_WAVE / float(gaps.mean()))
+    frequency = np.arange(FEWEST_TURNS / span, highest * (1 + 1e-9), 0.125 / span)
+    cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
+    rest = _beside(cubic, mean)
+    left = np.array([_squares(_beside(_beside(cubic, waves(places, f)), rest)) for f in frequency])
+    if not left.size or _squares(rest) <= 0:
+        return np.zeros(0)
+    chance = max(highest * span, 1.0) * (left / _squares(rest)) ** (free / 2)
+    padded = np.r_[np.inf, left, np.inf]
+    best = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]) & (chance < FALSE_ALARMS))
+    return frequency[best[np.argsort(left[best], kind="stable")][:STRONGEST]]
+
+
+def _beside(block: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What a fit of a block's columns leaves of values (rows,) or (rows, k)."""
+    return values - block @ np.linalg.lstsq(block, values, rcond=None)[0]
+
+
+def _squares(values: np.ndarray) -> float:
+    return float(values @ values)
 
 
 def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:

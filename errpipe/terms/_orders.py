@@ -11,11 +11,10 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.terms._base import Parameter
-from errpipe.terms._lines import combs, lines, waves
+from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
 from errpipe.terms._search import Signals
 
 TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart
-LEAST_PLACES = 40  # fewer different positions show no wave of unknown length
 
 
 Orders = Annotated[
@@ -49,6 +48,13 @@ def total(x: np.ndarray, period: float, orders: tuple[float, ...], parameters: M
     return columns(x, period, orders) @ np.array(gains)
 
 
+def turn(recording: Recording, axis: str) -> tuple[float, ...]:
+    """One turn of a rotary axis that made nearly one, after which all repeats."""
+    fact = recording.manifest.axis(axis)
+    whole = fact is not None and fact.kind == "rotary" and np.ptp(position(recording, axis)) > NEARLY * TURN
+    return (TURN,) if whole else ()
+
+
 def seen(
     recording: Recording, axis: str, signals: Signals, known: tuple[float, ...] = ()
 ) -> Iterator[tuple[float, tuple[float, ...], bool]]:
@@ -57,10 +63,8 @@ def seen(
     The first order is the strongest. known: periods stated; one turn of a rotary axis always is.
     """
     x = position(recording, axis)[signals.rows]
-    if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= LEAST_PLACES:
+    if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= FEW_PLACES:
         return
-    span = float(np.ptp(x))
-    fact = recording.manifest.axis(axis)
-    turn = (TURN,) if fact is not None and fact.kind == "rotary" and span > NEARLY * TURN else ()
-    for base, orders, stated in combs(lines(x, signals.values[0]), span, [1.0 / p for p in (*known, *turn)]):
+    span, turned = float(np.ptp(x)), (*known, *turn(recording, axis))
+    for base, orders, stated in combs(lines(x, signals.values[0]), span, [1.0 / p for p in turned]):
         yield 1.0 / base / orders[0], orders, stated

@@ -167,13 +167,9 @@ class Waves(Listed):
 
     bounded: ClassVar[bool] = False
 
-    least_places: int = 0  # fewer different positions show no wave of unknown length
-
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         """Values to try."""
         x = position(recording, term.axis)
-        if np.unique(x).size <= self.least_places:
-            return ()
         return periods(x[signals.rows], signals.values)
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:

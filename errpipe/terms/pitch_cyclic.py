@@ -49,7 +49,7 @@ class PitchCyclic(Term):
                 (2.5, 20.0),
                 (0.5, 400.0),
                 "length of the wave",
-                search=Waves(least_places=waves.LEAST_PLACES),
+                search=Waves(),
             ),
         )
 
@@ -58,12 +58,13 @@ class PitchCyclic(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[PitchCyclic]:
-        """One binding for each period that the manifest states, half the lead, and one with the period free."""
+        """One binding for each period that the manifest states, half the lead, a turn and its half, and one free."""
         for axis in axes_acting(recording, component):
             known, radial = recording.manifest.axis(axis), is_radial(component)
             stated = drive_periods(known)
             half = (known.screw_lead / 2,) if known is not None and known.screw_lead else ()
-            for period in dict.fromkeys((*stated, *half)):
+            turn = [p / k for p in waves.turn(recording, axis) for k in (1, 2)]  # a disc off centre, or oval
+            for period in dict.fromkeys((*stated, *half, *turn)):
                 yield cls(axis=axis, radial=radial, fixed={"period": period})
             yield cls(axis=axis, radial=radial)
 
