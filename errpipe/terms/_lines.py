@@ -19,6 +19,7 @@ MISSING_BASE = 4  # the base itself may be absent down to this share of the lowe
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
 FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
 FASTEST_WAVE = 2.0  # waves within the mean step between places, the most that uneven places are asked about
+HALF = 0.5
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
 
@@ -68,17 +69,16 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
 
     Rows of one place share its error, so places are counted, not rows: beside a cubic, P places and a wave that leaves
     the share q of the sum of squares, chance leaves as little with q^((P - 6) / 2) times the number of frequencies
-    (F test; Lomb-Scargle false-alarm probability). From FEWEST_TURNS to twice the smallest step between places:
-    uneven places tell waves apart that even ones alias.
+    (F test; Lomb-Scargle false-alarm probability). From FEWEST_TURNS to half the mean step between places: uneven ones
+    tell apart what even ones alias. A wave shorter than two steps must leave less than HALF of what longer ones do.
     """
     places, index = np.unique(at, return_inverse=True)
     free = places.size - 6
     if free < 1:
         return np.zeros(0)
     mean = np.bincount(index, signal) / np.bincount(index)
-    gaps = np.diff(places)
     span = float(places[-1] - places[0])
-    highest = min(0.5 / float(gaps.min()), FASTEST_WAVE / float(gaps.mean()))
+    highest = FASTEST_WAVE * (places.size - 1) / span
     frequency = np.arange(FEWEST_TURNS / span, highest * (1 + 1e-9), 0.125 / span)
     cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
     rest = _beside(cubic, mean)
@@ -86,8 +86,9 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     if not left.size or _squares(rest) <= 0:
         return np.zeros(0)
     chance = max(highest * span, 1.0) * (left / _squares(rest)) ** (free / 2)
-    padded = np.r_[np.inf, left, np.inf]
-    best = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]) & (chance < FALSE_ALARMS))
+    padded, long = np.r_[np.inf, left, np.inf], frequency <= 0.5 * (places.size - 1) / span
+    clear = long | (left < HALF * left[long].min(initial=np.inf))
+    best = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]) & (chance < FALSE_ALARMS) & clear)
     return frequency[best[np.argsort(left[best], kind="stable")][:STRONGEST]]
 
 

@@ -21,7 +21,9 @@ from errpipe.terms._slack import Slack
 SLOWEST_STEP = 0.1  # s; structures vibrate at some Hz and more
 RATIO = 1.03  # between trial frequencies; lightly damped modes are followed by the finer steps around the best
 DAMPINGS = (0.01, 0.03, 0.1)
-HIGHEST_DAMPING = 0.25  # beyond it no resonance shows in a spectrum
+LEAST_DAMPING, HIGHEST_DAMPING = 1e-4, 0.25  # steel alone has more; beyond it no resonance shows in a spectrum
+BLOCKS = 40
+CHANCE = 1e-4  # false-alarm probability; some hundred frequencies are tried
 KEPT = 3  # resonances offered of each binding
 
 
@@ -84,11 +86,27 @@ class FlexibleMode(Term):
         """The resonances that explain most of the mismatch, at several dampings."""
         for term in cls.bind(recording, component):
             if np.isfinite(recording.array(term.column)).all() and signals.values:
-                for k, frequency in enumerate(term._strongest(recording, signals)):
-                    if k == 0:
-                        yield term, term._best(recording, signals, frequency)
-                    for damping in DAMPINGS:
-                        yield term, (frequency, damping)
+                for frequency in term._strongest(recording, signals):
+                    best = term._best(recording, signals, frequency)
+                    if LEAST_DAMPING < best[1] < 0.99 * HIGHEST_DAMPING and term._excited(recording, signals, *best):
+                        yield term, best
+                        for damping in DAMPINGS:
+                            yield term, (best[0], damping)
+
+    def _excited(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> bool:
+        """Does the mismatch ring as the input says, all along, and not just as noise of that frequency does?
+
+        Textbook: Wald test with cluster-robust variance (Liang and Zeger 1986) over blocks of neighbouring rows, for
+        noise that rings loses its phase from block to block.
+        """
+        from scipy.stats import f
+
+        mode, _ = np.linalg.qr(signals.still(self._state(recording, frequency, damping)[signals.rows]))
+        gain = mode.T @ signals.values[0]
+        scores = mode * (signals.values[0] - mode @ gain)[:, None]
+        spread = np.array([block.sum(axis=0) for block in np.array_split(scores, BLOCKS)])
+        wald = float(gain @ np.linalg.lstsq(spread.T @ spread, gain, rcond=None)[0])
+        return bool(f.sf(wald / 2, 2, BLOCKS - 2) < CHANCE)
 
     def _strongest(self, recording: Recording, signals: Signals) -> list[float]:
         """Local maxima of what a resonance explains over its frequency, the strongest first."""

@@ -15,7 +15,7 @@ from scipy.signal import TransferFunction, lsim
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kernels import responses
 from errpipe.terms import Signals
-from errpipe.terms._lines import combs, lines
+from errpipe.terms._lines import combs, lines, periods
 from errpipe.terms._place import drive_periods, pole_periods
 from errpipe.terms.dead_time import DeadTime
 from errpipe.terms.flexible_mode import FlexibleMode
@@ -97,6 +97,17 @@ def test_a_resonance_is_located(frequency, damping):
     assert min(abs(f / frequency - 1) for f in found) < 0.02
     basis = FlexibleMode(axis="X", column="a").basis(log(), frequency, damping)[:, 0]
     assert_allclose(2 * basis, -2e-3 * ringing, atol=1e-9)
+
+
+def test_noise_that_rings_is_no_mode_of_the_structure():
+    """A resonance of the noise has nothing to do with the acceleration; without the test of phases 20 of 20 are offered."""
+    t, offered = under_way()[0], 0
+    for seed in range(20):
+        force = np.random.default_rng(seed).normal(size=t.size)
+        w = 2 * np.pi * 30.0
+        noise = lsim(TransferFunction([w**2], [1, 0.06 * w, w**2]), force, t)[1]
+        offered += bool(list(FlexibleMode.located(log(), "EXX", signals(noise))))
+    assert offered <= 1
 
 
 def test_a_mode_is_offered_for_fast_logs_only():
@@ -244,3 +255,32 @@ def test_a_load_is_stated_at_the_largest_mass():
     case = recording({"m": mass, "E_Z": 0 * mass}, kinds)
     (term,) = WorkpieceLoad.hypotheses(case, case, "E_Z")
     assert_allclose(term.value(case, {"settle": 18.0}), 2 * mass)
+
+
+# ---------------------------------------------------------------- waves of few places
+PLACES = np.array([0.0, 13, 31, 48, 58, 79, 92, 108, 127, 143, 157, 177, 190, 209, 226, 241, 257, 272, 291, 308, 320])
+
+
+def visited(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Five runs there and back over places with an error each: positions and readings."""
+    both = np.r_[profile, profile[::-1]]
+    noise = np.random.default_rng(7).normal(size=5 * both.size)
+    return np.tile(np.r_[PLACES, PLACES[::-1]], 5), np.tile(both, 5) + 0.3 * noise
+
+
+@pytest.mark.parametrize("period", [97.0, 41.0, 19.0, 10.3])  # the last ones fall between the targets
+def test_a_wave_of_few_places_is_found(period):
+    x, y = visited(np.sin(2 * np.pi * PLACES / period + 1))
+    found = periods(x, (y,))
+    assert min(abs(320 / p - 320 / period) for p in found) < 0.15  # turns over the travel
+
+
+def test_a_profile_of_chance_is_no_wave():
+    """Its strongest wave is far beyond the noise, since every place is visited ten times."""
+    rng = np.random.default_rng(11)
+    assert sum(bool(periods(*visited_signal(rng))) for _ in range(300)) <= 9  # 1 % meant
+
+
+def visited_signal(rng: np.random.Generator) -> tuple[np.ndarray, tuple[np.ndarray]]:
+    x, y = visited(rng.normal(size=PLACES.size))
+    return x, (y,)
