@@ -42,16 +42,7 @@ class PitchCyclic(Term):
         return waves.named(self.orders, "um", (0.5, 5.0), 100.0)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "period",
-                "mm",
-                (2.5, 20.0),
-                (0.5, 400.0),
-                "length of the wave",
-                search=Waves(),
-            ),
-        )
+        return (Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (position_name(recording, self.axis),)

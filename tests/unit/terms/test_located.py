@@ -99,8 +99,8 @@ def test_a_resonance_is_located(frequency, damping):
     assert_allclose(2 * basis, -2e-3 * ringing, atol=1e-9)
 
 
-def test_noise_that_rings_is_no_mode_of_the_structure():
-    """A resonance of the noise has nothing to do with the acceleration; without the test of phases 20 of 20 are offered."""
+def test_noise_that_rings_is_no_mode():
+    """Its resonance has nothing to do with the acceleration; without the test of phases 20 of 20 are offered."""
     t, offered = under_way()[0], 0
     for seed in range(20):
         force = np.random.default_rng(seed).normal(size=t.size)
