@@ -51,7 +51,8 @@ def _motion(recording: Recording, axis: str, name: str):
     x, t, run = recording.array(name), recording.time(), recording.run_codes()
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
     step = np.diff(t)
-    fast = recording.name("time") is not None and step.size > 50 and np.median(step) < FAST
+    under_way = recording.names("error", component="E_R") or (step.size and np.median(step) < FAST)  # as on a circle
+    fast = recording.name("time") is not None and step.size > 50 and bool(under_way)
     bend = np.abs(np.diff(x, 2)[same]) if fast else np.zeros(1)
     scatter = 1.4826 * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
     side = responses.direction_of_travel(sessions(recording), x, max(STILL * scatter, LEAST_MOVE), 1)

@@ -19,7 +19,7 @@ from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._equations import times
 from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._place import axes_acting, driven_axes, is_radial
 from errpipe.terms._search import Listed, Times
 from errpipe.terms._slack import Slack
 
@@ -43,7 +43,7 @@ class GoneBeforeTheNextTurn(Times):
 
 
 class ReversalSpike(Term):
-    """When an axis turns round the drive sticks for an instant: a short spike that dies away.
+    """When an axis turns round the drive sticks for an instant: a short spike, of its deviation or its force.
 
     Equation   deviation = -height * d * (F / 1000 mm/min)^power * exp(-s / tau), s = time since the reversal
     Assumes    friction is overcome anew at each reversal; the loop pulls the spike in
@@ -81,7 +81,7 @@ class ReversalSpike(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ReversalSpike]:
-        for axis in axes_acting(recording, component):
+        for axis in axes_acting(recording, component) or driven_axes(recording, component):
             if recording.names("velocity", axis=axis):
                 feed = recording.name("feed")
                 varies = feed is not None and recording.frame[feed].nunique() > 1

@@ -34,10 +34,20 @@ def tight_end(frame):
     return frame.assign(F_X=frame.F_X + 15 * np.sign(frame.v) * (1 + 0.7 * (frame.x - 200) / 150))
 
 
+def sticks(frame):
+    """Each reversal breaks away with 25 N more, gone within a tenth of a second."""
+    t, side = frame.t.to_numpy(), np.sign(frame.v.to_numpy())
+    turns = np.flatnonzero(np.diff(side) != 0) + 1
+    last = np.searchsorted(turns, np.arange(t.size), side="right") - 1
+    since = np.where(last >= 0, t - t[turns[last]], np.inf)
+    return frame.assign(F_X=frame.F_X + 25 * side * np.exp(-since / 0.05))
+
+
 CASES = {
     "moving_mass": (no_mass, "mass", 80.0),
     "saturation": (limited, "limit", 18.0),
     "dead_zone": (play, "threshold", 4.0),
+    "reversal_spike": (sticks, "height", -25.0),
     "coulomb_friction": (tight_end, "force", 15.0),
 }
 
