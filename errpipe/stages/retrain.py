@@ -26,6 +26,9 @@ __all__ = ["github_annotations", "retrain"]
 VERSION = 1
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
+LEAST_SLOPE = (
+    1.0  # a run knows a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
+)
 
 
 def retrain(
@@ -238,11 +241,37 @@ def _drift(model: ErrorModel, old: Recording, recording: Recording, known: froze
         return {"inputs": [], "residuals": []}
     reference = np.arange(len(both)) < len(old)
     prediction = _predictions(model, both)
+    apparent = _apparent_errors(model, both, prediction, reference)
     residuals = (_residual_drift(both, component, reference, prediction[component]) for component in prediction)
     return {
-        "inputs": [asdict(d) for d in input_drift.sensor_drift(both, reference)],
+        "inputs": [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)],
         "residuals": [drift for drift in residuals if drift],
     }
+
+
+def _apparent_errors(model: ErrorModel, recording: Recording, prediction, reference) -> dict[str, np.ndarray]:
+    """Column -> how far, per run, the sensor would be off if it alone explained what the champion leaves, K.
+
+    Least squares of the residual on the prediction's change per kelvin; columns that the champion does not read, or
+    whose constant offset it does not show, are left out.
+    """
+    import numpy as np
+
+    run = recording.run_codes()
+    measured = {c: recording.name("error", component=c) for c in prediction}
+    residual = {c: recording.array(name) - prediction[c] for c, name in measured.items() if name is not None}
+    out = {}
+    for column in (n for n in recording.names("temperature") if n in model.columns):
+        warmer = _predictions(model, recording.with_columns({column: recording.array(column) + 1.0}, {}))
+        above, below = np.zeros(len(recording)), np.zeros(len(recording))
+        for component, left in residual.items():
+            known, noise = np.isfinite(left), float(np.nanstd(left[reference]))
+            slope = np.where(known, warmer[component] - prediction[component], 0.0) / max(noise, 1e-9)
+            above, below = above - slope * np.where(known, left, 0.0) / max(noise, 1e-9), below + slope**2
+        above, below = np.bincount(run, above), np.bincount(run, below)
+        if np.any(below > LEAST_SLOPE):
+            out[column] = np.where(below > LEAST_SLOPE, above / np.maximum(below, LEAST_SLOPE), np.nan)
+    return out
 
 
 def _joined(old: Recording, new: Recording) -> Recording | None:

@@ -91,6 +91,19 @@ def test_sensors_that_do_not_drift_raise_no_alarm() -> None:
     assert sum(bool(found) for found in quiet) <= 1
 
 
+@pytest.mark.parametrize("culprit", ["sensor", "machine"])
+def test_a_response_that_moved_names_the_sensor_within_three_runs_only_where_the_sensor_moved_too(culprit: str) -> None:
+    """0.25 K a day, which temperatures alone (0.06 K between runs) do not name so early."""
+    named = []
+    for seed in range(10):
+        recording, reference = sensors(2 if culprit == "sensor" else None, 0.25, seed)
+        early = recording.run_codes() < 24
+        apparent = np.random.default_rng(seed).normal(0, 0.03, 24) + 0.25 * np.maximum(np.arange(24) - 20, 0)
+        found = sensor_drift(recording.take(early), reference[early], {"T_2": apparent})
+        named += [d.column for d in found if d.blamed]
+    assert (named.count("T_2") >= 9) if culprit == "sensor" else (len(named) <= 1), named
+
+
 def test_cusum_finds_the_begin_of_a_shift_and_ignores_noise() -> None:
     rng = np.random.default_rng(1)
     noise = rng.normal(size=200)
