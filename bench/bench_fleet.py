@@ -12,7 +12,7 @@ import numpy as np
 from errpipe.stages.fleet import fleet
 from tests.e2e.fleet.test_fleet import site
 
-MACHINES = 40
+MACHINES = 200
 AIM = 1.8  # times faster with two workers
 
 

@@ -138,9 +138,7 @@ def _estimate(source, history: History, problem: Problem, rows, solution: solve.
         if history.counts[k]:
             by_run.setdefault(run, []).append(k)
     weights = history.weights(b)
-    pulls = np.array(
-        [sum(history.factors[k][:, 1:-2].T @ (history.factors[k] @ weights) for k in ks) for ks in by_run.values()]
-    )
+    pulls = np.array([sum(history.pull(k, weights)[1:-2] for k in ks) for ks in by_run.values()])
     seen = solution.inverse @ (pulls.T @ pulls) @ solution.inverse
     spread = uncertainty.larger(noise.sigma**2 * solution.inverse @ gram @ solution.inverse, seen, len(by_run))
     lengths = np.array([sum(history.counts[k] for k in ks) for ks in by_run.values()])

@@ -47,7 +47,8 @@ def source_in(folder: Path) -> Source | None:
     rows = manifest_folder.rows_written(folder)
     if not rows:
         return None
-    return Source(rows, manifest_folder.extremes(folder), partial(manifest_folder.iter_batches, folder))
+    ends, complete = manifest_folder.extremes(folder)
+    return Source(rows, ends, partial(manifest_folder.iter_batches, folder), complete)
 
 
 def recordings_in(context: Context) -> dict[str, Recording]:

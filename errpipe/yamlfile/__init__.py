@@ -15,7 +15,7 @@ tuples and texts paths, but '5' is no number. (A `before` validator sees Python'
 """
 
 from errpipe.yamlfile.choice import Choice
-from errpipe.yamlfile.document import Document, load, parse, read
+from errpipe.yamlfile.document import Document, load, parse, read, text_of
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
 from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit
@@ -34,4 +34,5 @@ __all__ = [
     "parse",
     "plain",
     "read",
+    "text_of",
 ]

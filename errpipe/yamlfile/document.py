@@ -103,6 +103,11 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
 
     With an `environment`, `${NAME}` and `${NAME:-default}` in texts are replaced.
     """
+    return parse(text_of(path), str(path), environment=environment)
+
+
+def text_of(path: Path) -> str:
+    """The text of a YAML file. Raises ConfigError where it cannot be read."""
     path, name = Path(path), str(path)
     if path.is_dir():
         raise ConfigError([Problem(name, 0, 0, "", "is a folder (a YAML file is needed)")])
@@ -116,12 +121,11 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
     if len(data) > MAX_BYTES:
         raise ConfigError([Problem(name, 0, 0, "", f"has {size} bytes (at most {MAX_BYTES} are read)")])
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as err:
         line = data.count(b"\n", 0, err.start) + 1
         column = err.start - data.rfind(b"\n", 0, err.start)
         raise ConfigError([Problem(name, line, column, "", f"not UTF-8 text (byte 0x{data[err.start]:02x})")]) from None
-    return parse(text, name, environment=environment)
 
 
 def parse(text: str, file: str = "text", *, environment: Mapping[str, str] | None = None) -> Document:
