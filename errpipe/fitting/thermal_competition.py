@@ -37,6 +37,9 @@ WARMTH = "cold or warm starts"
 # Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
 # leaves 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
 REGRET = 2.0
+# Times the rms of the best entrant on blocks of one run, up to which the plain one is taken. On stretches of real runs
+# it has 1.3 to 2.5 where it is the better one on all the rest (spindle), 2.9 and more where it is not (lathe, gantry).
+PLAIN_REGRET = 2.7
 WHOLE = 1e3  # weight of the row that holds the sum of weights at one, beside rows of unit mean square
 
 Groups = tuple[int, ...]
@@ -51,6 +54,7 @@ class Entrant:
     parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are constrained to physically
     possible signs, so that it may be used in environments without a fitted run. linear: gains times drivers that do not
     depend on the groups; None: `parts` are so. penalty: how strongly a setting is held down among those of its family.
+    plain: every sensor has the same say, so that it holds where sensors that moved alike no longer do.
     """
 
     family: str
@@ -60,6 +64,7 @@ class Entrant:
     physical: bool = False
     linear: Callable[[Groups], Parts] | None = None
     penalty: float = 0.0
+    plain: bool = False
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ def compete(
     """The mixture of entrants. response: um, (rows,); rows: mask of usable rows; group: run of each row.
 
     cautious: groups are neighbouring blocks of one run, between which weak penalties interpolate: of each family the
-    strongest penalty within one standard error of the best is taken.
+    strongest penalty within one standard error of the best is taken, and a plain entrant (`PLAIN_REGRET`) before all.
 
     Raises DataError where nothing can be left out.
     """
@@ -165,7 +170,8 @@ def compete(
     if cautious:
         best = {f: _simplest(k, entrants, chooser, score) for f, k in best.items()}
     ranked = sorted(best.values(), key=lambda k: score[k])
-    weights = _selected([k for k in ranked if np.isfinite(score[k])], chooser)
+    plain = [k for k in ranked if cautious and entrants[k].plain and score[k] <= PLAIN_REGRET**2 * score.min()]
+    weights = dict.fromkeys(plain, 1.0) or _selected([k for k in ranked if np.isfinite(score[k])], chooser)
     named: dict[str, dict[int, float]] = (
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )

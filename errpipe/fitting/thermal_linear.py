@@ -59,6 +59,11 @@ class LinearProblem:
         """Numbers of the groups that may be used."""
         return sorted(self.triangle)
 
+    @property
+    def one_run(self) -> bool:
+        """Whether the groups are neighbouring blocks of runs too few to be left out."""
+        return np.unique(self.recording.run_codes()[self.rows]).size < len(self.triangle)
+
     def stacked(self, groups: Sequence[int], width: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Triangle of the first `width` drivers, of the response, and the number of rows of some groups."""
         whole = stack(self.triangle, list(groups))
@@ -125,6 +130,15 @@ def ridge(
     with one_thread():
         scaled_gains = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
     return scaled_gains / size
+
+
+def mean_of_sensors(design: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Mean of the regressions on each driver alone, (p,), um/K.
+
+    Complete subset regression with one driver (Elliott, Gargano and Timmermann 2013, J. Econometrics 177:357).
+    """
+    square = np.sum(design**2, axis=0)
+    return np.where(square > 0, design.T @ response / np.where(square > 0, square, 1.0), 0.0) / square.size
 
 
 def common_gains(parts: Sequence[tuple[np.ndarray, np.ndarray, float]], strength: float, freedom: float) -> np.ndarray:

@@ -126,7 +126,6 @@ class ThermalFamily(Family):
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
-        import numpy as np
 
         from errpipe.fitting import thermal_competition, thermal_linear
         from errpipe.fitting.solve import one_thread
@@ -137,9 +136,8 @@ class ThermalFamily(Family):
             entrants = self.entrants(problem)
             if self.one_environment(problem):
                 entrants = [e for e in entrants if e.physical] or entrants
-            runs = np.unique(recording.run_codes()[problem.rows]).size
             outcome = thermal_competition.compete(
-                entrants, groupings, problem.response, problem.rows, problem.group, runs < len(problem.groups)
+                entrants, groupings, problem.response, problem.rows, problem.group, problem.one_run
             )
             return _model(self, problem, outcome), outcome
 

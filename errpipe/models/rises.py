@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -26,7 +27,7 @@ class Rises(ThermalFamily):
     family: Literal["rises"] = Field("rises", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every strength of the ridge, and every freedom of the runs."""
+        """Every strength of the ridge, and every freedom of the runs; of one run the mean of sensors taken alone."""
         from errpipe.fitting import thermal_linear as t
 
         family, width = self.family_name(), problem.plain
@@ -43,4 +44,9 @@ class Rises(ThermalFamily):
 
             return linear(family, f"rises, common to runs {freedom:g}", problem, gains)
 
-        return [*map(ridge, STRENGTHS), *map(common, FREEDOMS)]
+        def mean(groups: tuple[int, ...]) -> np.ndarray:
+            return t.mean_of_sensors(*problem.stacked(groups, width)[:2])
+
+        name = f"{family}, mean of sensors"
+        alone = [replace(linear(name, name, problem, mean), plain=True)] if problem.one_run else []
+        return [*map(ridge, STRENGTHS), *map(common, FREEDOMS), *alone]

@@ -131,3 +131,38 @@ def test_among_blocks_of_one_run_the_strongest_penalty_that_ties_is_taken() -> N
         return found.weights[0][0].name
 
     assert chosen(False) == "penalty 0" and chosen(True) == "penalty 1"
+
+
+def one_warm_up(seed: int, alike: bool) -> Recording:
+    """Six sensors on a warm-up that cools later. alike: all show the growth, each wandering a little; else one does."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(600)
+    warm = 20 * np.where(t < t[400], 1 - np.exp(-t / 9000), np.exp(-np.maximum(t - t[400], 0) / 9000))
+    drift = np.cumsum(rng.normal(0, 0.03, (t.size, 6)), axis=0)
+    shown = np.outer(warm, rng.uniform(0.5, 1.5, 6)) if alike else np.cumsum(rng.normal(0, 0.3, (t.size, 6)), axis=0)
+    frame = {f"T_{k}": 20 + (shown + drift)[:, k] for k in range(6)}
+    growth = warm if alike else frame["T_0"] - 20
+    return recording(pd.DataFrame({"run": "a", "t": t} | frame | {"E_Z": growth + rng.normal(0, 0.05, t.size)}))
+
+
+def test_of_one_run_the_mean_of_sensors_is_taken_where_they_move_alike_and_only_there() -> None:
+    for seed in range(5):
+        whole = one_warm_up(seed, alike=True)
+        rows = np.arange(len(whole)) < 300
+        y = since_start(whole.array("E_Z"), whole.run_codes(), 3)[0]
+        model = Rises(component="E_Z").train(whole, rows)
+        assert [p[0] for p in model.parts] == ["rises, mean of sensors"] * 6
+        assert rms((y - model.values(whole))[~rows]) < 0.05 * rms(y[~rows])
+        apart = Rises(component="E_Z").train(one_warm_up(seed, alike=False), rows)
+        assert "rises, mean of sensors" not in [p[0] for p in apart.parts]
+
+
+def test_what_was_proved_on_warming_is_predicted_of_cooling() -> None:
+    """A frame that only shrank while it was fitted, and then grows as far."""
+    rng = np.random.default_rng(3)
+    t = STEP * np.arange(400)
+    room = 20 - 10 * np.sin(2 * np.pi * t / t[-1])
+    frame = {"run": "a", "t": t, "T_1": room, "E_Z": 10 * (room - 20) + rng.normal(0, 0.5, t.size)}
+    whole, rows = recording(pd.DataFrame(frame)), np.arange(t.size) < 200
+    left = whole.array("E_Z") - Rises(component="E_Z").train(whole, rows).values(whole)
+    assert rms(left[~rows]) < 2.0
