@@ -139,6 +139,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = [word for word in arguments if word != "--debug"]
     name = next((word for word in arguments if not word.startswith("-")), "")
     as_json = "--json" in arguments
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # looking for plugins reads every installed package's files
     try:
         if name and name not in VERBS:
             raise UsageError(f"no verb {name!r} (errpipe --help lists them).{did_you_mean(name, VERBS)}")

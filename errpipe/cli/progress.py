@@ -9,7 +9,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import TextIO
 
-from errpipe.pipeline.runner import Step, Talk
+from errpipe.pipeline.step import Step, Talk
 
 _WIDTH = 24
 _COLUMNS = 79  # of a line that must not wrap, or it could not be taken back

@@ -12,8 +12,9 @@ import typer
 from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
 
 if TYPE_CHECKING:
-    from errpipe.pipeline.runner import Step
+    from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline.spec import Pipeline
+    from errpipe.pipeline.step import Step
 
 
 def command(
@@ -47,17 +48,54 @@ def command(
       errpipe run pipelines/drilled-plates.yaml --to fit --out out/plates
       errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
     """
-    from errpipe.cli._arguments import load_pipeline_file, output_folder
-    from errpipe.cli.output import print_result, short_value, stage_module
+    from errpipe.cli._arguments import output_folder
+    from errpipe.cli.output import print_result, short_value
     from errpipe.cli.progress import ProgressReporter
+    from errpipe.pipeline import unchanged
+
+    folder = output_folder(pipeline, out)
+    reporter = ProgressReporter(str(folder))
+    whole = to is None and not force and depfile is None
+    known = unchanged.steps(pipeline, folder, sets, reporter.callbacks()) if whole else None
+    if known is None:
+        spec, steps = _run(pipeline, folder, sets, to, force, jobs, reporter)
+        if whole:
+            unchanged.note(spec, folder, sets)
+        _write_depfile(spec, folder, steps, depfile, depfile_target, stamp)
+        known = spec.title, steps
+    if stamp is not None:
+        from errpipe.pipeline.depfile import touch
+
+        touch(stamp)
+    title, steps = known
+    result = {"title": title, "out": str(folder), "stages": [_plain(step) for step in steps]}
+    lines = [
+        f"{s.name}: {', '.join(f'{k} {short_value(v)}' for k, v in sorted(s.summary.items()))}"
+        for s in steps
+        if s.summary
+    ]
+    pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
+    print_result("run", result, [*lines, *pages], as_json=json)
+
+
+def _run(
+    pipeline: Path,
+    folder: Path,
+    sets: list[str],
+    to: str | None,
+    force: list[str],
+    jobs: int,
+    reporter: ProgressReporter,
+) -> tuple[Pipeline, list[Step]]:
+    """Read the pipeline and run what must run; a refusal (exit code 4) writes its report first."""
+    from errpipe.cli._arguments import load_pipeline_file
+    from errpipe.cli.output import stage_module
     from errpipe.errors import ConfigError, DataError, GateError
     from errpipe.pipeline import runner
 
     spec = load_pipeline_file(pipeline, sets)
-    folder = output_folder(pipeline, out)
-    reporter = ProgressReporter(str(folder))
     try:
-        steps = runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
+        return spec, runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
     except GateError as err:
         page = stage_module("refusal").write_report(spec, folder, str(err))
         if page is not None:
@@ -71,13 +109,6 @@ def command(
         raise
     finally:
         reporter.clear()
-    _for_make(spec, folder, steps, depfile, depfile_target, stamp)
-    result = {"title": spec.title, "out": str(folder), "stages": [_plain(step) for step in steps]}
-    lines = [
-        f"{s.name}: {', '.join(f'{k} {short_value(v)}' for k, v in s.summary.items())}" for s in steps if s.summary
-    ]
-    pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
-    print_result("run", result, [*lines, *pages], as_json=json)
 
 
 def _plain(step: Step) -> dict[str, Any]:
@@ -86,16 +117,15 @@ def _plain(step: Step) -> dict[str, Any]:
     return {name: getattr(step, name) for name in names} | {"summary": dict(step.summary)}
 
 
-def _for_make(
+def _write_depfile(
     spec: Pipeline, folder: Path, steps: Sequence[Step], depfile: Path | None, target: str | None, stamp: Path | None
 ) -> None:
-    """Write the inputs as a rule, and touch the stamp."""
+    """Write the inputs as a rule, if asked to."""
+    if depfile is None:
+        return
     from errpipe import jsonfile
     from errpipe.pipeline import depfile as make
 
-    if depfile is not None:
-        stages = [spec.stage(step.name) for step in steps]
-        name = target or str(stamp or folder / "errpipe.lock")
-        jsonfile.write_text(depfile, make.depfile(name, make.inputs_of(spec, stages)))
-    if stamp is not None:
-        make.touch(stamp)
+    stages = [spec.stage(step.name) for step in steps]
+    name = target or str(stamp or folder / "errpipe.lock")
+    jsonfile.write_text(depfile, make.depfile(name, make.inputs_of(spec, stages)))

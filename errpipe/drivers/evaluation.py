@@ -12,7 +12,7 @@ from errpipe.drivers.motion import direction, position
 from errpipe.drivers.sessions import LONGEST_PAUSE, sessions
 from errpipe.kernels import responses
 
-Respond = Callable[[np.ndarray, np.ndarray, np.ndarray, bool], np.ndarray]
+Respond = Callable[["np.ndarray", "np.ndarray", "np.ndarray", bool], "np.ndarray"]
 
 
 def drive(driver: d.Driver, recording: Recording) -> np.ndarray:

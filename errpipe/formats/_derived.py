@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest
 
 UM_PER_MM = 1e3
-URAD_PER_DEG = 1e6 * np.pi / 180
+URAD_PER_DEG = 1e6 * math.pi / 180
 
 
 def kinds(manifest: Manifest, usual: Mapping[str, str]) -> dict[str, str]:

@@ -14,12 +14,15 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from errpipe import jsonfile
 from errpipe.errors import UsageError
 from errpipe.pipeline.lock import label_inputs
-from errpipe.pipeline.spec import Pipeline
-from errpipe.pipeline.stage import Stage
+
+if TYPE_CHECKING:
+    from errpipe.pipeline.spec import Pipeline
+    from errpipe.pipeline.stage import Stage
 
 _EQUALS = "errpipe_equals"  # make has no escape for `=` on a line of its own: a variable stands in
 

@@ -13,12 +13,14 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import errpipe
 from errpipe import files, jsonfile
 from errpipe.errors import DataError, VerifyError
-from errpipe.pipeline.stage import Stage
+
+if TYPE_CHECKING:
+    from errpipe.pipeline.stage import Stage
 
 LOCK = "errpipe.lock"
 VERSION = 1
@@ -135,11 +137,11 @@ def label_inputs(paths: Sequence[Path]) -> dict[str, Path]:
 
 def code_of(stage: Stage) -> str:
     """The code version of a stage: release, its own counter, and the bytes of the package behind it."""
-    return f"{errpipe.__version__}+{stage.code_version}.{_source()}"
+    return f"{errpipe.__version__}+{stage.code_version}.{package_code()}"
 
 
 @lru_cache
-def _source() -> str:
+def package_code() -> str:
     """Fingerprint of the package's source without the command line, 12 digits: edited code runs again."""
     top = Path(errpipe.__file__).parent
     digest = hashlib.sha256()

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,33 +34,7 @@ from errpipe.pipeline.lock import (
 )
 from errpipe.pipeline.spec import Pipeline, missing_inputs
 from errpipe.pipeline.stage import Context, Stage
-
-
-@dataclass(frozen=True)
-class Step:
-    """What is planned for, or happened to, one stage.
-
-    action: "run", "fresh" (nothing to do) or "perhaps" (only if an earlier stage brings something new).
-    written: outputs whose bytes changed. summary: what the stage returned, also where it was fresh.
-    """
-
-    name: str
-    kind: str
-    action: str
-    reasons: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-    written: tuple[str, ...] = ()
-    summary: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Talk:
-    """Callbacks for progress messages; the defaults print nothing."""
-
-    waiting: Callable[[], None] = lambda: None
-    started: Callable[[Step], None] = lambda step: None
-    progress: Callable[[str, float, str], None] = lambda name, fraction, text: None
-    finished: Callable[[Step], None] = lambda step: None
+from errpipe.pipeline.step import SILENT, Step, Talk
 
 
 def plan(pipeline: Pipeline, out: Path, *, to: str | None = None, force: Sequence[str] = ()) -> list[Step]:
@@ -89,7 +63,7 @@ def run(
     to: str | None = None,
     force: Sequence[str] = (),
     jobs: int = 1,
-    talk: Talk = Talk(),
+    talk: Talk = SILENT,
 ) -> list[Step]:
     """Bring OUT up to date; one Step per selected stage, in file order.
 

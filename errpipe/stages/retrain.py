@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
 from errpipe.errors import DataError, GateError, VerifyError
+from errpipe.pipeline.step import SILENT, Talk
 from errpipe.stages import _artefacts
 from errpipe.stages._retrain_pages import github_annotations, write_pages
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
-    from errpipe.pipeline.runner import Talk
     from errpipe.pipeline.spec import Pipeline
     from errpipe.validation.retraining import Gate, RunScore
 
@@ -54,7 +54,7 @@ def retrain(
     earlier = _earlier_scores(out / DOCUMENT, fingerprint)
     refused = ""
     try:
-        runner.run(pipeline, out / RUN, talk=talk or runner.Talk())
+        runner.run(pipeline, out / RUN, talk=talk or SILENT)
     except GateError as err:
         refused = str(err)
     folder = out / RUN / _giving(pipeline, "recording")

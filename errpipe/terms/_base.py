@@ -10,6 +10,7 @@ parameters. A term knows columns and units; it never knows how it will be solved
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -54,7 +55,7 @@ class Parameter:
     name: str
     unit: str
     typical: tuple[float, float]
-    bounds: tuple[float, float] = (-np.inf, np.inf)
+    bounds: tuple[float, float] = (-math.inf, math.inf)
     meaning: str = ""
     search: Search | None = None
     at_largest: bool = False

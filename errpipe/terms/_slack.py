@@ -16,7 +16,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._search import resolved_lengths
 
-Slack = Iterator[tuple[np.ndarray, float]]  # column, shape (rows,), and its freedom
+Slack = Iterator["tuple[np.ndarray, float]"]  # column, shape (rows,), and its freedom
 
 BENT = 0.07  # freedom of each smooth deformation along an axis; chosen on both trial generators
 DEGREES = range(1, 8)  # Chebyshev degrees of these deformations

@@ -26,7 +26,7 @@ def where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A pipeline of stages that know no physics, in the current folder."""
     lay_out(tmp_path)
     monkeypatch.setattr("errpipe.stages.STAGES", STAGES)
-    monkeypatch.setattr("errpipe.pipeline.lock._source", lambda: "source")
+    monkeypatch.setattr("errpipe.pipeline.lock.package_code", lambda: "source")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -34,7 +34,7 @@ def where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def loaded_after(*arguments: str) -> set[str]:
     """Which heavy packages a command line brings in."""
     code = f"from errpipe.cli.app import main; main({list(arguments)!r})"
-    code += "; import sys; print(*sys.modules, file=sys.stderr)"
+    code += "; import sys; print(*(n for n, m in sys.modules.items() if getattr(m, '__spec__', None)), file=sys.stderr)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return {name.split(".")[0] for name in run.stderr.split()} & set(HEAVY)
 
@@ -159,7 +159,7 @@ def test_run_then_plan(where: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "take: lines 3",
         "scale: numbers 3",
         "thirds: numbers 3",
-        "sum: total 57, had_lines true",
+        "sum: had_lines true, total 57",
     ]
     assert heard.err.splitlines()[:2] == ["take: runs (has not run)", "take: done, 1 file written"]
     assert "\r" not in heard.err

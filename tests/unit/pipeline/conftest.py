@@ -9,4 +9,4 @@ from errpipe.pipeline import lock
 
 @pytest.fixture(autouse=True)
 def _same_source(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lock, "_source", lambda: "source")
+    monkeypatch.setattr(lock, "package_code", lambda: "source")

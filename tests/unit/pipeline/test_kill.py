@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from errpipe.pipeline import runner
+from errpipe.pipeline import runner, step
 from errpipe.pipeline.spec import load_pipeline
 from tests.unit.pipeline.stages_for_tests import STAGES, lay_out, tree
 
@@ -93,7 +93,7 @@ def test_two_runs_on_one_out_take_turns(tmp_path: Path) -> None:
     while not (tmp_path / "out" / ".errpipe" / "work" / "scale").exists():
         time.sleep(0.005)
     heard: list[str] = []
-    talk = runner.Talk(waiting=lambda: heard.append("waits"))
+    talk = step.Talk(waiting=lambda: heard.append("waits"))
     steps = runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "out", talk=talk)
     os.waitpid(child, 0)
     assert heard == ["waits"] and all(step.action == "fresh" for step in steps)

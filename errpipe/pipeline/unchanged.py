@@ -1,0 +1,76 @@
+"""A run with nothing to do, answered without reading the pipeline: from a note of what the last whole run looked at.
+
+The note lies with the unfinished work in OUT. It holds the command, the bytes of the pipeline file, the values of the
+environment that the file names, where the inputs are, and the lock file's hash. Every input and output is still hashed
+as `run` does; whatever differs, or cannot be read, sends the caller back to `run`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from errpipe import jsonfile
+from errpipe.errors import ErrpipeError
+from errpipe.pipeline import lock
+from errpipe.pipeline.lock import LOCK, Record, alone, hash_file, label_inputs, read_lock, scratch
+from errpipe.pipeline.step import Step, Talk
+
+if TYPE_CHECKING:
+    from errpipe.pipeline.spec import Pipeline
+
+NOTE = "unchanged.json"
+_VARIABLE = re.compile(rb"\$\{([A-Za-z_][A-Za-z0-9_]*)")
+
+
+def note(pipeline: Pipeline, out: Path, sets: Sequence[str]) -> None:
+    """Note a run of all stages that ended well."""
+    stages = [[stage.label, [os.fspath(path) for path in stage.inputs()]] for stage in pipeline.stages]
+    noted = {"command": _command(pipeline.file, sets), "lock": hash_file(out / LOCK), "stages": stages}
+    jsonfile.write(scratch(out) / NOTE, noted | {"title": pipeline.title})
+
+
+def steps(file: Path, out: Path, sets: Sequence[str], talk: Talk) -> tuple[str, list[Step]] | None:
+    """The title and one fresh step a stage where nothing changed since the note; None where a run must look."""
+    if not (scratch(out) / NOTE).is_file():
+        return None
+    try:
+        with alone(out, talk.waiting):
+            noted = jsonfile.read(scratch(out) / NOTE)
+            if noted["command"] != _command(file, sets) or noted["lock"] != hash_file(out / LOCK):
+                return None
+            records = read_lock(out)
+            if not all(_is_fresh(name, paths, records, out) for name, paths in noted["stages"]):
+                return None
+            fresh = [_step(name, records[name]) for name, _ in noted["stages"]]
+    except (ErrpipeError, OSError, KeyError, TypeError, ValueError):
+        return None
+    for step in fresh:
+        talk.finished(step)
+    return str(noted["title"]), fresh
+
+
+def _command(file: Path, sets: Sequence[str]) -> str:
+    """Fingerprint of what makes the pipeline: its file, `--set`, the environment it names, the code."""
+    data = file.read_bytes()
+    named = sorted({name.decode() for name in _VARIABLE.findall(data + "\n".join(sets).encode())})
+    values = [[name, os.environ.get(name)] for name in named]
+    said: list[Any] = [lock.package_code(), os.getcwd(), os.fspath(file), jsonfile.fingerprint_bytes(data)]
+    return jsonfile.fingerprint([*said, list(sets), values])
+
+
+def _is_fresh(name: str, paths: Sequence[str], records: Mapping[str, Record], out: Path) -> bool:
+    """Whether a stage's inputs and outputs are those of its record, and nothing was interrupted."""
+    record = records[name]
+    inputs = {label: hash_file(path) for label, path in label_inputs([Path(path) for path in paths]).items()}
+    for other in {other for names in record.sources.values() for other in names}:
+        inputs |= {f"{other}/{file}": digest for file, digest in records[other].outputs.items()}
+    outputs_kept = all(hash_file(out / name / file) == digest for file, digest in record.outputs.items())
+    return inputs == record.inputs and outputs_kept and not (scratch(out) / f"{name}.json").exists()
+
+
+def _step(name: str, record: Record) -> Step:
+    return Step(name, record.kind, "fresh", (), tuple(sorted(record.outputs)), (), record.summary)
