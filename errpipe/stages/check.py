@@ -9,10 +9,10 @@ identifiable) is left to `run`.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 from errpipe import files
 from errpipe.domain import components
@@ -83,33 +83,60 @@ def header_of(path: Path) -> Recording:
 
     document = yamlfile.read(path)
     manifest: Any = document.validate(WrittenManifest)
+    levels: dict[str, set[str]] | None = {}
     for n, table in enumerate(manifest.tables):
         file = path.parent / table
         if not file.is_file():
             document.problems.append(document.problem(("tables", n), "no such file beside the manifest"))
-        elif not table.endswith(".parquet"):
-            document.problems += [document.problem(place, text) for place, text in _table(file, manifest)]
+        elif table.endswith(".parquet"):
+            levels = None
+        else:
+            try:
+                table_rows = _sample(file)
+            except OSError as err:
+                document.problems.append(document.problem(("tables",), f"{file.name} {files.why(err)}"))
+                continue
+            document.problems += [document.problem(place, text) for place, text in _table(file, table_rows, manifest)]
+            levels = _with_levels(levels, table_rows)
     document.raise_problems()
     plain = Manifest.model_validate(manifest.model_dump())
     names = [n for n, c in plain.columns.items() if c.role != "ignore"]
-    return Recording(plain, SimpleNamespace(columns=names))  # a header, no rows
+    counts = {name: len(texts) for name, texts in (levels or {}).items()}
+    return Recording(plain, SimpleNamespace(columns=names, levels=counts))  # a header, no rows
 
 
-def _table(file: Path, manifest: Manifest) -> Iterator[tuple[Place, str]]:
-    """What a CSV table's header and first rows say against the manifest."""
+def _with_levels(levels: dict[str, set[str]] | None, sample: _Sample) -> dict[str, set[str]] | None:
+    """The different texts of each column, with those of one more table; None where a table is not known whole."""
+    if levels is None or not sample.whole:
+        return None
+    for k, name in enumerate(sample.header):
+        levels.setdefault(name, set()).update(row[k] for row in sample.rows if k < len(row))
+    return levels
+
+
+class _Sample(NamedTuple):
+    """Header and first rows of a CSV table, and whether these are all; no header where the text is no CSV."""
+
+    header: list[str]
+    rows: list[list[str]]
+    whole: bool
+
+
+def _sample(file: Path) -> _Sample:
+    with files.open_regular(file) as stream:
+        lines = stream.read(SAMPLE_BYTES).splitlines(keepends=True)
+    whole = sum(map(len, lines)) < SAMPLE_BYTES
     try:
-        with files.open_regular(file) as stream:
-            lines = stream.read(SAMPLE_BYTES).splitlines(keepends=True)
-        whole = lines[:-1] if sum(map(len, lines)) == SAMPLE_BYTES else lines  # the last one may be cut
-        rows = csv.reader(line.decode("utf-8") for line in whole)
-        header = next(rows, [])
-        sample = [row for _, row in zip(range(SAMPLE_ROWS), rows, strict=False)]
-    except OSError as err:
-        yield ("tables",), f"{file.name} {files.why(err)}"
-        return
+        rows = csv.reader(line.decode("utf-8") for line in (lines if whole else lines[:-1]))  # the last may be cut
+        return _Sample(next(rows, []), list(rows), whole)
     except (UnicodeDecodeError, csv.Error):
-        return  # `run` says it with the line of the table
-    if not header and whole != lines:
+        return _Sample([], [], False)  # `run` says it with the line of the table
+
+
+def _table(file: Path, sample: _Sample, manifest: Manifest) -> Iterator[tuple[Place, str]]:
+    """What a CSV table's header and first rows say against the manifest."""
+    header = sample.header
+    if not header and not sample.whole:
         return
     stored = {n: c for n, c in manifest.columns.items() if c.derived is None}
     for name, column in stored.items():
@@ -126,7 +153,7 @@ def _table(file: Path, manifest: Manifest) -> Iterator[tuple[Place, str]]:
     for k, name in enumerate(header):
         if name not in stored or stored[name].role in ("run", "group", "ignore"):
             continue
-        wrong = next((row[k] for row in sample if k < len(row) and not _number(row[k])), None)
+        wrong = next((row[k] for row in sample.rows[:SAMPLE_ROWS] if k < len(row) and not _number(row[k])), None)
         if wrong is not None:
             yield ("columns", name), f"{file.name}: {wrong!r} is not a number"
 
@@ -222,6 +249,10 @@ def _responses(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
                 yield from _term(term, recording, (*place, "terms", k))
                 if term in spec.terms[:k]:
                     yield (*place, "terms", k), "the same term twice: their parameters cannot be told apart"
+        if getattr(stage, "method", "linear") != "ridge":
+            for n, spec in enumerate(listed):
+                for k, text in _too_many(spec.terms, recording):
+                    yield ("components", n, "terms", k), text
         for k, term in enumerate(getattr(stage, "nuisance", ())):
             yield from _term(term, recording, ("nuisance", k))
     else:
@@ -262,6 +293,27 @@ def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place
         if name not in recording.frame.columns and name != "row":
             field_name = next((k for k in type(term).model_fields if getattr(term, k) == name), None)
             yield (*place, field_name) if field_name else place, _no_column(recording, name)
+
+
+def _too_many(terms: Sequence[Any], recording: Recording) -> Iterator[tuple[int, str]]:
+    """Terms of one column with more parameters than that column has different values: no rows can tell them apart."""
+    from errpipe.terms import Term
+
+    spent: dict[str, int] = {}
+    for k, term in enumerate(terms):
+        try:
+            drivers = term.drivers(recording)
+        except Exception:  # said by `_term`, or left to `run`
+            continue
+        places = (*recording.names("command"), *recording.names("position"))
+        by_place = len(drivers) == 1 and drivers[0] in places
+        if not by_place or not term.rowwise or type(term).penalty is not Term.penalty:
+            continue
+        levels = recording.frame.levels.get(drivers[0])
+        count = sum(parameter.name not in term.fixed for parameter in term.linear())
+        spent[drivers[0]] = spent.get(drivers[0], 0) + count
+        if levels is not None and spent[drivers[0]] > levels:
+            yield k, f"{spent[drivers[0]]} parameters over {drivers[0]}, which has {levels} different values"
 
 
 def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:

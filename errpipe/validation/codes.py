@@ -82,7 +82,7 @@ EXPLANATIONS: dict[str, str] = {
     "run-per-row": ("The run column has a new label in every row. Held-out validation would leave out single rows."),
     "shifted-rows": (
         "The two directions agree much better when each deviation is moved to the neighbouring target: the "
-        "column is shifted by one row."
+        "column is shifted by one row. Two F tests say so: chance gives it to fewer than one sound recording in 1000."
     ),
     "shrinks-when-warm": (
         "The slope of the deviation falls by 5 to 26 um/m for each kelvin of every temperature. Scales and "
@@ -97,7 +97,10 @@ EXPLANATIONS: dict[str, str] = {
         "(degC, degF, K)."
     ),
     "too-fast": "Half of all steps are faster than 10 m/s (100 rev/s). Time or position is in another unit.",
-    "too-small": "No deviation exceeds 0.05 um (or 1 ppm of the travel). Readings in mm were declared as um.",
+    "too-small": (
+        "No deviation exceeds 0.05 um, or 1 ppm of the travel with readings quieter than a laser in air. Readings in "
+        "mm were declared as um."
+    ),
     "worse-with-compensation": (
         "Rows with the compensation on (a column of role group, of: compensation, labels on and off) are more "
         "wrong than those with it off. The sign is reversed in the file or in a parameter of the controller."

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.validation.plausibility_finding import Check, Finding, Response
+from errpipe.validation.plausibility_finding import Check, Finding, Response, is_rearranged, noise_of_difference
 
 ABSOLUTE_SLOPE = 0.1  # of the position: no axis is wrong by 10 %; a belt with a wrong pulley reaches 3 %
 LARGEST_SHARE = 0.03  # of the travel, offsets of runs and directions removed: a belt with a wrong pulley reaches 3 %
 SMALLEST_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is what air of 1 degC more does to a laser
+QUIETEST = 5e-9  # of the travel: half of what the best interferometer repeats to in air
 STRAIGHT = (
     3e-4  # rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
 )
@@ -16,7 +17,6 @@ UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
 FEWEST_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
 MOST_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
-SHIFT_GAIN = 0.5  # the best shift must halve the difference between the directions to be believed
 COMMON_SLOPES = (
     (1.0, "error = reading - commanded (these are absolute readings, not deviations)"),
     (-1.0, "another reading (this one is empty, in m beside commands in mm, or absolute with the sign turned)"),
@@ -71,7 +71,7 @@ def too_small(r: Response) -> Finding | None:
     if r.component.unit != "um" or r.per_unit is None or r.span < 1.0:
         return None
     largest, least = float(np.abs(r.deviation).max()), max(SMALLEST_UM, SMALLEST_SHARE * 1e3 * r.span)
-    if largest == 0.0 or largest >= least:
+    if largest == 0.0 or largest >= least or (largest >= SMALLEST_UM and _noise(r) > QUIETEST * 1e3 * r.span):
         return None
     evidence = (
         f"no deviation exceeds {largest:.3g} um over {r.span:.4g} mm of travel, finer than a laser can read in air"
@@ -236,8 +236,7 @@ def shifted_rows(r: Response) -> Finding | None:
     a, b = (np.array([c[x] for x in shared]) for c in (up, down))
     gaps = {k: _gap(a[1 + k : a.size - 1 + k], b[1 - k : b.size - 1 - k]) for k in (-1, 0, 1)}
     best = min(gaps, key=lambda k: gaps[k])
-    wave = _scatter(np.diff(a))
-    if best == 0 or gaps[best] > SHIFT_GAIN * gaps[0] or gaps[0] < 0.5 * wave:
+    if best == 0 or not is_rearranged(r, gaps[0] ** 2, gaps[best] ** 2, a.size - 2, noise_of_difference(r)):
         return None
     which = "the row before" if best == 1 else "the row after"
     return Finding(
@@ -245,6 +244,7 @@ def shifted_rows(r: Response) -> Finding | None:
         r.column,
         f"both directions agree {gaps[0] / max(gaps[best], 1e-12):.3g} times better with each value at its neighbour",
         f"deviations that belong to {which} (a header counted as a row, or a value logged one target late)",
+        "refuse" if r.repeats()[1] else "ask",
     )
 
 
@@ -278,6 +278,17 @@ def _line(r: Response) -> tuple[float, float]:
     x, y = position - _means(position, group), r.deviation - _means(r.deviation, group)
     slope = float(x @ y) / max(float(x @ x), 1e-300)
     return slope, float(np.sqrt(np.mean((y - slope * x) ** 2)))
+
+
+def _noise(r: Response) -> float:
+    """How finely the deviation was read: scatter of repeats or of neighbours, whichever is less, or its resolution."""
+    variance, freedom = r.repeats()
+    scatter = [float(np.sqrt(variance))] if freedom else []
+    if r.deviation.size > 2:
+        scatter.append(1.4826 * float(np.median(np.abs(np.diff(r.deviation, 2)))) / float(np.sqrt(6)))
+    steps = np.diff(np.unique(r.deviation))
+    resolution = float(steps[steps > 1e-9 * np.ptp(r.deviation)].min()) if steps.size else 0.0
+    return max(min(scatter, default=0.0), resolution / float(np.sqrt(12)))
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:

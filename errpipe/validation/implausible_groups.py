@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from errpipe.validation.plausibility_finding import Check, Finding, Response
+from errpipe.validation.plausibility_finding import Check, Finding, Response, is_rearranged, noise_of_difference
 
 FEWEST_TARGETS = 10  # shared targets; chance reaches a correlation of -0.8 on ten once in 200 tries
 OPPOSITE = -0.8  # correlation of a curve with the mean of the others
 ALIKE = 0.6  # correlation of the others among themselves
 SMALLEST_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign says nothing
-MIRROR_GAIN = 4.0  # how many times better the directions agree when one is read backwards
 
 
 def mixed_sign(r: Response) -> Finding | None:
@@ -51,13 +50,14 @@ def mirrored_rows(r: Response) -> Finding | None:
         return None
     straight = float(np.std(curves[0] - curves[1]))
     mirrored = float(np.std(curves[0] - curves[1][::-1]))
-    if straight < MIRROR_GAIN * mirrored:
+    if not is_rearranged(r, straight**2, mirrored**2, curves.shape[1], noise_of_difference(r)):
         return None
     return Finding(
         "mirrored-rows",
         r.column,
         f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better when one is read backwards",
         "readings of the way back that stand in the order of the targets, not of the measurement (or the reverse)",
+        "refuse" if r.repeats()[1] else "ask",
     )
 
 

@@ -12,6 +12,8 @@ from errpipe.domain import components
 from errpipe.domain.recording import Recording
 
 URAD_PER_DEG = 1e6 * np.pi / 180
+RARE = 1e-4  # chance that two equal variances give such a ratio; four orders are tried on each recording
+RARE_NOISE = 1e-3  # chance that rows in their right order differ by more than the repeats allow
 FEWEST = 6  # finite rows; fewer say nothing about a slope
 
 
@@ -58,6 +60,53 @@ class Response:
     def span(self) -> float:
         """Range of the positions of this response, mm or deg; 0 without a position."""
         return 0.0 if self.position is None or not self.position.size else float(np.ptp(self.position))
+
+    def repeats(self) -> tuple[float, int]:
+        """Variance of the deviation among runs at the same target from the same side, and its degrees of freedom.
+
+        Each run and side about its own mean, so that a run's offset is no noise; (0, 0) without repeats.
+        """
+        if self.position is None:
+            return 0.0, 0
+        side = np.zeros(self.rows.size) if self.direction is None else self.direction
+        visit = np.unique(np.stack([self.run, side], axis=1), axis=0, return_inverse=True)[1].ravel()
+        place = np.stack([np.round(self.position, 3), side], axis=1)
+        cell = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+        rest = self.deviation - _means(self.deviation, visit)
+        freedom = int(rest.size - np.unique(cell).size - np.unique(visit).size + np.unique(side).size)
+        squares = float(np.sum((rest - _means(rest, cell)) ** 2))
+        return (squares / freedom, freedom) if freedom > 0 else (0.0, 0)
+
+
+def _means(values: np.ndarray, code: np.ndarray) -> np.ndarray:
+    return (np.bincount(code, values) / np.maximum(np.bincount(code), 1))[code]
+
+
+def noise_of_difference(r: Response) -> float:
+    """Variance that the repeats expect of the difference of the mean curves of the two directions."""
+    visits = [max(np.unique(r.run[r.direction == side]).size, 1) for side in (1.0, -1.0)]
+    return r.repeats()[0] * (1 / visits[0] + 1 / visits[1])
+
+
+def _f_quantile(first: int, second: int, level: float) -> float:
+    from scipy.special import fdtri
+
+    return float(fdtri(first, second, 1 - level))
+
+
+def is_rearranged(r: Response, as_declared: float, rearranged: float, targets: int, noise: float) -> bool:
+    """Whether two curves differ by noise in another order of their rows, and by more than noise in the declared one.
+
+    as_declared, rearranged: variances of their difference, each with two parameters removed. noise: variance that the
+    repeats expect of the difference, 0 without repeats (only the ratio of the two can be judged then,
+    which is worth a question, no refusal: smooth curves have fewer free values than targets).
+    Two F tests: against each other (level RARE), and against the repeats (level RARE_NOISE).
+    """
+    freedom = max(targets - 2, 1)
+    if as_declared < _f_quantile(freedom, freedom, RARE) * rearranged:
+        return False
+    repeats = r.repeats()[1]
+    return repeats == 0 or rearranged <= _f_quantile(freedom, repeats, RARE_NOISE) * noise
 
 
 Check = Callable[[Response], Finding | None]

@@ -67,6 +67,7 @@ PIPELINE_FAULTS = {
     "gradient of one sensor": ("backlash, axis: X", "gradient_bending, first: T_nut, second: T_bed", "'T_bed'"),
     "unknown term": ("term: backlash", "term: backlsh", "backlash"),
     "unknown option of a term": ("degree: 5", "degre: 5", "degre"),
+    "more parameters than targets": ("degree: 5", "degree: 40", "40 parameters over x, which has 21 different values"),
     "degree as text": ("degree: 5", "degree: five", "degree"),
     "negative degree": ("degree: 5", "degree: -5", "degree"),
     "unknown stage": ("kind: validate", "kind: valdate", "validate"),

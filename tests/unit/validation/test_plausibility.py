@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from errpipe.domain.recording import Column, Recording
 from errpipe.errors import GateError
 from errpipe.validation import codes, plausibility
+from tests.unit.validation.sound_recordings import sound_recording
 from tests.unit.validation.wrong_declarations import (
     WRONG,
     Wrong,
     axis_test,
     declare,
+    mirrored,
     page,
     put,
     rotary_test,
@@ -159,3 +163,31 @@ def test_the_page_of_wrong_declarations_is_up_to_date() -> None:
 def test_every_name_is_explained() -> None:
     assert set(codes.EXPLANATIONS) == set(get_args(codes.Code))
     assert {w.code for w in WRONG} <= set(codes.EXPLANATIONS)
+
+
+def test_sound_recordings_of_any_layout_are_not_refused() -> None:
+    """400 axis tests of random layout, seeds that chose no threshold: at most one refusal (0.25 %)."""
+    made = [(seed, plausibility.findings(sound_recording(seed))) for seed in range(20_000, 20_400)]
+    refused = [(seed, str(f)) for seed, found in made for f in found if f.level == "refuse"]
+    assert len(refused) <= 1, refused
+
+
+@pytest.mark.parametrize("code", ["shifted-rows", "mirrored-rows", "too-small"])
+def test_wrong_rows_are_refused_whatever_the_noise_drew(code: str) -> None:
+    change: dict[str, Callable[[pd.DataFrame], object]] = {
+        "shifted-rows": lambda f: np.roll(f.EXX, 1),
+        "mirrored-rows": mirrored,
+        "too-small": lambda f: f.EXX / 1e3,
+    }
+    for seed in range(100, 120):
+        recording = axis_test(seed)
+        codes_found = {f.code for f in plausibility.findings(put(recording, EXX=change[code](recording.frame)))}
+        assert code in codes_found, seed
+
+
+def test_a_long_axis_that_is_good_is_not_too_small() -> None:
+    plain = axis_test(3, travel=(0.0, 5000.0), warm=False)
+    f = plain.frame
+    good = 1.5 * np.sin(f.x / 900) - 0.4 * f["dir"] + 0.3 * np.random.default_rng(5).normal(size=len(f))
+    assert [x.code for x in plausibility.findings(put(plain, EXX=good))] == []
+    assert [x.code for x in plausibility.findings(put(plain, EXX=good / 1000))] == ["too-small"]

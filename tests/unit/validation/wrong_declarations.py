@@ -162,7 +162,7 @@ def _one_later(f: pd.DataFrame, by: int) -> pd.Series:
     return pd.Series(np.roll(f.EXX.to_numpy(), by))
 
 
-def _mirrored(f: pd.DataFrame) -> pd.Series:
+def mirrored(f: pd.DataFrame) -> pd.Series:
     """The error with the rows of every way back in the opposite order."""
     turned = f.EXX.copy()
     for run in f.run.unique():
@@ -310,7 +310,7 @@ WRONG: tuple[Wrong, ...] = (
     ),
     # among runs and directions
     Wrong("one run of the other sign", _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)), "mixed-sign", "turn"),
-    Wrong("the way back in the order of the way there", _error(_mirrored), "mirrored-rows", "order of the targets"),
+    Wrong("the way back in the order of the way there", _error(mirrored), "mirrored-rows", "order of the targets"),
     Wrong(
         "a direction that changes with every row",
         _column("dir", lambda f: np.where(f.index % 2, 1.0, -1.0)),
