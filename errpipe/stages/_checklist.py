@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 PUSH = 100.0  # N: the force of an example
+LEAST_BEND = 0.1  # um: a curve that is straighter is checked in its middle
 LEAST_ZERO = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 
 
@@ -179,8 +180,13 @@ def _reference_state(table: CompensationTable) -> str:
 
 
 def _moves(read: Any) -> list[str]:
-    """Rows of the move list: three points of each curve, the corners of each product, one kelvin of each sensor."""
+    """Rows of the move list: three points of each curve, the corners of each product, one kelvin of each sensor.
+
+    The three points are both ends, and where the correction is furthest from the straight line between them.
+    """
     import numpy as np
+
+    from errpipe.targets import _sample
 
     ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
     for part in (*read.products, *read.planes):
@@ -194,9 +200,22 @@ def _moves(read: Any) -> list[str]:
         up, down = (1e3 * float(read.correction(axis, readings, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
         return f"| {axis} | {over} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
 
+    def between(axis: str, over: str) -> float:
+        low, high = ends[over]
+        x = np.sort(np.append(_sample.spread(low, high, 101), (low + high) / 2))
+        value = read.correction(
+            axis,
+            {k: np.full(x.size, v) for k, v in middle.items()} | {over: x},
+            np.ones(x.size),
+            {k: np.full(x.size, v) for k, v in cold.items()},
+        )
+        off = np.abs(value - np.interp(x, (low, high), value[[0, -1]]))
+        return float(x[off.argmax()]) if 1e3 * off.max() > LEAST_BEND else (low + high) / 2
+
     lines = []
     for axis, over in dict.fromkeys((c.axis, c.over) for c in read.curves):
-        lines += [row(axis, over, f"{x:.3f}", {over: float(x)}) for x in np.linspace(*ends[over], 3)]
+        places = (ends[over][0], between(axis, over), ends[over][1])
+        lines += [row(axis, over, f"{x:.3f}", {over: float(x)}) for x in places]
     for axis, (a, b) in dict.fromkeys((p.axis, p.over) for p in (*read.products, *read.planes)):
         corners = [(x, y) for x in ends[a] for y in ends[b]]
         lines += [row(axis, f"{a} and {b}", f"{x:.3f}, {y:.3f}", {a: x, b: y}) for x, y in corners]

@@ -92,6 +92,7 @@ def compile_model(
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
         inputs=_inputs.table_inputs(model, guard, rates.learn(recording) if recording is not None else None),
         travel=_inputs.travel(model),
+        turning=_inputs.turning(model),
         error_bound=options.error_bound,
         position_cycle_s=options.position_cycle,
         thermal_cycle_s=options.thermal_cycle,

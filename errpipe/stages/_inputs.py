@@ -136,6 +136,12 @@ def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
     return out
 
 
+def turning(model: ErrorModel) -> set[str]:
+    """Rotary axes whose stated travel is a turn or more: they turn on."""
+    ends = {letter: facts["travel"] for letter, facts in model.constants.items() if facts.get("travel")}
+    return {x for x, (low, high) in ends.items() if model.constants[x].get("kind") == "rotary" and high - low >= 360.0}
+
+
 def unknown_inputs(names: set[str], model: ErrorModel) -> None:
     """Raises GateError naming an input that no controller can feed (such as the time of a recording).
 

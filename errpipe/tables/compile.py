@@ -1,12 +1,14 @@
 """Error components as sums of profile(position) x driver(state), compiled into one table.
 
 Equal drivers become one node, in order of first use, so equal input gives an equal table. Pairs of the same
-component, axis and driver are added into one profile (a periodic one only to another of its period).
+component, axis and driver are added into one profile (a periodic one only to another of its period). A rotary axis that
+turns on repeats its curve with every turn, closed where the turn ends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +26,8 @@ from errpipe.tables.gridding import grid, interpolation_error, quantise
 # the grid for all of them (half the cycle of a machine of 21 components).
 COMMON_GRID_INTERVALS = 512
 SAME_STEP = 1e-6  # of the span: steps that differ by less are one step, written with few digits
+ROTARY, TURN = ("A", "B", "C"), 360.0  # letters of axes that turn; deg
+SMOOTH = 30.0  # deg beyond what was measured of a turn within which its slope ends: a step between usual targets
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ def compile_table(
     inputs: Sequence[t.TableInput],
     outputs: Sequence[OutputSource] | None = None,
     travel: Mapping[str, tuple[float, float]] | None = None,
+    turning: Collection[str] = (),
     limits: Mapping[str, Limits] | None = None,
     error_bound: float = 0.01,
     position_cycle_s: float = 0.001,
@@ -87,8 +92,9 @@ def compile_table(
 
     inputs: every input that drivers and profiles read (positions by axis; inputs nobody reads are left out);
     outputs: None gives one output per component; travel: axis -> range of its profiles (default: the position
-    input's validity, else its plausible range); error_bound: largest interpolation error of each pair at
-    its driver's largest value, um or urad. Raises GateError where a component cannot be compiled.
+    input's validity, else its plausible range); turning: rotary axes that turn on, besides those whose travel is one
+    turn; error_bound: largest interpolation error of each pair at its driver's largest value, um or urad. Raises
+    GateError where a component cannot be compiled.
     """
     slow_every = _cycles(thermal_cycle_s, position_cycle_s)
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
@@ -96,16 +102,14 @@ def compile_table(
     monomials = [_monomials(build, o) for o in (outputs_of(components) if outputs is None else outputs)]
     spans = bounds.node_spans(build.nodes, inputs)
     flat = [g for own_groups in groups for g in own_groups]
-    made = [g.profile(build, spans, travel or {}, error_bound, most_intervals) for g in flat]
+    seen, turns = _turns(inputs, travel or {}, turning)
+    flat = [g.closed(*seen[g.axis]) if g.axis in turns and g.period is None else g for g in flat]
+    made = [g.profile(build, spans, seen, error_bound, most_intervals) for g in flat]
     made = _on_common_grids(flat, made)
+    used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in made}
+    made += _travels([i for i in inputs if i.name in used], travel or {}, turns, made)
     profiles = {p: n for n, p in enumerate(sorted(dict.fromkeys(made), key=_grid_order(made)))}
-    pairs: list[t.Pair] = []
-    for component, own_groups in zip(components, groups, strict=True):
-        for group in own_groups:
-            number = profiles[made[len(pairs)]]
-            keep = group.keeps(build) if component.keep is None else component.keep
-            pairs.append(t.Pair(component=component.name, profile=number, driver=group.driver, keep=keep))
-    used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in profiles}
+    pairs = _pairs(build, components, groups, [profiles[p] for p in made])
     used |= {s.input for i in inputs if i.name in used for s in i.substitute}
     table = t.CompensationTable(
         machine=_short(machine, 63),
@@ -126,6 +130,55 @@ def compile_table(
     return with_limits(table, limits or {})
 
 
+def _pairs(
+    build: Nodes, components: Sequence[ComponentSource], groups: Sequence[Sequence[_Group]], profiles: Sequence[int]
+) -> list[t.Pair]:
+    """profiles: numbers, in the order of all groups."""
+    pairs: list[t.Pair] = []
+    for component, own_groups in zip(components, groups, strict=True):
+        for group in own_groups:
+            keep = group.keeps(build) if component.keep is None else component.keep
+            number = profiles[len(pairs)]
+            pairs.append(t.Pair(component=component.name, profile=number, driver=group.driver, keep=keep))
+    return pairs
+
+
+def _turns(
+    inputs: Sequence[t.TableInput], travel: Mapping[str, bounds.Span], turning: Collection[str]
+) -> tuple[dict[str, bounds.Span], set[str]]:
+    """Axis -> range of its curves, and the axes that turn on."""
+    seen = {i.axis: i.valid or (i.low, i.high) for i in inputs if i.kind == "position"} | dict(travel)
+    return seen, {axis for axis, ends in seen.items() if axis[:1] in ROTARY and (axis in turning or _is_turn(*ends))}
+
+
+def _travels(
+    inputs: Sequence[t.TableInput], travel: Mapping[str, bounds.Span], turns: set[str], made: Sequence[t.Profile]
+) -> list[t.Profile]:
+    """A profile of zeros over the travel of each axis that no other covers: nothing else of a table says how far."""
+    out = []
+    for channel in inputs:
+        if channel.kind == "position" and channel.axis in travel:
+            low, high = travel[channel.axis]
+            low, high = (math.floor(low), math.floor(low) + TURN) if channel.axis in turns else (low, high)
+            reach = [p.step * (len(p.values) - 1) for p in made if p.input == channel.name]
+            if max(reach, default=0.0) < (1 - SAME_STEP) * (high - low):
+                out.append(t.Profile(input=channel.name, start=low, step=high - low, values=(0, 0)))
+    return out
+
+
+def _is_turn(low: float, high: float) -> bool:
+    return abs(high - low - TURN) <= SAME_STEP * TURN
+
+
+def _bridge(x: np.ndarray, length: float, ends: np.ndarray, slopes: np.ndarray, *, straight: bool) -> np.ndarray:
+    """From one end to the other over x = 0 to `length`: straight, or going on with the slopes for a while."""
+    u = np.clip(x / length, 0.0, 1.0)
+    along = u if straight else u * u * (3.0 - 2.0 * u)
+    room = min(length, SMOOTH)
+    p, q = (np.clip(v / room, 0.0, 1.0) for v in (x, length - x))
+    return ends[0] + (ends[1] - ends[0]) * along + room * (slopes[0] * p * (1 - p) ** 2 - slopes[1] * q * (1 - q) ** 2)
+
+
 def _cycles(thermal_cycle_s: float, position_cycle_s: float) -> int:
     """Position cycles of one thermal cycle. Raises GateError beyond what a table can count."""
     cycles = max(1, round(thermal_cycle_s / position_cycle_s))
@@ -144,6 +197,7 @@ class _Group:
     axis: str | None
     period: float | None
     pairs: list[Lowered]
+    start: float = 0.0  # of a period
 
     def keeps(self, build: Nodes) -> bool:
         """Whether no validity box speaks about its driver."""
@@ -155,12 +209,40 @@ class _Group:
             total = total + (1.0 if pair.profile is None else np.asarray(pair.profile(x), dtype=float))
         return total
 
+    def nodes(self) -> tuple[float, ...]:
+        """Between which all of its curves are straight; none where they differ."""
+        return self.pairs[0].nodes if len({p.nodes for p in self.pairs}) == 1 else ()
+
     def own_grid(self) -> tuple[float, float, int]:
         """Start, end and intervals of the nodes of its curves where they are equidistant; no intervals elsewhere."""
-        nodes = np.array(self.pairs[0].nodes if len({p.nodes for p in self.pairs}) == 1 else ())
+        nodes = np.array(self.nodes())
         if nodes.size < 2 or np.ptp(np.diff(nodes)) > SAME_STEP * (nodes[-1] - nodes[0]):
             return 0.0, 0.0, 0
         return float(nodes[0]), float(nodes[-1]), nodes.size - 1
+
+    def closed(self, low: float, high: float) -> _Group:
+        """Over an axis that turns on, measured from low to high: with a curve that repeats with every turn.
+
+        Where less than a turn was measured the rest is bridged. What the ends of a whole turn differ is spread evenly
+        over it, as the division of a circle is closed.
+        """
+        high, bare, nodes = min(high, low + TURN), self.curve, self.nodes()
+        ends = bare(np.array([low, high]))
+        near = 1e-3 * (high - low)
+        slopes = (bare(np.array([low + near, high])) - bare(np.array([low, high - near]))) / near
+        slopes = np.zeros(2) if nodes else slopes
+
+        def curve(x: np.ndarray) -> np.ndarray:
+            at = low + np.mod(x - low, TURN)
+            if not _is_turn(low, high):
+                rest = _bridge(at - high, low + TURN - high, ends[::-1], slopes[::-1], straight=bool(nodes))
+                return np.where(at <= high, bare(np.minimum(at, high)), rest)
+            return bare(at) - (ends[1] - ends[0]) * ((at - low) / TURN - 0.5)
+
+        if nodes and not _is_turn(nodes[0], nodes[-1]):
+            nodes = (*nodes, nodes[0] + TURN)
+        whole = Lowered(d.ONE, self.axis, curve, TURN, nodes)
+        return _Group(self.driver, self.axis, TURN, [whole], math.floor(low))
 
     def profile(
         self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
@@ -168,18 +250,18 @@ class _Group:
         if self.axis is None:
             return _constant(float(self.curve(np.zeros(1))[0]))
         channel = build.position(self.axis)
-        low, high = travel.get(self.axis) or channel.valid or (channel.low, channel.high)
+        low, high = travel[self.axis]
         factor = max(bounds.largest(spans[self.driver]), 1e-9)
         unit = _unit(0.001 / max(1.0, factor))
         start, end, intervals = self.own_grid()
         error = interpolation_error(self.curve, start, end, intervals) if intervals else np.inf
         if error <= bound / factor:
-            made = quantise(self.curve, start, end, intervals, error, unit, periodic=False)
+            made = quantise(self.curve, start, end, intervals, error, unit, periodic=self.period is not None)
         else:
-            what = f"profile over {self.axis}"
-            made = grid(
-                self.curve, low, high, bound=bound / factor, unit=unit, period=self.period, most=most, what=what
-            )
+            if self.period is not None:
+                low, high = self.start, self.start + self.period
+            what, periodic = f"profile over {self.axis}", self.period is not None
+            made = grid(self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, most=most, what=what)
         if len(set(made.values)) == 1:
             return _constant(made.values[0] * made.scale)
         return t.Profile.model_validate(made.model_dump() | {"input": channel.name})

@@ -25,23 +25,22 @@ def grid(
     *,
     bound: float,
     unit: float = 0.001,
-    period: float | None = None,
+    periodic: bool = False,
     most: int = MOST_INTERVALS,
     what: str = "profile",
 ) -> Profile:
-    """The profile of `curve` over [low, high], or over one period from 0, without its input.
+    """The profile of `curve` over [low, high] (periodic: one period), without its input.
 
     bound: largest interpolation error allowed, in the curve's unit; unit: the value of one integer step (made
     ten times larger as often as 32 bits demand). Raises GateError where `most` intervals are not enough and
     where the curve is not finite.
     """
-    start, end = (0.0, period) if period is not None else (low, high)
-    if not start < end:
-        raise GateError(f"{what}: nothing to grid between {start:g} and {end:g}")
-    first = _evaluate(curve, np.linspace(start, end, SAMPLES + 1), what)
+    if not low < high:
+        raise GateError(f"{what}: nothing to grid between {low:g} and {high:g}")
+    first = _evaluate(curve, np.linspace(low, high, SAMPLES + 1), what)
     intervals = min(_first_guess(first, bound), most)
     while True:
-        error = interpolation_error(curve, start, end, intervals)
+        error = interpolation_error(curve, low, high, intervals)
         if error <= bound:
             break
         if intervals >= most:
@@ -50,7 +49,7 @@ def grid(
                 "Allow a larger error, or look for a step in the curve."
             )
         intervals = min(most, max(intervals + 1, int(np.ceil(intervals * min(4.0, 1.02 * (error / bound) ** 0.5)))))
-    return quantise(curve, start, end, max(intervals, 2 if period is not None else 1), error, unit, period is not None)
+    return quantise(curve, low, high, max(intervals, 2 if periodic else 1), error, unit, periodic)
 
 
 def quantise(

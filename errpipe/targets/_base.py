@@ -53,6 +53,16 @@ class Curve:
         return np.where(side > 0, rising, np.interp(position, self.positions, self.down))
 
 
+TURN = 360.0  # deg
+
+
+def every_turn(curve: Curve) -> Curve:
+    """A curve over one turn as a controller has it that repeats it: two turns to either side of its own."""
+    x, up, down = (v[:-1] for v in (curve.positions, curve.up, curve.down))
+    positions = np.concatenate([x + TURN * n for n in range(-2, 3)])
+    return Curve(curve.axis, curve.over, positions, np.tile(up, 5), np.tile(down, 5))
+
+
 @dataclass(frozen=True)
 class Plane:
     """Correction added to `axis` over two axes: values[i, j] at (first[i], second[j]), bilinear, held beyond."""

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from decimal import Decimal
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable, Output
 from errpipe.tables import batch
-from errpipe.targets._base import Curve, Line, Plane, Points
+from errpipe.targets._base import TURN, Curve, Line, Plane, Points
 
 SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
 PER_KELVIN = 2.0  # K on either side for a slope
 MOST_CURVE = 4000
+# Into which a turn is divided: steps are whole micrometres (thousandths of a degree), and short binary fractions.
+TURN_INTERVALS = sorted(part << n for part in (1, 3, 5, 9, 15, 45) for n in range(7))
 LEAST_REVERSAL = 1e-4  # mm (deg) of lost motion: a tenth of a micrometre
 # What controllers take, mm and deg, per correction unit of a table.
 MACHINE_UNITS = {"mm": 1.0, "um": 1e-3, "deg": 1.0, "urad": math.degrees(1e-6), "rad": math.degrees(1.0)}
@@ -62,6 +64,16 @@ def span(table: CompensationTable, axis: str) -> tuple[float, float]:
         return min(e[0] for e in chosen), max(e[1] for e in chosen)
     channel = next(i for i in table.inputs if i.name == name)
     return channel.low, channel.high
+
+
+def turns(table: CompensationTable, axis: str) -> bool:
+    """Whether an axis turns on: a rotary one whose range is one whole turn."""
+    return axis[0] in "ABC" and is_turn(np.array(span(table, axis)))
+
+
+def is_turn(positions: np.ndarray) -> bool:
+    """Whether ascending positions cover one turn, deg."""
+    return abs(float(positions[-1] - positions[0]) - TURN) < 1e-6
 
 
 def middle(table: CompensationTable) -> dict[str, float]:
@@ -112,8 +124,12 @@ def at_nodes(table: CompensationTable, axis: str, over: str, x: np.ndarray, *, r
     """`curve` on a grid that may reach beyond the range of an axis.
 
     The first node beyond an end extrapolates so that interpolation is exact at the end; further nodes hold its value.
+    Over an axis that turns on the curve repeats, and closes.
     """
     low, high = span(table, over)
+    if turns(table, over):
+        turned = curve(table, axis, over, low + np.mod(x - low, TURN), relative=relative)
+        return Curve(axis, over, x, turned.up, turned.down)
     inside = curve(table, axis, over, np.clip(x, low, high), relative=relative)
     sides = [_beyond(_beyond(v, x, high), -x, -low, backwards=True) for v in (inside.up, inside.down)]
     return Curve(axis, over, x, sides[0], sides[1])
@@ -148,23 +164,38 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
         gaps = (np.interp(fine, grid, np.interp(grid, fine, v)) - v for v in (dense.up, dense.down))
         return 1e3 * max(float(np.abs(gap).max()) for gap in gaps)
 
-    count = 2
-    while True:
+    for count in _counts(most, turns(table, over)):
         points = Points(low, (high - low) / (count - 1), count)
-        if left(points) <= error_um or count >= most:
+        if left(points) <= error_um:
             break
-        count = min(most, max(count + 1, int(count * 1.25)))
     for own in _own_grids(table, over):
         if own.count <= points.count and left(own) <= error_um:
             return own, left(own)
     return points, left(points)
 
 
+def from_zero(table: CompensationTable, axis: str, grid: np.ndarray) -> np.ndarray:
+    """The grid; of an axis that turns on, the same steps from 0 to 360 deg, as tables that count from 0 ask for."""
+    return np.linspace(0.0, TURN, grid.size) if turns(table, axis) else grid
+
+
+def _counts(most: int, turn: bool) -> Iterator[int]:
+    """Numbers of points to try, ascending, at most `most`."""
+    if turn:
+        yield from (n + 1 for n in TURN_INTERVALS if n < most)
+        return
+    count = 2
+    while count < most:
+        yield count
+        count = max(count + 1, int(count * 1.25))
+    yield most
+
+
 def _own_grids(table: CompensationTable, over: str) -> list[Points]:
     """Grids of the table's profiles over the whole range of an axis, the coarsest first."""
     name = positions_of(table)[over]
     low, high = span(table, over)
-    grids = {Points(p.start, p.step, len(p.values)) for p in table.profiles if p.input == name and not p.periodic}
+    grids = {Points(p.start, p.step, len(p.values)) for p in table.profiles if p.input == name}
     whole = [g for g in grids if np.allclose((g.positions()[0], g.positions()[-1]), (low, high))]
     return sorted(whole, key=lambda g: g.count)
 
@@ -186,6 +217,11 @@ def decimal(value: float) -> str:
     return f"{Decimal(value + 0.0).normalize():f}"
 
 
+def spread(low: float, high: float, count: int) -> np.ndarray:
+    """So many places between two ends, those among them, in step with no wave: multiples of the golden section."""
+    return np.sort(np.r_[low, high, low + (high - low) * (np.arange(1, count - 1) * 0.6180339887498949 % 1.0)])
+
+
 def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
     """`span`, or (0, 0) for an axis whose position the table does not read."""
     return span(table, axis) if axis in positions_of(table) else (0.0, 0.0)
@@ -193,8 +229,7 @@ def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
 
 def moves_with(table: CompensationTable, axis: str, over: str, least_um: float = 0.01) -> bool:
     """Whether the correction of `axis` changes along `over` by more than `least_um`."""
-    low, high = span(table, over)
-    sampled = curve(table, axis, over, np.linspace(low, high, 101))
+    sampled = curve(table, axis, over, spread(*span(table, over), 301))
     return (
         float(max(np.ptp(sampled.up), np.ptp(sampled.down), np.abs(sampled.up - sampled.down).max())) * 1e3 > least_um
     )

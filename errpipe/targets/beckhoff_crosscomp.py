@@ -1,5 +1,8 @@
 """TwinCAT CNC (TF5200) / ISG kernel cross compensation, `kw.crosscomp`: one axis corrected over another.
 
+List      belongs to the SLAVE axis and names its master by `master_ax_nr` (P-AXIS-00047, P-COMP-00005; the page on the
+          whole structure says "of the master axis", its parameters and its example of plane compensation the slave's);
+          a slave has one master only, so the one with the largest curve is written.
 Value     `.correction` in 0.1 um as a whole number, ADDED to the slave axis (its name says so; no example with a
           sign was found: prove it on the machine).
 Order     `.setpoint` of the master ascending in 0.1 um; straight between, held at the ends; at most 1001 nodes.
@@ -7,6 +10,7 @@ Order     `.setpoint` of the master ascending in 0.1 um; straight between, held 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -28,13 +32,17 @@ class BeckhoffCrosscomp(Target):
     controller = "TwinCAT CNC, ISG kernel"
     confidence = "experimental"
     sign = "a positive value moves the slave axis in plus (prove it on the machine)"
-    limits = "1001 nodes per table; one curve per pair of axes; mean of both directions; no temperature"
+    limits = "1001 nodes per table; one master axis for each slave axis; mean of both directions; no temperature"
     unit = "0.1 um (0.0001 deg), whatever the program counts in"
     holds = ("cross",)
     rounding_um = 0.2
     remark = {"": "# {}"}
     source = "TF5200 axis compensation, cross compensation; ISG kernel parameters kw.crosscomp"
-    activation = ("lr_param.crosscomp 1 of the slave axis", "compare the slave's offset at three master positions")
+    activation = (
+        "put the lines into the list (achskw) of the slave axis, beside its screw; set this machine's axis numbers",
+        "lr_param.crosscomp 1 of the slave axis",
+        "compare the slave's offset at three master positions",
+    )
     goes_with = ("beckhoff_ssfk", "beckhoff_temperature")
 
     @classmethod
@@ -47,13 +55,11 @@ class BeckhoffCrosscomp(Target):
         for axis in _sample.outputs_by_axis(table):
             # Whether another curve holds what stands still: only one of an axis' curves may.
             rest = "beckhoff_ssfk" in others and axis in _sample.positions_of(table)
-            for over in _sample.positions_of(table):
-                if over == axis or not _sample.moves_with(table, axis, over):
-                    continue
-                points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
-                curve = _sample.curve(table, axis, over, points.positions(), relative=rest)
-                rest = True
-                files[f"cross_{axis}_over_{over}.lis"] = _text(axes, axis, over, curve)
+            masters = [o for o in _sample.positions_of(table) if o != axis and _sample.moves_with(table, axis, o)]
+            curves = [_curve(table, axis, over, relative=rest) for over in masters]
+            if curves:
+                largest = max(curves, key=lambda c: float(np.ptp(c.up + c.down)))
+                files[f"cross_{axis}_over_{largest.over}.lis"] = _text(axes, largest)
         if not files and others:
             raise NothingToAddError(f"beckhoff_crosscomp: {' and '.join(others)} say all that it could")
         if not files:
@@ -65,9 +71,16 @@ class BeckhoffCrosscomp(Target):
         return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
 
 
-def _text(axes: list[str], axis: str, over: str, curve: Curve) -> str:
-    lines = [f"# {CAUTION}", f"kopf.achs_nr {axes.index(over) + 1}", f"kopf.log_achs_name {over}"]
-    lines += [f"kw.crosscomp.slave_ax_nr {axes.index(axis) + 1}", f"kw.crosscomp.last_index {curve.positions.size - 1}"]
+def _curve(table: CompensationTable, axis: str, over: str, *, relative: bool) -> Curve:
+    points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
+    return _sample.at_nodes(table, axis, over, points.positions(), relative=relative)
+
+
+def _text(axes: list[str], curve: Curve) -> str:
+    lines = [f"# {CAUTION}", f"# {curve.axis} over {curve.over}"]
+    lines += [f"kopf.achs_nr {axes.index(curve.axis) + 1}", f"kopf.log_achs_name {curve.axis}"]
+    lines += ["kw.crosscomp.unit 1", f"kw.crosscomp.master_ax_nr {axes.index(curve.over) + 1}"]
+    lines += [f"kw.crosscomp.last_index {curve.positions.size - 1}"]
     mean = (curve.up + curve.down) / 2
     for n, (x, v) in enumerate(zip(curve.positions.tolist(), mean.tolist(), strict=True)):
         lines.append(f"kw.crosscomp.table[{n}].setpoint {round(x / TENTH_UM)}")
@@ -84,5 +97,9 @@ def _read(name: str, text: str) -> Curve:
         for key in ("setpoint", "correction")
     }
     expect(bool(np.all(np.diff(column["setpoint"]) > 0)), name, "set points are not ascending")
-    _, axis, _, over = name.split(".")[0].split("_")
+    pair = re.search(r"^# (\w+) over (\w+)$", text, re.M)
+    expect(pair is not None and settings["kopf.log_achs_name"] == pair[1], name, "is not the list of its slave axis")
+    expect(settings["kw.crosscomp.unit"] == "1", name, "counts in increments")
+    assert pair is not None
+    axis, over = pair.groups()
     return Curve(axis, over, column["setpoint"], column["correction"], column["correction"])

@@ -3,6 +3,7 @@
 Value     the ERROR (actual minus set point) in 0.1 um as a whole number: the manual's example 19856.5 where 19866.7 was
           wanted is -102.
 Order     equidistant nodes from kw_startpos, the same for both directions; straight between, held at the ends.
+Turns     for an axis that turns on `modulo` is 1; first and last entry stand for one position (P-COMP-00022).
 Limits    1500 entries unless configured otherwise (P-COMP-00059); the reversal is spread over n_backlash_cyc cycles.
 """
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, expect
+from errpipe.targets._base import Curve, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
 MOST = 1500
@@ -73,7 +74,7 @@ def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
         "kw.ssfk.kw_startpos": start,
         "kw.ssfk.kw_nr_max": curve.positions.size,
         "kw.ssfk.bilateral": 1,
-        "kw.ssfk.modulo": 0,
+        "kw.ssfk.modulo": int(axis[0] in "ABC" and _sample.is_turn(curve.positions)),
     }
     rows = {f"kw.ssfk.table[{n}].pos": v for n, v in enumerate(tenths(curve.up))}
     rows |= {f"kw.ssfk.table[{n}].neg": v for n, v in enumerate(tenths(curve.down))}
@@ -90,4 +91,8 @@ def _read(name: str, text: str) -> Curve:
         expect(all(v is not None and re.fullmatch(r"-?\d+", v) for v in values), name, f"a node of {side} is missing")
         tables.append(-np.array([int(v) for v in values if v is not None]) * TENTH_UM)
     axis = settings["kopf.log_achs_name"]
-    return Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])
+    curve = Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])
+    if settings["kw.ssfk.modulo"] == "1":
+        expect(all(t[0] == t[-1] for t in tables), name, "does not end on its first values, and repeats")
+        return every_turn(curve)
+    return curve

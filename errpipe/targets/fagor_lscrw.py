@@ -5,6 +5,7 @@ Value     the amount of ERROR of the axis at the point in mm, in plus and in min
           both.
 Order     ascending, referred to machine zero; at most 1000 points (NPOINTS, P16); straight between points. Where the
           minus column is 0 at all points the control takes the plus column for both directions.
+Turns     an axis that turns on counts on; a table from 0 to 360 deg with equal ends acts in every turn (same page).
 Limits    four decimals; the error at machine zero is 0, as the control wants it at the reference point.
 """
 
@@ -16,7 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, expect
+from errpipe.targets import _sample
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
 DECIMALS = 4
@@ -43,6 +45,10 @@ class FagorLscrw(ScrewMap):
     most, error_um = 1000, 0.1
 
     @classmethod
+    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
+        return _sample.from_zero(table, axis, super().grid(table, axis))
+
+    @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         return tuple(
             ByHand(f"{c.axis}: NPOINTS (P16) = {c.positions.size}, BACKLASH (P14) = 0, and each line of the file")
@@ -67,4 +73,6 @@ class FagorLscrw(ScrewMap):
         expect(bool(np.all(np.diff(x) > 0)), name, "positions are not ascending")
         if not np.any(down):
             down = up
-        return Curve(announced[1], announced[1], x, -up, -down)
+        curve = Curve(announced[1], announced[1], x, -up, -down)
+        closed = curve.axis[0] in "ABC" and (x[0], x[-1], up[0], down[0]) == (0.0, TURN, up[-1], down[-1])
+        return every_turn(curve) if closed else curve

@@ -5,7 +5,9 @@ Value     pulses of one detection unit (1 um), INCREMENTAL: the running sum from
 Points    parameter 3620 is the number of the point at the reference position (machine coordinate 0 here). The value of
           a point belongs to the interval that ends there, so the lowest number is 3620 - (travel below 0) / interval
           + 1 and the highest 3620 + (travel above 0) / interval (B-63980EN p. 99: -400 to +400 mm in steps of 50 mm
-          around point 40 begin at point 33).
+          around point 40 begin at point 33). Of an axis that turns on, parameter 3625 is one turn, the lowest point is
+          that of the reference position and holds the value of the highest, and the values behind it add up to
+          nothing (same manual, p. 100: 45 deg apart from point 60 on, points 60 to 68, equal values at 60 and 68).
 Rounding  the running sum is rounded, not each step, so errors do not add up.
 Limits    -7..+7 per point (16i, 0i), 1024 points in all; direction needs parameter 3605#0 and a second set.
 """
@@ -20,7 +22,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import VerifyError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, Points, ReadBack, expect, too_many
+from errpipe.targets._base import CAUTION, TURN, Curve, Points, ReadBack, every_turn, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
@@ -45,7 +47,7 @@ class FanucPitch(ScrewMap):
     activation = (
         "the reference position must lie at machine coordinate 0 (parameter 1240 = 0), where point 3620 is; where it "
         "lies elsewhere, this file would act shifted",
-        "parameters 3620 to 3624, 3626, 3627; 3605#0 = 1 for two directions; power off and on; reference again",
+        "parameters 3620 to 3627 (3625: axes that turn on); 3605#0 = 1 for two directions; power off, on; reference",
         "3627 holds for an axis that is referenced in plus (1006#5 ZMI = 0); referenced in minus, its sign changes",
         "read the pitch screen back; compare the machine position at three points from both sides",
     )
@@ -59,7 +61,7 @@ class FanucPitch(ScrewMap):
             points, error = _sample.uniform(table, axis, axis, most - SPARE, 0.5)
             curve = _whole_steps(table, axis, points, most, error)
             lines += _block(number, axis, first, curve)
-            first += 2 * (curve.positions.size - 1)
+            first += 2 * (curve.positions.size - 1 + _sample.turns(table, axis))
         return {FILE: "\n".join([*lines, "%", ""])}
 
     @classmethod
@@ -79,9 +81,13 @@ def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int,
     low, high = _sample.span(table, axis)
     count = points.count
     while True:
-        step = np.ceil((high - low) / (count - 1) * 1e3) / 1e3  # the interval is a whole number of micrometres
-        # A reference outside the travel is reached by points that change nothing; one point lies below it in any case.
-        numbers = _sample.around_zero(low, high, float(step))
+        if _sample.turns(table, axis):
+            count = 1 + min(n for n in _sample.TURN_INTERVALS if n >= count - 1)
+            numbers, step = np.arange(count), TURN / (count - 1)
+        else:
+            step = np.ceil((high - low) / (count - 1) * 1e3) / 1e3  # the interval is a whole number of micrometres
+            # A reference outside the travel is reached by points that change nothing; one point lies below it always.
+            numbers = _sample.around_zero(low, high, float(step))
         below, x = int(numbers[0]), step * numbers
         curve = _sample.at_nodes(table, axis, axis, x)
         if max(np.abs(np.diff(_pulses(v, -below))).max() for v in (curve.up, curve.down)) <= LARGEST and x.size <= most:
@@ -101,15 +107,17 @@ def _block(number: int, axis: str, first: int, curve: Curve) -> list[str]:
 
     Every number belongs to an interval, so there is one fewer than there are positions.
     """
-    n = curve.positions.size - 1
+    turns = int(curve.axis[0] in "ABC" and _sample.is_turn(curve.positions))
+    n = curve.positions.size - 1 + turns
     interval = round(float(curve.positions[1] - curve.positions[0]) * 1e3)
     reference = round(-float(curve.positions[0]) * 1e3 / interval)
     parameters = {
-        3620: first + reference - 1,
+        3620: first + reference - 1 + turns,
         3621: first,
         3622: first + n - 1,
         3623: 1,
         3624: interval,
+        **({3625: round(TURN * 1e3)} if turns else {}),
         3626: first + n,
         3627: round(float(curve.down[reference] - curve.up[reference]) / UNIT),
     }
@@ -117,6 +125,7 @@ def _block(number: int, axis: str, first: int, curve: Curve) -> list[str]:
     lines += [f"N0{key}Q1A{number}P{value};" for key, value in parameters.items()]
     for offset, values in ((0, curve.up), (n, curve.down)):
         steps = np.diff(_pulses(values, reference))
+        steps = np.r_[steps[-turns:], steps] if turns else steps
         lines += [f"N{10000 + first + offset + k}Q0P{step};" for k, step in enumerate(steps.tolist())]
     return lines
 
@@ -126,7 +135,7 @@ def _read(number: int, axis: str, facts: Mapping[tuple[int, int], int], data: Ma
     if None in needed:
         raise VerifyError(f"{FILE}: A{number}: a parameter is missing")
     reference, lowest, highest, interval, negative, offset = (int(v) for v in needed if v is not None)
-    n = highest - lowest + 1
+    n, turns = highest - lowest + 1, facts.get((3625, number), 0)
     at_reference = reference - lowest + 1  # as a position: the lowest point's interval begins one below it
     expect(0 <= at_reference <= n and interval > 0, FILE, f"A{number}: 3620 is not among 3621 to 3622")
     sides = []
@@ -136,6 +145,14 @@ def _read(number: int, axis: str, facts: Mapping[tuple[int, int], int], data: Ma
         expect(sound, FILE, f"A{number}: a point is missing or too large")
         sums = np.concatenate(([0.0], np.cumsum(np.array(steps, dtype=float))))
         sides.append((sums - sums[at_reference]) * UNIT)
+        closed = not turns or (lowest == reference and sums[-1] == sums[1] and steps[0] == steps[-1])
+        expect(closed, FILE, f"A{number}: a turn does not close, each would add to the last")
     # The correction at the reference position is nothing; what the machine has there belongs to its datum.
     x = interval * 1e-3 * (np.arange(n + 1) - at_reference)
-    return Curve(axis, axis, x, sides[0], sides[1] + offset * UNIT)
+    curve = Curve(axis, axis, x, sides[0], sides[1] + offset * UNIT)
+    if turns:
+        expect(
+            interval * (n - 1) == turns, FILE, f"A{number}: 3625 is not the way from the lowest point to the highest"
+        )
+        return every_turn(Curve(axis, axis, x[1:], curve.up[1:], curve.down[1:]))
+    return curve

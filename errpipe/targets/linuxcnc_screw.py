@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
+from errpipe.targets import _sample
 from errpipe.targets._base import ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
@@ -39,9 +40,13 @@ class LinuxcncScrew(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        return tuple(
-            ByHand(f"[JOINT_n] of {c.axis}: no BACKLASH (the file holds both directions)") for c in read.curves
-        )
+        out = [ByHand(f"[JOINT_n] of {c.axis}: no BACKLASH (the file holds both directions)") for c in read.curves]
+        out += [
+            ByHand(f"{c.axis}: WRAPPED_ROTARY counts on beyond a turn, where the file holds its end; unwind the joint")
+            for c in read.curves
+            if _sample.turns(table, c.axis)
+        ]
+        return tuple(out)
 
     most = MOST
     error_um = 0.05  # finer than any screw repeats

@@ -6,6 +6,7 @@ Value     whole sixteenths of a count. COMP: added to the motor in both directio
           read off "adds its correction to this motor" (user manual, Leadscrew Compensation): prove it on the machine.
 Order     entry 1 belongs to one spacing from the motor's zero, the last one to zero itself; a position below zero is
           rolled over by the length of the table, so positions below zero are the upper entries.
+Turns     the table of an axis that turns on is one turn long and rolls over (user manual p. 80).
 Limits    10000 counts per mm (deg) are taken: for another resolution multiply lengths and entries. Tables are defined
           from the highest motor to the lowest. I51 = 1 enables them.
 """
@@ -19,7 +20,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, ReadBack, expect, too_many
+from errpipe.targets._base import CAUTION, TURN, Curve, ReadBack, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 COUNTS = 10_000  # per mm (deg)
@@ -56,7 +57,8 @@ class PmacComp(ScrewMap):
             points, error = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
             low, high = _sample.span(table, axis)
             step = int(np.ceil(points.step * COUNTS - 1e-6))
-            at = _sample.around_zero(low, high, step / COUNTS)
+            turns = _sample.turns(table, axis)
+            at = np.arange(points.count - 1) if turns else _sample.around_zero(low, high, step / COUNTS)
             if at.size > 2 * cls.most:
                 raise too_many(cls.name, at.size, 2 * cls.most, error)
             blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))
@@ -91,7 +93,9 @@ def _read(text: str, number: str, axis: str, low: str, high: str) -> Curve:
     part = text.split(f"\n#{number}\n")[1].split("\n;")[0]
     constant = re.search(rf"^I{number}86=(-?\d+)$", text, re.M)
     at, tables = np.arange(int(low), int(high) + 1), {}
-    step = 0
+    step, turns = 0, axis[0] in "ABC" and re.search(rf"DEFINE COMP \d+,{int(TURN * COUNTS)}$", part, re.M)
+    if turns:
+        at = np.arange(-at.size, at.size + 1)
     for word, count, length, rows in re.findall(r"DEFINE (\w+) (\d+),(\d+)\n((?:[-\d ]+\n?)+)", part):
         values = [int(v) for v in rows.split()]
         expect(

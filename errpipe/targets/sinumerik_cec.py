@@ -9,6 +9,7 @@ Products  a correction that is a curve over one axis times a curve over another 
           values as well, it does not say (its worked example wants the product alone). So each product is written
           as two pairs of tables, P and Q, -P and -Q: the products are equal, the own values cancel, and the file
           means the same under either reading. A file that does not is refused when it is read back.
+Turns     over an axis that turns on IS_MODULO is 1 and the table, whose ends are equal, repeats (p. 249).
 Limits    828D: 8 tables of 200 points, four for each product; held outside MIN..MAX; millimetres (a product of values
           in inch would be another one).
 """
@@ -26,7 +27,18 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, ByHand, Curve, NothingToAddError, Points, Product, ReadBack, Target, expect
+from errpipe.targets._base import (
+    CAUTION,
+    ByHand,
+    Curve,
+    NothingToAddError,
+    Points,
+    Product,
+    ReadBack,
+    Target,
+    every_turn,
+    expect,
+)
 
 MOST, TABLES = 200, 8
 ERROR_UM = 0.1
@@ -89,7 +101,7 @@ class SinumerikCec(Target):
                 sides = {0: curve.up} if same else {1: curve.up, -1: curve.down}
                 for side, value in sides.items():
                     ends = (f"AX{axes.index(over) + 1}", f"AX{axes.index(axis) + 1}")
-                    blocks.append(_block(len(blocks), *ends, side, points, -value))
+                    blocks.append(_block(len(blocks), *ends, side, points, -value, turns=_sample.turns(table, over)))
         if not blocks and others:
             raise NothingToAddError(f"sinumerik_cec: {' and '.join(others)} say all that it could")
         if not blocks:
@@ -213,13 +225,23 @@ def _product(first: Curve, second: Curve) -> Product:
     return Product(first.axis, over, positions, (-first.up, second.up))
 
 
-def _block(number: int, over: str, axis: str, side: int, points: Points, error: np.ndarray, multiply: int = 0) -> str:
+def _block(
+    number: int,
+    over: str,
+    axis: str,
+    side: int,
+    points: Points,
+    error: np.ndarray,
+    multiply: int = 0,
+    *,
+    turns: bool = False,
+) -> str:
     lines = [f"$AN_CEC[{number},{n}]={v + 0.0:.6f}" for n, v in enumerate(error)]
     end = points.start + points.step * (points.count - 1)
     lines += [f"$AN_CEC_INPUT_AXIS[{number}]=({over})", f"$AN_CEC_OUTPUT_AXIS[{number}]=({axis})"]
     facts = {"STEP": points.step, "MIN": points.start, "MAX": end}
     lines += [f"$AN_CEC_{key}[{number}]={_sample.decimal(value)}" for key, value in facts.items()]
-    modes = {"DIRECTION": side, "MULT_BY_TABLE": multiply, "IS_MODULO": 0}
+    modes = {"DIRECTION": side, "MULT_BY_TABLE": multiply, "IS_MODULO": int(turns)}
     lines += [f"$AN_CEC_{key}[{number}]={value}" for key, value in modes.items()]
     return "\n".join(lines) + "\n"
 
@@ -236,4 +258,8 @@ def _read(text: str, number: int, letters: dict[str, str]) -> Curve:
     nothing = np.zeros(count)
     up, down = (value if facts["DIRECTION"] >= 0 else nothing), (value if facts["DIRECTION"] <= 0 else nothing)
     x = facts["MIN"] + facts["STEP"] * np.arange(count)
-    return Curve(letters[ends["OUTPUT"]], letters[ends["INPUT"]], x, up, down)
+    curve = Curve(letters[ends["OUTPUT"]], letters[ends["INPUT"]], x, up, down)
+    if re.search(rf"IS_MODULO\[{number}\]=1", text):
+        expect(up[0] == up[-1] and down[0] == down[-1], FILE, f"table {number} does not end on its first value")
+        return every_turn(curve)
+    return curve

@@ -2,7 +2,8 @@
 
 Value     the ERROR in mm: a positive value moves the axis in NEGATIVE direction (808D manual), so the deviation.
 Order     equidistant from MIN to MAX in STEP, which are binary fractions, so that (MAX - MIN) / STEP is whole; straight
-          between points; held outside (experience).
+          between points; held outside (experience), or repeated with every turn of an axis that turns on: IS_MODULO
+          (p. 241), which wants equal values at both ends.
 Limits    one curve for both directions; the reversal error belongs to MD32450 BACKLASH or to two CEC tables.
 """
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, Curve, ReadBack, expect
+from errpipe.targets._base import ByHand, Curve, ReadBack, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -59,20 +60,23 @@ class SinumerikLec(ScrewMap):
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         values = -(curve.up + curve.down) / 2
-        return f"AX{number}_{curve.axis}_EEC.INI", _text(f"AX{number}", curve.positions, values)
+        text = _text(
+            f"AX{number}", curve.positions, values, curve.axis[0] in "ABC" and _sample.is_turn(curve.positions)
+        )
+        return f"AX{number}_{curve.axis}_EEC.INI", text
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
         return _read(name, text)
 
 
-def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray) -> str:
+def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray, turns: bool) -> str:
     lines = [f"%_N_{machine_axis}_EEC_INI", "CHANDATA(1)"]
     lines += [f"$AA_ENC_COMP[0,{n},{machine_axis}]={v + 0.0:.6f}" for n, v in enumerate(values)]
     step = float(positions[1] - positions[0])
     facts = {"STEP": step, "MIN": float(positions[0]), "MAX": float(positions[-1])}
     lines += [f"$AA_ENC_COMP_{key}[0,{machine_axis}]={_sample.decimal(value)}" for key, value in facts.items()]
-    return "\n".join([*lines, f"$AA_ENC_COMP_IS_MODULO[0,{machine_axis}]=0", "M17", ""])
+    return "\n".join([*lines, f"$AA_ENC_COMP_IS_MODULO[0,{machine_axis}]={turns:d}", "M17", ""])
 
 
 def _read(name: str, text: str) -> Curve:
@@ -84,4 +88,8 @@ def _read(name: str, text: str) -> Curve:
     expect(text.rstrip().endswith("M17"), name, "does not end with M17")
     value = -np.array([points[n] for n in range(count)])
     axis = name.split("_")[1]
-    return Curve(axis, axis, facts["MIN"] + facts["STEP"] * np.arange(count), value, value)
+    curve = Curve(axis, axis, facts["MIN"] + facts["STEP"] * np.arange(count), value, value)
+    if re.search(r"IS_MODULO\[0,\w+\]=1", text):
+        expect(value[0] == value[-1], name, "does not end on its first value, and repeats")
+        return every_turn(curve)
+    return curve

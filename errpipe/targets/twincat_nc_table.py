@@ -3,6 +3,7 @@
 Value     an additive correction in mm: set point + value (minus the deviation).
 Order     equidistant, ascending; one function block per direction (WorkDirectionPositive, WorkDirectionNegative). The
           calls stand below the arrays: inputs by the manual's page of the block; not run here, no TwinCAT.
+Turns     Modulo is TRUE for an axis that turns on: from 0 to 360 deg, equal at both ends.
 Literals  IEC real literals with a point; the file is a global variable list, compiled with the PLC program.
 """
 
@@ -13,7 +14,8 @@ import re
 import numpy as np
 
 from errpipe.errors import VerifyError
-from errpipe.targets._base import Curve, expect
+from errpipe.targets import _sample
+from errpipe.targets._base import Curve, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
 RAMP = 1.0  # mm/s: 1 um/ms, as corrections of a table move at most (`tables/limits.py`)
@@ -55,6 +57,7 @@ def literal(value: float) -> str:
 
 def _text(axis: str, curve: Curve) -> str:
     last = curve.positions.size - 1
+    turns = "TRUE" if axis[0] in "ABC" and _sample.is_turn(curve.positions) else "FALSE"
     lines = ["VAR_GLOBAL"]
     for side, value in (("Up", curve.up), ("Down", curve.down)):
         lines.append(f"    (* {axis}, {SIDES[side]}: mm, added to the set point *)")
@@ -67,7 +70,7 @@ def _text(axis: str, curve: Curve) -> str:
         lines.append(f"    stParameter{axis}{side} : ST_PositionCompensationTableParameter := (")
         low, high = literal(curve.positions[0]), literal(curve.positions[-1])
         lines.append(f"        MinPosition := {low}, MaxPosition := {high},")
-        lines.append(f"        NoOfTableElements := {last + 1}, Direction := {SIDES[side]}, Modulo := FALSE);")
+        lines.append(f"        NoOfTableElements := {last + 1}, Direction := {SIDES[side]}, Modulo := {turns});")
     return "\n".join([*lines, f"    Axis{axis} : AXIS_REF;", "END_VAR", "", *_program(axis)])
 
 
@@ -95,4 +98,5 @@ def _read(name: str, text: str) -> Curve:
         rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(match[2])]
         expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
         sides.append(np.array(rows))
-    return Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])
+    curve = Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])
+    return every_turn(curve) if "Modulo := TRUE" in text else curve

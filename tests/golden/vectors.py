@@ -36,9 +36,9 @@ HEAD = """# Golden vectors of the compensation table, binary form, version 2 (ec
 # the deviations within 0.005 um or 2e-6 of the largest of the table, whichever is more (mixed-1: 3e-5, mixed-81: 5e-6);
 # a limited correction on its way may be one cycle early or late.
 #
-# straight to volumetric: machines one can check by hand. readings, fading, operations, sums, motion, doubts, slowly:
-# each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N: random tables that
-# use everything.
+# straight to volumetric, turning: machines one can check by hand. readings, fading, operations, sums, motion,
+# doubts, slowly: each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N:
+# random tables that use everything.
 """
 NAMES = (
     "straight",
@@ -62,6 +62,7 @@ NAMES = (
     "mixed-81",
     "mixed-174",
     "mixed-181",
+    "turning",
 )
 MIXED = {6: 60, 13: 60, 1: 200, 28: 200, 81: 200, 174: 200, 181: 200}  # seed: cycles
 # What binary32 may lose of a deviation: um or urad, or a share of the table's largest, which is more where powers of
@@ -261,7 +262,7 @@ def volumetric() -> Block:
         inputs=[axis("X"), axis("Y"), axis("Z"), tool, speed],
         outputs=outputs,
         ramp_s=0.0,
-        travel=dict.fromkeys("XYZ", (0.0, 1000.0)),
+        travel={"X": (0.0, 1000.0)},
         thermal_cycle_s=0.002,
         error_bound=0.1,
     )
@@ -271,6 +272,30 @@ def volumetric() -> Block:
         x, y, z = (float(v) for v in rng.uniform(-50, 1050, 3).round(3))
         rows.append({"x": x, "y": y, "z": z, "tool": 120.0 + (k // 10) * 11.0, "n": float(600 * (k % 29))})
     return block("volumetric", table, rows)
+
+
+def turning() -> Block:
+    """Two axes that turn on, measured over a turn that does not close and over less; a third that only reverses."""
+    turns = [
+        t.TableInput(name=a.lower(), kind="position", axis=a, unit="deg", low=-1e4, high=1e4, default=0.0) for a in "BC"
+    ]
+    table = compile_table(
+        [
+            ComponentSource("EBB", "urad", (Lowered(d.ONE, "B", lambda b: 40 * np.sin(np.deg2rad(b)) + b / 90),)),
+            ComponentSource("ECC", "urad", (Lowered(d.ONE, "C", lambda c: 60 * np.cos(np.deg2rad(c)) + c / 30),)),
+            ComponentSource("EXX", "um", (Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -3.0)),)),
+        ],
+        inputs=[axis("X"), *turns],
+        travel={"X": (0.0, 500.0), "B": (-180.0, 180.0), "C": (0.0, 330.0)},
+        turning=("C",),
+        ramp_s=0.0,
+        error_bound=0.5,
+    )
+    rows = [{"x": 12.5 * k, "b": 340.0 + k, "c": (350.0 + 0.75 * k) % 360.0} for k in range(42)]
+    rows += [
+        {"x": 501.0 - k, "b": -181.0 + 90.0 * k, "c": v} for k, v in enumerate((-0.0, 360.0, -30.0, 719.5, -3600.0))
+    ]
+    return block("turning", table, rows)
 
 
 def mixed(seed: int) -> Block:
@@ -294,6 +319,7 @@ def blocks() -> Iterator[Block]:
     ):
         yield block(make.__name__, *make())
     yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))
+    yield turning()
 
 
 def text() -> str:

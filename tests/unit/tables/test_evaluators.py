@@ -141,7 +141,7 @@ def every_knot(profile):
 def test_every_knot_and_its_neighbours(period):
     source = ComponentSource("EXX", "um", (Lowered(d.ONE, "X", lambda x: 5 * np.sin(x * np.pi / 5), period),))
     table = compile_table([source], inputs=[position()], travel={"X": (0.0, 30.0)}, ramp_s=0.0)
-    (profile,) = table.profiles
+    (profile,) = [p for p in table.profiles if any(p.values)]  # the other says how far X travels
     x = every_knot(profile)
     values = np.array(profile.values) * profile.scale
     found = batch.position(table, x[:, None])[:, 0]

@@ -27,6 +27,11 @@ def _both(up: Callable[[float], float], down: Callable[[float], float] | None = 
     return lambda x, side: sign * (up(x) if side > 0 else other(x))
 
 
+def _turning(moved: Moved, low: float = 0.0) -> Moved:
+    """One turn from `low` on, repeated."""
+    return lambda x, side: moved(low + (x - low) % 360.0, side)
+
+
 def _rows(text: str, columns: int, start: str = "", between: str = r"[ \t]+") -> list[tuple[float, ...]]:
     found = re.finditer(rf"^{start}" + between.join([f"({NUMBER})"] * columns) + r"$", text, re.M)
     return [tuple(float(v) for v in row.groups()) for row in found]
@@ -55,7 +60,11 @@ def beckhoff_ssfk(files: Files, axis: str) -> Moved:
         _line([x * 1e-4 for x in at[:count]], [1e-4 * int(facts[f"kw.ssfk.table[{n}].{side}"]) for n in range(count)])
         for side in ("pos", "neg")
     )
-    return _both(*sides, sign=-1.0)
+    once = _both(*sides, sign=-1.0)
+    if facts["kw.ssfk.modulo"] == "0":
+        return once
+    assert at[count - 1] - at[0] == 3_600_000  # P-COMP-00022: the first and the last entry stand for one position
+    return _turning(once, at[0] * 1e-4)
 
 
 def beckhoff_volumetric(files: Files, axis: str) -> Moved:
@@ -82,22 +91,30 @@ def ecmc_lut(files: Files, axis: str) -> Moved:
 def fagor_lscrw(files: Files, axis: str) -> Moved:
     """Position, error in plus, error in minus; errors are taken away."""
     x, up, down = zip(*_rows(files[f"LSCRW_{axis}.txt"], 3, r"P\d+ "), strict=True)
-    return _both(_line(x, up), _line(x, down), sign=-1.0)
+    once = _both(_line(x, up), _line(x, down), sign=-1.0)
+    return _turning(once) if axis in "ABC" and (x[0], x[-1], up[0]) == (0.0, 360.0, up[-1]) else once
 
 
 def fanuc_pitch(files: Files, axis: str) -> Moved:
     """Pulses of 1 um one after the other from the reference position (point 3620, machine coordinate 0).
 
-    On the way up, number k + 1 is put out between points k and k + 1; below the reference it is taken back.
+    On the way up, number k + 1 is put out between points k and k + 1; below the reference it is taken back. With 3625
+    the points after the reference's go round once, and whatever they add up to is added by every turn.
     """
     text = files["PITCH.TXT"]
     number = re.search(rf"^\(A(\d+) {axis}\)$", text, re.M)[1]  # type: ignore[index]
     facts = {int(k): int(v) for k, v in re.findall(rf"N0(36\d\d)Q1A{number}P(-?\d+);", text)}
     pulses = {int(k): int(v) for k, v in re.findall(r"N1(\d{4})Q0P(-?\d+);", text)}
-    step = facts[3624] * 1e-3
+    step, turn = facts[3624] * 1e-3, facts.get(3625, 0)
 
     def walked(x: float, first: int) -> float:
         total, shift = 0.0, first - facts[3621]
+        if turn:
+            assert facts[3621] == facts[3620] and facts[3620] + turn / facts[3624] == facts[3622]  # B-63980EN p. 100
+            assert pulses[facts[3620] + shift] == pulses[facts[3622] + shift]
+            round_trip = sum(pulses[n + shift] for n in range(facts[3620] + 1, facts[3622] + 1))
+            turns, x = np.floor(x / 360.0), x % 360.0
+            total = float(turns) * round_trip
         for n in range(facts[3621], facts[3622] + 1):
             begin = (n - 1 - facts[3620]) * step  # the interval that ends at point n
             part = np.clip(x, begin, begin + step) - np.clip(0.0, begin, begin + step)
@@ -199,6 +216,15 @@ def _sinumerik(text: str, table: str) -> Callable[[float], float]:
     return _line([low + step * n for n in sorted(values)], [values[n] for n in sorted(values)])
 
 
+def _from(text: str) -> float:
+    """MIN of a table that repeats every 360 deg."""
+    low, high = (
+        float(re.search(rf"COMP_{k}\[0[^\]]*\]=(\S+)", text.replace("CEC_", "COMP_"))[1]) for k in ("MIN", "MAX")
+    )  # type: ignore[index]
+    assert high - low == 360.0
+    return low
+
+
 def sinumerik_cec(files: Files, axis: str) -> Moved:
     """Errors, taken away, each table in its direction of travel."""
     text = files["NC_CEC.INI"]
@@ -209,13 +235,15 @@ def sinumerik_cec(files: Files, axis: str) -> Moved:
         if ends == [machine_axis, machine_axis]:
             way = int(re.search(rf"CEC_DIRECTION\[{table}\]=(-?\d)", text)[1])  # type: ignore[index]
             parts.append((way, _sinumerik(text, table)))
-    return lambda x, side: -sum(error(x) for way, error in parts if way * side >= 0)
+    once = lambda x, side: -sum(error(x) for way, error in parts if way * side >= 0)  # noqa: E731
+    return _turning(once, _from(text)) if "IS_MODULO[0]=1" in text else once
 
 
 def sinumerik_lec(files: Files, axis: str) -> Moved:
-    """A positive value moves the axis in negative direction."""
+    """A positive value moves the axis in negative direction; with IS_MODULO the table repeats from MIN to MAX."""
     (text,) = (t for name, t in files.items() if f"_{axis}_" in name)
-    return _both(_sinumerik(text, "0"), sign=-1.0)
+    once = _both(_sinumerik(text, "0"), sign=-1.0)
+    return _turning(once, _from(text)) if re.search(r"IS_MODULO\[0,\w+\]=1", text) else once
 
 
 def smoothie_pitch(files: Files, axis: str) -> Moved:
@@ -238,7 +266,8 @@ def twincat_nc_table(files: Files, axis: str) -> Moved:
         array = re.search(rf"aCompensation{name} : [^;]*;", text)[0]  # type: ignore[index]
         rows = re.findall(r"Position := (\S+), Compensation := ([^)]+)\)", array)
         sides.append(_line([float(x) for x, _ in rows], [float(v) for _, v in rows]))
-    return _both(*sides)
+    low = re.search(r"MinPosition := (\S+),", text)
+    return _turning(_both(*sides), float(low[1])) if low and "Modulo := TRUE" in text else _both(*sides)
 
 
 def weihong_axeserr(files: Files, axis: str) -> Moved:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import TableInput
 from errpipe.drivers.lowered import Lowered
-from errpipe.errors import GateError
+from errpipe.errors import GateError, VerifyError
 from errpipe.stages import targets as stage
 from errpipe.targets import TARGETS
 from errpipe.targets._base import AS_THE_AXIS
@@ -20,7 +22,7 @@ PLACES = 23
 READ = [t for t in TARGETS if hasattr(manual_readers, t.name)]
 
 
-def of(*axes):
+def of(*axes, **more):
     """A table of axes (letter, low, high, mean deviation, half of what it is more on the way up), um or 1e-6 rad."""
     parts, outputs, inputs = [], [], []
     for letter, low, high, mean, half in axes:
@@ -32,7 +34,7 @@ def of(*axes):
         )
     outputs = tables.outputs_of(parts)
     travel = {letter: (low, high) for letter, low, high, _, _ in axes}
-    return tables.compile_table(parts, outputs=outputs, inputs=inputs, travel=travel, error_bound=0.01)
+    return tables.compile_table(parts, outputs=outputs, inputs=inputs, travel=travel, error_bound=0.01, **more)
 
 
 def even(value):
@@ -80,6 +82,60 @@ def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
             gap = (found[1] + found[-1] - want[1] - want[-1]) / 2
         level = 0.0 if target.keeps_level else np.mean(gap)
         assert 1e3 * np.abs(gap - level).max() < max(1.05 * target.rounding_um, 0.3), letter
+
+
+LINEAR = {"haas_pitch", "marlin_gcode", "reprap_heightmap"}  # no rotary axis
+TURNS = {"0 to 360": (0.0, 360.0), "-180 to 180": (-180.0, 180.0), "0 to 330 of a turn": (0.0, 330.0)}
+REPEAT = {
+    "beckhoff_ssfk",
+    "fagor_lscrw",
+    "fanuc_pitch",
+    "pmac_comp",
+    "sinumerik_cec",
+    "sinumerik_lec",
+    "twincat_nc_table",
+}
+
+
+@pytest.mark.parametrize("ends", TURNS)
+@pytest.mark.parametrize("target", [t for t in READ if t.name not in LINEAR], ids=lambda t: t.name)
+def test_an_axis_that_turns_on_does_not_step(target, ends):
+    """From 350 to 370 deg and back: the curve, which ends 180e-6 rad from where it began, is closed in every file."""
+    low, high = TURNS[ends]
+    curve = lambda c: 500.0 * np.sin(np.deg2rad(c)) + 180.0 * (c - low) / 360.0  # noqa: E731
+    files = target.write(of(("C", low, high, curve, even(-100)), turning=("C",)))
+    moved = getattr(manual_readers, target.name)(files, "C")
+    way = np.arange(350.0, 370.0, 0.25)
+    for side in (1, -1):
+        passes = np.array([moved(low + (x - low) % 360.0, side) for x in way])
+        assert np.abs(np.diff(passes)).max() * 1e3 < 0.4 + target.rounding_um
+        if target.name in REPEAT:  # by a flag or a rule of the control: where positions count on
+            for turn in (-360.0, 360.0):
+                again = [moved(x + turn, side) for x in way - 360.0]
+                assert np.abs(again - np.array([moved(x, side) for x in way - 360.0])).max() < 1e-9
+    if target.name in REPEAT:
+        read = target.read_back(files)
+        for side in (1, -1):
+            x = np.linspace(low, low + 360.0, 91)
+            own = read.correction("C", {"C": x}, np.full(x.size, side), {})
+            # errpipe's own reader and the one by the manual agree, but for the step-wise pulses of the control
+            assert 1e3 * np.abs(own - [moved(float(p), side) for p in x]).max() < 0.1 + (target.name == "fanuc_pitch")
+
+
+def test_a_turn_that_does_not_close_is_refused_where_it_is_read():
+    c = of(*MACHINES["rotary axis 0 to 360"])
+    for name, key, pattern in (
+        ("fanuc_pitch", "PITCH.TXT", r"N10003Q0P(-?\d+)"),
+        ("sinumerik_lec", "AX1_C_EEC.INI", r"COMP\[0,0,AX1\]=(\S+)"),
+        ("sinumerik_cec", "NC_CEC.INI", r"CEC\[0,0\]=(\S+)"),
+        ("beckhoff_ssfk", "achskw1.lis", r"table\[0\].pos +(-?\d+)"),
+    ):
+        (target,) = [t for t in TARGETS if t.name == name]
+        files = target.write(c)
+        found = re.search(pattern, files[key])
+        changed = files[key][: found.start(1)] + "5" + files[key][found.end(1) :]
+        with pytest.raises(VerifyError):
+            target.read_back({**files, key: changed})
 
 
 def test_every_format_of_one_axis_is_read():

@@ -104,3 +104,32 @@ def test_a_checklist_names_the_readings_at_which_it_holds_and_stays_within_the_t
         if row[0] in machines.AXES:
             low, high = _sample.span(table, row[0])
             assert low - 1e-3 <= float(row[1]) <= high + 1e-3
+
+
+@pytest.mark.parametrize("form", ["a wave of the screw", "lost motion alone"])
+def test_a_table_says_how_far_its_axis_travels(form, tmp_path):
+    """A curve that repeats every 10 mm is written over the travel; no list sends an axis to where no reading ends."""
+    wave = Lowered(d.ONE, "X", lambda x: 3 * np.sin(2 * np.pi * x / 10), period=10.0)
+    lost = Lowered(d.Direction(axis="X"), None, lambda x: np.full(np.shape(x), -3.0))
+    anywhere = TableInput(name="x", kind="position", axis="X", low=-1e5, high=1e5, default=0)
+    source = tables.ComponentSource("EXX", "um", (wave if "wave" in form else lost,))
+    table = tables.compile_table([source], inputs=[anywhere], travel={"X": (0.0, 500.0)})
+    assert _sample.span(table, "X") == (0.0, 500.0)
+    for name in ("linuxcnc_screw", "iec_st", "sinumerik_cec"):
+        stage.write_targets(table, [name], tmp_path)
+        rows = re.findall(r"^\| X \| X \| ([-\d.]+) \|", (tmp_path / name / stage.CHECKLIST).read_text(), re.M)
+        assert rows and all(0.0 <= float(x) <= 500.0 for x in rows)
+    (read,) = BY_NAME["linuxcnc_screw"].read_back(BY_NAME["linuxcnc_screw"].write(table)).curves
+    if "wave" in form:
+        assert 1e3 * float(np.interp(492.5, read.positions, read.up)) == pytest.approx(-3.0, abs=0.6)
+
+
+def test_a_table_of_an_axis_that_turns_on_does_not_step_at_a_turn():
+    curve = Lowered(d.ONE, "C", lambda c: 500.0 * np.sin(np.deg2rad(c)) + c / 2)
+    place = TableInput(name="c", kind="position", axis="C", unit="deg", low=-1e4, high=1e4, default=0.0)
+    for travel in ((0.0, 360.0), (0.0, 330.0)):
+        source = tables.ComponentSource("ECC", "urad", (curve,))
+        table = tables.compile_table([source], inputs=[place], travel={"C": travel}, turning=("C",))
+        way = np.arange(350.0, 370.0, 0.25)
+        wrapped, counted = (_sample.curve(table, "C", "C", x).up for x in (way % 360.0, way))
+        assert np.abs(np.diff(wrapped)).max() < 0.5e-3 and np.abs(wrapped - counted).max() < 1e-9

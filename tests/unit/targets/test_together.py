@@ -151,7 +151,7 @@ def test_the_move_list_says_what_the_axis_does_in_all(tmp_path):
     table = machines.tilting()
     stage.write_targets(table, ["sinumerik_cec"], tmp_path)
     told = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
-    for x, z in ((0.0, -350.0), (500.0, -350.0), (500.0, 50.0)):
+    for x, z in ((0.0, -300.0), (500.0, -300.0), (500.0, 0.0)):
         want = 1e3 * float(_sample.corrections(table, "X", {"x": np.array([x]), "z": np.array([z])}, np.ones(1))[0])
         row = next(line for line in told.splitlines() if line.startswith(f"| X | X and Z | {x:.3f}, {z:.3f} |"))
         assert float(row.split("|")[4]) == pytest.approx(want, abs=0.02)

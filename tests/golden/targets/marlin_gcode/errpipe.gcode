@@ -1,6 +1,6 @@
 ; experimental: rests on experience, not on a manual or a run; prove the sign on the machine before use
 G21
-; mesh of 5 x 5: X 0.000000 to 500.000000, Y -50.000000 to 450.000000
+; mesh of 5 x 5: X 0.000000 to 500.000000, Y 0.000000 to 400.000000
 M420 S0
 M421 I0 J0 Z0.000000
 M421 I0 J1 Z0.000000
