@@ -3,8 +3,9 @@
     python -m tests.hostile.attack --seconds 600 --kills 1000 --seed 7
 
 Every attempt runs in a process of its own (forked, so it starts in milliseconds) with a limit on memory and time. It
-has to end with a message: exit code 0, 2, 3, 4 or 6. Found is: an internal error, a crash, a time-out, a file outside
-the given folder that is touched, an output that is neither the old one nor the new one after a kill.
+has to end with a message: exit code 0, 2, 3, 4 or 6. The kills go on beside it, on a second core. Found is: an internal
+error, a crash, a time-out, a file outside the given folder that is touched, an output that is neither the old one nor
+the new one after a kill.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import random
 import resource
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -33,6 +35,8 @@ import numpy as np
 
 TIME_LIMIT = 60  # s of one attempt on a busy machine; none should take two
 MEMORY = 4 << 30  # bytes of address space; Arrow and Numba reserve much that they do not use
+FRESH = 50  # of so many victims one is an interpreter of its own, which takes ten times as long
+LONGEST = 2  # times the given seconds, for the kills beside the files
 LEAST = 20  # files that are tried however busy the machine is
 ALLOWED = (0, 2, 3, 4, 6)
 WRITTEN = ("said.txt", "found-", "out", "imported", "unpacked", "o.ngc", "p.csv", "d.fmu")  # by commands, as asked
@@ -410,7 +414,8 @@ def tree(out: Path) -> dict[str, str]:
 def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int, list[str]]:
     """Kill runs at any moment while the data change to and fro; every file must be whole, the next run mends all.
 
-    Counted are the runs that were killed, not those that had ended before the signal came.
+    Counted are the runs that were killed, not those that had ended before the signal came. Victims are forked from this
+    process, which has imported and compiled everything; each FRESH-th is an interpreter of its own instead.
     """
     from errpipe.cli.app import main
     from tests.hostile.doors import PIPELINE, recording_folder
@@ -418,24 +423,28 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "p.yaml").write_text(PIPELINE + EXPORTED)
     out, line = folder / "out", ["run", str(folder / "p.yaml"), "--out", str(folder / "out")]
-    whole, took = [], 0.0
-    at = np.arange(40)
+    whole, sources, took, at = [], [], 0.0, np.arange(40)
     for version in (0, 1, 0):  # in this process: the forked ones need not import or compile
         recording_folder(folder / "rec", dev=measured(at) * (1 + version))
+        sources.append((folder / "rec/rows.csv").read_bytes())
         began = time.monotonic()
         with quiet():
             assert main(line) == 0
         took = time.monotonic() - began
         whole.append(tree(out))
     known = {(name, digest) for versions in whole for name, digest in versions.items()}
-    sources = [(folder / "rec/rows.csv").read_bytes()]
-    recording_folder(folder / "rec", dev=measured(at) * 2)
-    sources.append((folder / "rec/rows.csv").read_bytes())
-    found, done, version = [], 0, 0
+    began = time.monotonic()
+    fresh(line).wait()
+    fresh_took = time.monotonic() - began
+    found, tried, done, version = [], 0, 0, 0
     while done < count and time.monotonic() < end:
         version = 1 - version if rng.random() < 0.7 else version
         (folder / "rec/rows.csv").write_bytes(sources[version])
-        killed = _killed(lambda: main(line), rng.uniform(0, 1.2 * took))
+        tried += 1
+        if tried % FRESH == 0:
+            killed = _killed(fresh(line).pid, rng.uniform(0, 1.2 * fresh_took))
+        else:
+            killed = _killed(victim(lambda: main(line)), rng.uniform(0, 1.2 * took))
         done += killed
         torn = [name for name, digest in tree(out).items() if (name, digest) not in known and name != "errpipe.lock"]
         found += [f"kill {done}: {name} is neither old nor new" for name in torn]
@@ -450,15 +459,57 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
     return done, found
 
 
-def _killed(work: Callable[[], int], after: float) -> bool:
-    """Whether a process that does `work` was killed `after` s; False where it had ended by then."""
+def fresh(line: list[str]) -> subprocess.Popen[bytes]:
+    """The command line in an interpreter and a session of its own."""
+    words = [sys.executable, "-m", "errpipe.cli.app", *line]
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    return subprocess.Popen(
+        words, env=env, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+
+def victim(work: Callable[[], int]) -> int:
+    """Number of a process, in a session of its own, that does `work`."""
     pid = os.fork()
     if pid == 0:
+        os.setsid()
         with quiet():
             os._exit(work())
+    return pid
+
+
+def _killed(pid: int, after: float) -> bool:
+    """Whether a process and those of its session were killed `after` s; False where it had ended by then."""
     time.sleep(after)
     os.kill(pid, signal.SIGKILL)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)
     return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+
+
+def beside(count: int, seed: int, end: float) -> Callable[[], tuple[int, list[str], float]]:
+    """Start the kill campaign in a process of its own; the function returned waits for what it counted and found."""
+    reader, writer = os.pipe()
+    began = time.monotonic()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            with tempfile.TemporaryDirectory(prefix="errpipe-attack-", dir=memory()) as name:
+                told = kills(Path(name), count, random.Random(seed), end)
+        except BaseException as err:
+            told = 0, [f"the kill campaign ended: {type(err).__name__}: {err}"]
+        with os.fdopen(writer, "w") as stream:
+            json.dump([*told, time.monotonic() - began], stream)
+        os._exit(0)
+    os.close(writer)
+
+    def wait() -> tuple[int, list[str], float]:
+        with os.fdopen(reader) as stream:
+            done, found, took = json.load(stream)
+        os.waitpid(pid, 0)
+        return done, found, took
+
+    return wait
 
 
 # ---------------------------------------------------------------- the report
@@ -488,9 +539,7 @@ def main_() -> int:
     parser.add_argument("--keep", type=Path, default=None, help="folder for the files that broke something")
     given = parser.parse_args()
     began = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="errpipe-attack-", dir=memory()) as name:
-        killed, torn = kills(Path(name), given.kills, random.Random(given.seed), began + 0.6 * given.seconds)
-    took = time.monotonic() - began
+    counted = beside(given.kills, given.seed, began + LONGEST * given.seconds)
     with tempfile.TemporaryDirectory(prefix="errpipe-attack-") as name:
         top = Path(name)
         (top / "doors").mkdir()
@@ -499,6 +548,7 @@ def main_() -> int:
             given.keep.mkdir(parents=True, exist_ok=True)
             for path in top.glob("found-*"):
                 shutil.copy(path, given.keep)
+    killed, torn, took = counted()
     found += torn
     print(f"seed {given.seed}, {time.monotonic() - began:.0f} s")
     print("\n".join(report(opened, f"{killed} of {given.kills} in {took:.0f} s", found)))

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from errpipe import jsonfile
+from errpipe.pipeline import runner
 from tests.hostile import attack
 
 
@@ -23,6 +25,25 @@ def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
 def test_a_short_kill_campaign_finds_nothing(tmp_path: Path) -> None:
     killed, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
     assert found == [] and killed >= 5
+
+
+@pytest.mark.slow
+def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: files are written in place, half of them before the other half."""
+
+    def in_place(path: Path, data: bytes) -> bool:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with Path(path).open("wb") as stream:
+            for half in (data[: len(data) // 2], data[len(data) // 2 :]):
+                stream.write(half)
+                stream.flush()
+                time.sleep(0.02)
+        return True
+
+    monkeypatch.setattr(jsonfile, "write_bytes", in_place)
+    monkeypatch.setattr(runner, "_publish", lambda source, target: in_place(target, source.read_bytes()))
+    _, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
+    assert any("neither old nor new" in line for line in found)
 
 
 def test_what_is_planted_is_found(tmp_path: Path) -> None:
