@@ -139,3 +139,19 @@ def test_values_too_small_or_large_for_a_slope_say_nothing(size):
     x = size * np.arange(6.0)
     assert settle._slope(x, np.arange(6.0)) is None
     assert settle._slope(np.arange(6.0), 2.0 * np.arange(6.0) + 1) == pytest.approx(2.0)
+
+
+def test_a_tdms_file_that_is_cut_is_read_as_far_as_it_goes_and_says_so(tmp_path, capsys):
+    nptdms = pytest.importorskip("nptdms")
+    from errpipe.importing.doors import tdms
+    from errpipe.importing.sheet import DoorOptions
+
+    path = tmp_path / "t.tdms"
+    with nptdms.TdmsWriter(str(path)) as writer:
+        for _ in range(2):
+            writer.write_segment([nptdms.ChannelObject("g", n, np.arange(100.0)) for n in ("x", "EXX")])
+    path.write_bytes(path.read_bytes()[:-100])
+    (sheet,) = tdms.read(path, DoorOptions())
+    assert 180 < sum(row[1] is not None for row in sheet.rows) < 200
+    assert any("segment" in note for note in sheet.notes)
+    assert capsys.readouterr().err == ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,16 +25,33 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """Channels of each group, with a time column where the channels state their increment. Raises DataError."""
     try:
         from nptdms import TdmsFile
+        from nptdms.log import log_manager
     except ImportError:
         raise UsageError(f"{path}: reading TDMS needs npTDMS: pip install 'errpipe[tdms]'") from None
+    remarks = _Remarks()
+    log_manager.console_handler.addFilter(remarks.add)  # what it would print becomes a note of the import
     try:
         file = TdmsFile.read(str(path))
         groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
-        return [_sheet(group).limited() for group in groups]
+        sheets = [_sheet(group).limited() for group in groups]
+        return [replace(sheet, notes=[*sheet.notes, *remarks.said]) for sheet in sheets]
     except (DataError, MemoryError):
         raise
     except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
         raise DataError(f"{path}: not a TDMS file that can be read ({type(err).__name__})") from None
+    finally:
+        log_manager.console_handler.removeFilter(remarks.add)
+
+
+class _Remarks:
+    """What npTDMS says of a file, such as that its last segment is cut, once each."""
+
+    def __init__(self) -> None:
+        self.said: dict[str, None] = {}
+
+    def add(self, record: logging.LogRecord) -> bool:
+        self.said[record.getMessage()] = None
+        return False
 
 
 def _sheet(group) -> Sheet:
