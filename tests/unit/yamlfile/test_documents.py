@@ -1,52 +1,14 @@
-"""YAML 1.2, places, refusals, and pydantic's errors in plain words."""
+"""YAML 1.2, places, refusals, environment, files, and pydantic's errors in plain words."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from pydantic import Field, create_model, model_validator
 
 from errpipe.errors import ConfigError, UsageError
-from errpipe.yamlfile import Choice, Misplaced, Options, convert, load, parse, plain, read
-
-
-class Line(Options):
-    kind: Literal["line"]
-    slope: float = Field(1.0, gt=0, json_schema_extra={"unit": "um/m"}, description="Slope.")
-
-
-class Step(Options):
-    kind: Literal["step"]
-    height: float = Field(description="Height of the step.", json_schema_extra={"unit": "um"})
-    sides: tuple[float, float] = Field((0.0, 1.0), json_schema_extra={"unit": "mm"})
-
-    @model_validator(mode="after")
-    def _sides_differ(self) -> Step:
-        if self.sides[0] == self.sides[1]:
-            raise Misplaced(("sides", 1), "equals the first side")
-        return self
-
-
-class Model(Options):
-    version: Literal[1]
-    title: str = ""
-    robust: bool = False
-    count: int = Field(3, ge=1, le=9)
-    spread: float | Literal["auto"] = "auto"
-    terms: tuple[Annotated[Line | Step, Field(discriminator="kind")], ...] = ()
-    limits: dict[str, Line] = {}
-    name: Literal["red", "green", "blue"] = "red"
-
-
-def problems(text: str, model: object = Model) -> list[str]:
-    """The lines of the refusal of a text."""
-    with pytest.raises(ConfigError) as caught:
-        parse(text, "f.yaml").validate(model)
-    return str(caught.value).splitlines()
+from errpipe.yamlfile import load, parse, plain, read
+from tests.unit.yamlfile.written_models import Model, problems
 
 
 @pytest.mark.parametrize(
@@ -215,106 +177,6 @@ def test_what_is_missing_points_at_the_key_of_its_parent() -> None:
     assert problems("version: 1\nlimits:\n  low:\n    slope: 1\n") == ["f.yaml:3:3  limits.low.kind: is missing (line)"]
 
 
-# ---------------------------------------------------------------- quantities
-
-
-@pytest.mark.parametrize(
-    "text, unit, value",
-    [
-        ("20 um", "um", 20.0),
-        ("0.02 mm", "um", 20.0),
-        ("20um", "mm", 0.02),
-        ("68 degF", "degC", 20.0),
-        ("293.15 K", "degC", 20.0),
-        ("9 delta_degF", "K", 5.0),
-        ("-1e3 mm/s", "m/s", -1.0),
-        ("2 h", "s", 7200.0),
-        ("1.1 inch", "mm", 27.94),
-        ("3 bogus", "bogus", 3.0),
-        ("1 bar", "hPa", 1000.0),
-        ("5 %", "1", 0.05),
-        ("0.1 m", "mm", 100.0),
-        ("0.3 m", "mm", 300.0),
-    ],
-)
-def test_quantities_are_rounded_once(text: str, unit: str, value: float) -> None:
-    assert convert(text, unit) == value
-
-
-@pytest.mark.parametrize(
-    "text, unit, message",
-    [
-        ("5 mn", "um", "found unit 'mn' .*Did you mean m.$"),
-        ("5 s", "um", "found unit 's' .allowed: nm, um"),
-        ("5 degC", "K", "found unit 'degC' .allowed: K, delta_degC"),
-        ("5 N", "um/m/K", "found unit 'N' .allowed: um/m/K"),
-        ("five um", "um", "a number with its unit"),
-        ("1e308 m", "um", "is not a finite number of um"),
-    ],
-)
-def test_a_unit_of_another_dimension_is_refused(text: str, unit: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        convert(text, unit)
-
-
-@settings(deadline=None)
-@given(st.floats(allow_nan=False, allow_infinity=False, min_value=-1e9, max_value=1e9))
-def test_a_unit_that_is_the_fields_own_changes_no_bit(number: float) -> None:
-    assert convert(f"{number!r} um", "um") == number
-
-
-def test_quantities_in_fields() -> None:
-    text = "version: 1\nterms:\n  - {kind: step, height: 0.02 mm, sides: [1, 2 cm]}\n  - {kind: line, slope: 3}"
-    model = parse(text).validate(Model)
-    assert model.terms[0].height == 20.0 and model.terms[0].sides == (1.0, 20.0) and model.terms[1].slope == 3.0
-    assert problems("version: 1\nterms: [{kind: step, height: 5 s}]") == [
-        "f.yaml:2:30  terms[0].height: found unit 's' (allowed: nm, um, mm, cm, m, km, inch)."
-    ]
-    assert problems("version: 1\nterms: [{kind: step, height: -0.5 m, sides: [1, low]}]") == [
-        "f.yaml:2:49  terms[0].sides[1]: found the text 'low' (a number is needed)"
-    ]
-
-
-class Late(Options):
-    """No `kind`: told from its neighbours in a union by not having one."""
-
-    tau: tuple[float, ...] = Field(min_length=1, json_schema_extra={"unit": "s"})
-    above: float = Field(0.0, json_schema_extra={"unit": "of the input"})
-
-
-class Mixed(Options):
-    factors: tuple[Late | Line, ...] = Field((), min_length=1)
-
-
-def test_quantities_in_lists_of_a_model_without_a_kind() -> None:
-    model = parse("factors: [{tau: [60 s, 50 min, 2]}, {kind: line}]").validate(Mixed)
-    assert model.factors[0] == Late(tau=(60.0, 3000.0, 2.0))
-    assert "f.yaml:1:18  factors[0].tau[0]: found unit 'mm' (allowed: us, ms, s, min, h, d)." in problems(
-        "factors: [{tau: [1 mm]}]", Mixed
-    )
-
-
-def test_a_unit_that_points_elsewhere_is_none_to_convert_to() -> None:
-    class Above(Options):
-        above: float = Field(0.0, ge=0, json_schema_extra={"unit": "of the input"})
-
-    assert problems("above: 20 degC", Above) == ["f.yaml:1:8  above: found the text '20 degC' (a number is needed)"]
-    assert problems("above: -1", Above) == ["f.yaml:1:8  above: -1 is not at least 0"]
-
-
-@pytest.mark.parametrize("entry", ["{kind: line, slope: a}", "{kind: line, slop: 1}", "{kind: line, slope: -1}", "7"])
-def test_a_list_whose_entry_is_wrong_is_not_called_short_as_well(entry: str) -> None:
-    class Lines(Options):
-        lines: tuple[Line, ...] = Field(min_length=1)
-
-    (only,) = problems(f"lines: [{entry}]", Lines)
-    assert "lines[0]" in only
-    assert problems("lines: []", Lines) == ["f.yaml:1:8  lines: has 0 entries (at least 1 needed)"]
-
-
-# ---------------------------------------------------------------- environment
-
-
 def test_variables_are_replaced_in_texts_only() -> None:
     environment = {"A": "x: 1\nlimit: 9999", "E": ""}
     text = "a: ${A}\nb: '${B:-../data}/${E:-e}'\nc: $${A} $5\n"
@@ -330,9 +192,6 @@ def test_an_undefined_variable_is_named_with_its_line() -> None:
         "f.yaml:2:16  b[1]: '${' is not followed by NAME} or NAME:-default}",
         "f.yaml:2:22  b[2]: '${' is not followed by NAME} or NAME:-default}",
     ]
-
-
-# ---------------------------------------------------------------- files
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
@@ -362,95 +221,3 @@ def test_values_can_be_assigned_and_keep_their_origin() -> None:
         document.assign(("terms", 4, "slope"), 1, "--set")
     with pytest.raises(UsageError, match="version is the number 1, not a mapping"):
         document.assign(("version", "x"), 1, "--set")
-
-
-# ---------------------------------------------------------------- anything at all
-
-_BITS = st.sampled_from(
-    [
-        "a",
-        "kind",
-        ": ",
-        ":",
-        "- ",
-        "\n",
-        "\n  ",
-        "[",
-        "]",
-        "{",
-        "}",
-        ", ",
-        "&x ",
-        "*x",
-        "!!t ",
-        "'",
-        '"',
-        "|",
-        ">",
-        "#",
-        "---\n",
-        "%YAML 1.1\n",
-        "1e-3",
-        "~",
-        "\t",
-        "? ",
-        "<<: ",
-        "${A}",
-        "version: 1\n",
-        "terms:\n",
-        "\ufeff",
-        "\x00",
-        "ü",
-        "@",
-        "`",
-        "...",
-    ]
-)
-
-
-@settings(deadline=None)
-@given(st.lists(_BITS, max_size=25).map("".join))
-def test_whatever_is_written_is_read_or_refused(text: str) -> None:
-    try:
-        document = parse(text, "f.yaml", environment={})
-        document.validate(Model)
-    except ConfigError as err:
-        assert err.problems and all(problem.message for problem in err.problems)
-
-
-def _choice(loaded: list[str]) -> Any:
-    def load(tag: str, **fields: Any) -> Any:
-        loaded.append(tag)
-        return create_model(tag, __base__=Options, kind=(Literal[tag], tag), **fields)
-
-    return Choice(
-        "kind",
-        {
-            "one": lambda: load("one", size=(float, Field(gt=0, json_schema_extra={"unit": "mm"}))),
-            "two": lambda: load("two", names=(tuple[str, ...], ())),
-        },
-    )
-
-
-def test_a_choice_loads_what_is_named_and_nothing_else() -> None:
-    loaded: list[str] = []
-    model: Any = create_model("File", parts=(tuple[_choice(loaded), ...], ()))
-    found = parse("parts: [{kind: one, size: 2 cm}]").validate(model)
-    assert found.parts[0].size == 20.0 and loaded == ["one"]
-    assert found.model_dump(mode="json") == {"parts": [{"kind": "one", "size": 20.0}]}
-    assert set(model.model_json_schema()["$defs"]) == {"one", "two"}
-
-
-def test_errors_inside_a_choice_have_their_place_and_what_is_allowed() -> None:
-    model: Any = create_model("File", parts=(tuple[_choice([]), ...], ()))
-    text = "parts:\n- {kind: one, size: -1}\n- {kind: two, name: x}\n- {kind: tow}\n- {kind: two, names: [1]}\n- {}\n"
-    with pytest.raises(ConfigError) as caught:
-        parse(text).validate(model)
-    said = [str(problem).split("  ", 1)[1] for problem in caught.value.problems]
-    assert said == [
-        "parts[0].size: -1 is not above 0 mm",
-        "parts[1].name: unknown key (allowed: kind, names). Did you mean names?",
-        "parts[2].kind: found 'tow' (allowed: one, two). Did you mean two?",
-        "parts[3].names[0]: found the number 1 (a text is needed). Did you mean '1', in quotes?",
-        "parts[4].kind: is missing (allowed: one, two).",
-    ]
