@@ -41,20 +41,6 @@ def properties(schema: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, 
             yield owner, name, prop
 
 
-def undescribed(schema: Mapping[str, Any]) -> list[str]:
-    """`Model.key` of every property without a description, or with a number but no unit (`1`: a pure number).
-
-    Whole numbers count things or number a version and need no unit; where one has a unit it is said all the same.
-    """
-    problems = []
-    for owner, name, prop in properties(schema):
-        if not prop.get("description"):
-            problems.append(f"{owner}.{name}: no description")
-        if _has_number(prop) and "unit" not in prop:
-            problems.append(f"{owner}.{name}: a number without a unit")
-    return problems
-
-
 def _draft7(node: Any, defaults: Mapping[str, str]) -> Any:
     """One schema node, translated."""
     if isinstance(node, list):
@@ -109,12 +95,6 @@ def _branch(choice: Any, defaults: Mapping[str, str]) -> dict[str, Any]:
     if isinstance(choice, str):
         return {"$ref": choice}
     return _draft7(dict(choice), defaults)
-
-
-def _has_number(prop: Mapping[str, Any]) -> bool:
-    inner = [prop.get("items"), prop.get("additionalProperties"), *prop.get("anyOf", ())]
-    inner += prop["items"] if isinstance(prop.get("items"), list) else []
-    return prop.get("type") == "number" or any(_has_number(part) for part in inner if isinstance(part, dict))
 
 
 def _accept_quantities(prop: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ short waves, the bearing's seat moves with its own temperature. Equal seeds give
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,6 @@ import pandas as pd
 
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.simulation import heat
-from errpipe.terms import Term
 
 TRAVEL = (0.0, 800.0)  # mm
 LEAD = 10.0  # mm a revolution
@@ -80,24 +79,6 @@ def simulate(seed: int = 1, truth: Truth = Truth(), states: Sequence[tuple[float
     return Simulated(
         Recording(MANIFEST, frame[list(MANIFEST.columns)]), exact, np.where(program.measured, noise, np.nan)
     )
-
-
-def from_terms(
-    recording: Recording,
-    component: str,
-    parts: Sequence[tuple[Term, Mapping[str, float]]],
-    *,
-    noise: float,
-    memory: float = 0.0,
-    seed: int = 1,
-) -> Recording:
-    """The recording with its response replaced by a sum of terms and noise (a share `memory` correlated by 0.8)."""
-    rng = np.random.default_rng(seed)
-    name = recording.names("error", component=component)[0]
-    exact = sum((term.value(recording, values) for term, values in parts), np.zeros(len(recording)))
-    drawn = _noise(rng, recording.run_codes(), Truth(noise=noise, noise_memory=memory))
-    measured = np.isfinite(recording.array(name))
-    return Recording(recording.manifest, recording.frame.assign(**{name: np.where(measured, exact + drawn, np.nan)}))
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ TOP = Path(errpipe.__file__).parent
 KNOWN = {
     "ChangesPending": "the exit code of `plan`; raised by name of its code",
     "lag_tau_derivative": "checked against finite differences beside the kernel it belongs to",
-    "undescribed": "what the contract test of the schemas asks",
-    "from_terms": "a simulated axis from a list of terms, for tests",
     "customary": "the usual plan that examples/next-duty-cycle compares with",
     "linearity": "examples/placement",
     "extrapolation": "examples/placement",

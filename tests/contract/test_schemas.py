@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from errpipe import jsonfile, yamlfile
 from errpipe.cli.schema import MODELS, schema_of
 from errpipe.domain.machine import Machine
-from errpipe.pipeline.schema import undescribed
+from errpipe.pipeline.schema import properties
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES
 
@@ -51,6 +52,26 @@ def test_it_is_draft_07_and_every_reference_leads_somewhere(name: str) -> None:
         return own + [found for part in node.values() for found in references(part)]
 
     assert {found.removeprefix("#/definitions/") for found in references(schema)} <= set(definitions)
+
+
+def undescribed(schema: Mapping[str, Any]) -> list[str]:
+    """`Model.key` of every property without a description, or with a number but no unit (`1`: a pure number).
+
+    Whole numbers count things or number a version and need no unit; where one has a unit it is said all the same.
+    """
+    problems = []
+    for owner, name, prop in properties(schema):
+        if not prop.get("description"):
+            problems.append(f"{owner}.{name}: no description")
+        if _has_number(prop) and "unit" not in prop:
+            problems.append(f"{owner}.{name}: a number without a unit")
+    return problems
+
+
+def _has_number(prop: Mapping[str, Any]) -> bool:
+    inner = [prop.get("items"), prop.get("additionalProperties"), *prop.get("anyOf", ())]
+    inner += prop["items"] if isinstance(prop.get("items"), list) else []
+    return prop.get("type") == "number" or any(_has_number(part) for part in inner if isinstance(part, dict))
 
 
 @pytest.mark.parametrize("name", MODELS)

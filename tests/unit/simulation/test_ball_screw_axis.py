@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
+from errpipe.domain.recording import Recording
 from errpipe.fitting.model import fit
 from errpipe.models.terms import Terms
 from errpipe.simulation import ball_screw_axis, folder, heat
@@ -144,12 +145,21 @@ def known_axis(**more):
     return Terms.model_validate({"components": [{"component": "EXX", "terms": terms}], **more})
 
 
+def drawn_from(recording, spec, memory, seed):
+    """The recording with the sum of the terms and noise as its response (a share `memory` is correlated by 0.8)."""
+    parts = zip(spec.components[0].terms, TRUTH, strict=True)
+    exact = sum((term.value(recording, values) for term, values in parts), np.zeros(len(recording)))
+    truth = ball_screw_axis.Truth(noise=0.8, noise_memory=memory)
+    noise = ball_screw_axis._noise(np.random.default_rng(seed), recording.run_codes(), truth)
+    measured = np.where(np.isfinite(recording.array("EXX")), exact + noise, np.nan)
+    return Recording(recording.manifest, recording.frame.assign(EXX=measured))
+
+
 def hits(recording, spec, seeds, memory, outliers=0.0):
     """For every seed and parameter: does the 95 % interval hold the truth?"""
-    parts = list(zip(spec.components[0].terms, TRUTH, strict=True))
     out = []
     for seed in range(seeds):
-        drawn = ball_screw_axis.from_terms(recording, "EXX", parts, noise=0.8, memory=memory, seed=seed)
+        drawn = drawn_from(recording, spec, memory, seed)
         if outliers:
             rng = np.random.default_rng(seed + 1000)
             y = drawn.array("EXX") + (rng.random(len(drawn)) < outliers) * rng.uniform(-30, 30, len(drawn))
@@ -181,8 +191,7 @@ def test_true_parameters_lie_in_their_intervals_in_about_95_of_100_seeds(simulat
 
 def test_held_out_residual_is_the_noise_put_in(simulated):
     spec = known_axis()
-    parts = list(zip(spec.components[0].terms, TRUTH, strict=True))
-    drawn = ball_screw_axis.from_terms(simulated.recording, "EXX", parts, noise=0.8, memory=0.2, seed=4)
+    drawn = drawn_from(simulated.recording, spec, 0.2, 4)
     figures = held_out(drawn, spec)["components"][0]
     assert figures["rms_after"] < 1.1 * 0.8
     assert 0.85 < figures["coverage90"] < 0.95
