@@ -21,7 +21,7 @@ from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, ect
 from errpipe.tables.reference import Evaluator
-from tests.golden import edges
+from tests.golden import edges, edges_of_outputs
 from tests.unit.tables.made import everything, modes, stimulus
 
 SCHEMAS = Path(__file__).parents[2] / "schemas"
@@ -310,12 +310,12 @@ def blocks() -> Iterator[Block]:
     for make in (
         edges.readings,
         edges.fading,
-        edges.operations,
-        edges.sums,
-        edges.motion,
+        edges_of_outputs.operations,
+        edges_of_outputs.sums,
+        edges_of_outputs.motion,
         edges.doubts,
         edges.slowly,
-        edges.bounded,
+        edges_of_outputs.bounded,
     ):
         yield block(make.__name__, *make())
     yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))
