@@ -39,7 +39,6 @@ class SetUp:
     free_shapes: list[Shape]  # shapes without a name
     places: list[np.ndarray]  # their columns in the library's table
     session: np.ndarray | None  # of each row, where each session has its own datum
-    in_part: bool = False  # were effects that act in part added to the library?
     in_own_noise: bool = False  # was the colour of the noise fitted?
     plain: bool = False  # noise of the usual colour, non-linear parameters on their grid?
     over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing

@@ -124,11 +124,7 @@ class Library:
 
     def family(self, i: int) -> list[int]:
         """The hypotheses that differ from it in non-linear parameters only."""
-        return self.like(self.hypotheses[i])
-
-    def like(self, h: Hypothesis) -> list[int]:
-        """The hypotheses that differ from this one in non-linear parameters at most."""
-        return self._families.get(h.key, [])
+        return self._families[self.hypotheses[i].key]
 
 
 def build(

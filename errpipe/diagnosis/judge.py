@@ -121,13 +121,13 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     progress(0.5, f"{pair.component}: looking for what is missing")
     library = made.library
     search, first = _settled(made)
-    plain = _possible(replace(made, prior=made.prior.copy(), plain=True), copy.copy(search), first)
+    in_part = _with_parts(search, first, conditioned, pair.rows)
+    made.prior = search.prior.copy()
+    plain = _possible(replace(made, prior=search.prior.copy(), plain=True), copy.copy(search), in_part)
     if plain.explanation.accepted and needs_own_noise(plain, plain.search, plain.explanation):
         plain.held = holdout.held_out(plain)
     count, width = len(library.hypotheses), library.table.width
-    plain_only = np.full(count - made.prior.size, NEVER)  # effects in part, which are sought anew
-    search.prior = made.prior = np.r_[made.prior, plain_only]
-    case = _possible(made, search, replace(first, alone=np.r_[first.alone, plain_only]))
+    case = _possible(made, search, *([first] if in_part is first else [first, in_part]))
     if not case.explanation.accepted:
         return case
     case.held = own = holdout.held_out(case)
@@ -156,9 +156,9 @@ NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may 
 RETRIES = 4  # further searches, each without the findings ruled out before
 
 
-def _possible(made: SetUp, search: Search, first: Explanation) -> Case:
-    """The best explanation of a response without findings that cannot be true; `first` is what the search found."""
-    case = _explained(made, search, first)
+def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
+    """The best explanation of a response without findings that cannot be true; `found`: by the search."""
+    case = _explained(made, search, *found)
     for _ in range(RETRIES):
         out = plausible.impossible(case)
         if not out:
@@ -225,14 +225,15 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     )  # fmt: skip
 
 
-def _explained(made: SetUp, search: Search, explanation: Explanation) -> Case:
-    """The best explanation of a response, from what the search found, and the remainder beside it."""
+def _explained(made: SetUp, search: Search, *found: Explanation) -> Case:
+    """The best of what the search found, in the noise that suits it, and the remainder beside it."""
     library, nuisance, rows = made.library, made.nuisance, made.pair.rows
+    explanation = found[-1]
     if not made.plain:
-        search, explanation = zoomed(made, search, explanation)
-    if not made.in_part:
-        explanation = _with_parts(search, explanation, made.recording, rows)
-        made.prior, made.in_part = search.prior.copy(), True
+        tried = [zoomed(made, copy.copy(search), e) for e in found]
+        for one, _ in tried:
+            one.prior = made.prior
+        search, explanation = max(tried, key=lambda t: t[0].joint(chosen_of(t[1])))
     if not made.in_own_noise and not made.plain:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)

@@ -196,15 +196,11 @@ def _extend(library: Library, search: Search, recording: Recording, rows, index:
     from errpipe.diagnosis.hypotheses import columns_of
 
     h = dataclasses.replace(library.hypotheses[index], mask=mask, prior=library.hypotheses[index].prior - 5.0)
-    prior = search.prior[index] - 5.0
-    for i in library.like(h):  # made for the explanation in usual noise
-        if library.hypotheses[i].nonlinear == h.nonlinear:
-            search.prior[i] = prior
-            return i
     core, slack, rel = columns_of(h, recording)
     made = scaled(core[rows], slack[rows], rel)
     if made is None:
         return None
+    prior = search.prior[index] - 5.0
     library.extend([(h, made, core.shape[1])])
     search.prior = np.r_[search.prior, prior]
     return len(library.hypotheses) - 1
