@@ -241,7 +241,10 @@ def _explained(made: SetUp, search: Search, *found: Explanation) -> Case:
         search, explanation = recalibration.within_limits(
             search, explanation, made.decomposition, made.names, made.recal, made.sizes, made.noise_estimate
         )
-    explanation = worth_naming(search, explanation, made.recording, rows, made.decomposition)
+    named = worth_naming(search, explanation, made.recording, rows, made.decomposition)
+    if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
+        named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
+    explanation = named
     judged = made.judged()
     kept = supported_by_held_out(search, chosen_of(explanation), judged)
     if len(kept) < len(explanation.accepted):

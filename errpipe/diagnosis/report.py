@@ -48,7 +48,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings = [f.model_copy(update=_capped_confidence(f, most)) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
-    findings, verdict = _verdict(case, findings, p_unknown)
+    findings, verdict = _verdict(case, findings, p_unknown, unnamed.unexplained(case, held))
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
         contribution["unknown"], after = _with_shape(case)
     floor = float(
@@ -58,7 +58,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     datums = own_datums(case, [])
     chance = significance.chance(case)
     findings = [f.model_copy(update=_surrogate_test(case, f)) for f in findings]
-    if held.after >= held.before:
+    if held.after > unnamed.SMALLER * held.before:
         findings = [f.model_copy(update=_capped_confidence(f, UNPROVED)) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.with_directional_law(findings, law) if law else findings
@@ -250,12 +250,12 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
     return h, b[1:] / scale
 
 
-def _verdict(case: Case, findings: list[Finding], p_unknown: float) -> tuple[list[Finding], str]:
+def _verdict(case: Case, findings: list[Finding], p_unknown: float, unexplained: bool) -> tuple[list[Finding], str]:
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
     doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful):
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or unexplained):
         named = [f.model_copy(update=_capped_confidence(f, 1.0 - p_unknown)) for f in findings]
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:

@@ -84,10 +84,10 @@ class Search:
         ranked = sorted(tried.values(), key=lambda t: -t[0])
         best_total = ranked[0][0]
         best = max((self.tune(c) for total, c in ranked[:FINALISTS] if total > best_total - MAX_LOSS), key=self.joint)
-        best = self._exchanged(best)
+        best = self.exchanged(best)
         return Explanation(self.accepted(best), alone, float(best_total))
 
-    def _exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
+    def exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
         """Exchange step: each finding is replaced by another effect while the joint evidence grows."""
         worth = self.joint(chosen)
         for _ in range(2):

@@ -11,6 +11,7 @@ from errpipe.domain.diagnosis import Finding, Where
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
 PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
+SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 WANDERING = 2.0  # threshold: rms of the residual over the noise between neighbours, from which it wanders
 
 
@@ -28,7 +29,7 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
         base = case.search.scene([]).rms()
         drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
         p = confidence.unknown_alone(gain, drop, max(share, 0.0))
-    if wanders(case):
+    if wanders(case) or unexplained(case, held):
         p = max(p, PROVISIONAL)
     return p if share >= HELD_OUT_SHARE else min(p, PROVISIONAL)
 
@@ -37,6 +38,12 @@ def wanders(case: Case) -> bool:
     """Does what is left wander, slowly and far beyond the noise between neighbours?"""
     own = case.library.table.colour
     return own != USUAL and own.share > 0.5 and float(np.std(residual(case))) > WANDERING * case.noise_estimate
+
+
+def unexplained(case: Case, held: holdout.HeldOut) -> bool:
+    """Do names hardly reduce held-out rows of the same runs, which lie far beyond the noise between neighbours?"""
+    far = held.after > max(SMALLER * held.before, WANDERING * case.noise_estimate)
+    return far and bool(case.explanation.accepted) and "whole runs" not in held.scheme
 
 
 def finding(case: Case, probability: float) -> Finding:
