@@ -19,7 +19,8 @@ from errpipe.drivers.sessions import sessions
 class HeldOut:
     """rms on held-out rows; how often the full search's first effect was chosen without them.
 
-    named: residual rms of the findings; shaped: of findings and shapes over inputs together.
+    named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
+    `after`, of the findings alone.
     """
 
     scheme: str
@@ -28,6 +29,7 @@ class HeldOut:
     agreement: float
     named: float
     shaped: float
+    names: float
 
     def shape_share(self) -> float:
         """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
@@ -46,7 +48,7 @@ def held_out(case: Case) -> HeldOut:
         scheme += f"; the datum of each from its first {ZEROED} rows, which do not count"
     first = case.explanation.accepted[0].hypothesis.effect if case.explanation.accepted else None
     inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
-    before, after, named, with_inputs, same, shaped = [], [], [], [], [], 0
+    before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
@@ -77,6 +79,7 @@ def held_out(case: Case) -> HeldOut:
         before.append(judged.zeroed(case.y[test], test))
         by_name = int(np.argmin(known[:2]))
         after.append(judged.left(part.data, ways[way][0], part.noise, ways[way][1], f))
+        alone.append(judged.left(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         named.append(judged.whitened(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         of_inputs = admit.remainder(
             part, library, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
@@ -89,7 +92,7 @@ def held_out(case: Case) -> HeldOut:
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
-    return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs))
+    return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs), rms(alone))
 
 
 def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:

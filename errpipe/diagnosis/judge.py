@@ -112,11 +112,7 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
 
 
 def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> Case:
-    """The explanation in noise of its own colour, or that in usual noise where held-out rows speak for it.
-
-    Neighbouring rows that sit out share the slow noise of those that do not: there the plain explanation takes the
-    place of one that harms, or where it predicts nearly all. Whole runs share none: there the better one stands.
-    """
+    """The explanation in noise of its own colour, or that in usual noise where held-out rows speak for it."""
     made = _set_up(raw, conditioned, pair, progress)
     progress(0.5, f"{pair.component}: looking for what is missing")
     library = made.library
@@ -128,20 +124,35 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         plain.held = holdout.held_out(plain)
     count, width = len(library.hypotheses), library.table.width
     case = _possible(made, search, *([first] if in_part is first else [first, in_part]))
-    if not case.explanation.accepted:
+    usual_noise = library.table.colour == USUAL
+    if plain.held is None or (usual_noise and not case.explanation.accepted):
         return case
     case.held = own = holdout.held_out(case)
-    harms = own.after > HARMFUL * own.before
-    if plain.held is None or (library.table.colour == USUAL and not harms):
+    if usual_noise and not _harms(own):
         return case
-    better = plain.held.after < BETTER * min(own.after, plain.held.before)
-    proves = "whole runs" in own.scheme or plain.held.after < PROVES * plain.held.before
-    if not (better and (harms or proves)):
+    if not _speaks_for_usual_noise(own, plain.held):
         return case
     library.forget(count, width)
     library.recolour(USUAL)
     plain.data = plain.search.data = Data(library.table, plain.y)
     return plain
+
+
+def _harms(held: holdout.HeldOut) -> bool:
+    return held.after > HARMFUL * held.before
+
+
+def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> bool:
+    """Do held-out rows speak for the explanation in usual noise?
+
+    Neighbouring rows that sit out share the slow noise of those that do not: there the plain explanation takes the
+    place of one that harms, or where its names (shapes over time know their neighbours' noise) predict nearly all.
+    Whole runs share none: there the better one stands, also where the other names nothing.
+    """
+    if "whole runs" in own.scheme:
+        return usual.after < BETTER * min(own.after, usual.before)
+    better = usual.names < BETTER * min(own.names, usual.before)
+    return better and (_harms(own) or usual.names < PROVES * usual.before)
 
 
 def _isolated_outliers(left: np.ndarray) -> np.ndarray:

@@ -6,9 +6,13 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
+
+
+ANEW = -30.0  # log prior odds; an effect that has the same form and may stray from it pays about as much for that
 
 
 class SensorDrift(Term):
@@ -22,6 +26,7 @@ class SensorDrift(Term):
     """
 
     term: Literal["sensor_drift"] = "sensor_drift"
+    restarts: bool = Field(False, description="Does the clock start anew with each run?")
     reports_as = "sensor_drift"
     family = "measurement"
     compensable = False
@@ -37,7 +42,11 @@ class SensorDrift(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorDrift]:
         if recording.name("time") is not None:
-            yield cls()
+            yield cls(restarts=bool(np.any(np.diff(recording.time()) < 0)))
+
+    def log_prior_odds(self) -> float:
+        """An instrument does not know that a run began: what starts anew there is wear or warmth in all likelihood."""
+        return ANEW if self.restarts else 0.0
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         t = recording.time()
