@@ -11,7 +11,6 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 
-
 ANEW = -30.0  # log prior odds; an effect that has the same form and may stray from it pays about as much for that
 
 
