@@ -1,0 +1,67 @@
+"""Waves of few targets and of rotary tables, beside what the simulation holds; wear where the clock starts anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import diagnose
+
+from .machines import recording
+
+TARGETS = np.array([0.0, 13, 31, 48, 58, 79, 92, 108, 127, 143, 157, 177, 190, 209, 226, 241, 257, 272, 291, 308, 320])
+
+
+def positioning(places: np.ndarray, axis: str, unit: str, component: str, missing, held):
+    """Five runs there and back; the missing and the simulated deviation as functions of the position."""
+    x = np.tile(np.r_[places, places[::-1]], 5)
+    known, run = held(x), np.repeat(np.arange(1, 6), 2 * places.size).astype(str)
+    read = known + missing(x) + 0.4 * np.random.default_rng(5).normal(size=x.size)
+    columns = {"run": run, "t": 10.0 * np.arange(x.size), "p": x, "E": read, "S": known}
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "p": {"role": "position", "axis": axis, "unit": unit},
+        "E": {"role": "error", "component": component, "unit": "um" if unit == "mm" else "urad"},
+        "S": {"role": "simulated", "component": component, "unit": "um" if unit == "mm" else "urad"},
+    }
+    constants = {axis: {"role": "axis", "kind": "linear" if unit == "mm" else "rotary", "unit": unit}}
+    return diagnose(recording(columns, kinds, constants))[0].responses[0]
+
+
+@pytest.mark.parametrize("period", [97.0, 23.0])  # of targets 16 mm apart: the second one falls between them
+def test_a_wave_of_few_targets_is_named(period):
+    said = positioning(
+        TARGETS, "X", "mm", "EXX", lambda x: 2 * np.sin(2 * np.pi * x / period + 1), lambda x: 0.02 * x
+    )  # fmt: skip
+    found = {p.name: p.value for p in said.findings[0].parameters}
+    assert said.findings[0].effect == "pitch_cyclic" and said.findings[0].confidence > 0.6
+    assert 320 / found["period"] == pytest.approx(320 / period, abs=0.1)
+    assert found["amplitude"] == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_wave_beside_another_one_that_the_simulation_holds():
+    """The simulation knows that the disc is off centre; that it is oval, too, is another wave and no gain of it."""
+    turn = np.pi / 180
+    said = positioning(
+        np.arange(0.0, 361, 15), "C", "deg", "ECC", lambda c: 1.5 * np.cos(2 * turn * c + 0.4),
+        lambda c: 15 * np.cos(turn * c + 1),
+    )  # fmt: skip
+    assert said.findings[0].effect == "pitch_cyclic" and said.holdout.rms_after_um < 0.5
+    assert {p.name: p.value for p in said.findings[0].parameters}["period"] == pytest.approx(180.0)
+
+
+def test_wear_is_no_drift_where_the_clock_starts_anew_with_each_tool():
+    each, tools = np.arange(0.0, 60), 8
+    t, tool = np.tile(each, tools), np.repeat(np.arange(tools), each.size).astype(str)
+    force = 500 + 0.8 * t + 2 * np.random.default_rng(2).normal(size=t.size)
+    columns = {"run": tool, "t": t, "cut": 3 * t, "F_Y": force, "F_sim": 0 * t + 500}
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "cut": {"role": "cut_length", "unit": "m"},
+        "F_Y": {"role": "error", "component": "F_Y", "unit": "N"},
+        "F_sim": {"role": "simulated", "component": "F_Y", "unit": "N"},
+    }
+    first = diagnose(recording(columns, kinds))[0].responses[0].findings[0]
+    assert first.effect == "tool_wear" and "sensor_drift" in first.indistinguishable_from
