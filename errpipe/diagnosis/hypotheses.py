@@ -94,7 +94,7 @@ class Library:
         for h in self.hypotheses[hypotheses:]:
             self._families[h.key].pop()
         for listed in (self.hypotheses, self.cores, self.freedoms, self.scales, self.places):
-            del listed[hypotheses:]  # type: ignore[attr-defined]
+            del listed[hypotheses:]
         self.table.width, self._together = columns, None
 
     def add(self, columns: np.ndarray) -> np.ndarray:

@@ -139,7 +139,8 @@ class History:
         with solve.one_thread():
             values, vectors = np.linalg.eigh(total / size / size[:, None])
             values[values < ROUNDING * size.size * values[-1]] = 0.0
-            return np.linalg.qr((np.sqrt(values)[:, None] * vectors.T * size) @ self._uncentred(), mode="r")
+            root: np.ndarray = np.sqrt(values)[:, None] * vectors.T * size
+            return np.asarray(np.linalg.qr(root @ self._uncentred(), mode="r"))
 
     def pull(self, cell: int, weights: np.ndarray) -> np.ndarray:
         """design' (design weighted) of a cell, (k,)."""

@@ -268,9 +268,9 @@ def _apparent_errors(model: ErrorModel, recording: Recording, prediction, refere
             known, noise = np.isfinite(left), float(np.nanstd(left[reference]))
             slope = np.where(known, warmer[component] - prediction[component], 0.0) / max(noise, 1e-9)
             above, below = above - slope * np.where(known, left, 0.0) / max(noise, 1e-9), below + slope**2
-        above, below = np.bincount(run, above), np.bincount(run, below)
-        if np.any(below > LEAST_SLOPE):
-            out[column] = np.where(below > LEAST_SLOPE, above / np.maximum(below, LEAST_SLOPE), np.nan)
+        by_run, weight = np.bincount(run, above), np.bincount(run, below)
+        if np.any(weight > LEAST_SLOPE):
+            out[column] = np.where(weight > LEAST_SLOPE, by_run / np.maximum(weight, LEAST_SLOPE), np.nan)
     return out
 
 
