@@ -63,6 +63,6 @@ def _text(line: Line) -> str:
         f"# {line.axis} {line.sensor} T0={line.reference:.4f} offset_per_K={offset:.6f} "
         f"coefficient_per_K={coefficient:.6f} position_0={zero}\n"
         f"lr_param.temp_comp {1}\nlr_param.temp_comp_position_0 {zero}\n"
-        f"# PLC: temp_comp_offset_0 = {offset:.6f}*({line.sensor}-{line.reference:.4f})\n"
-        f"# PLC: temp_comp_coefficient = {coefficient:.6f}*({line.sensor}-{line.reference:.4f})\n"
+        f"# PLC: add to temp_comp_offset_0: {offset:.6f}*({line.sensor}-{line.reference:.4f})\n"
+        f"# PLC: add to temp_comp_coefficient: {coefficient:.6f}*({line.sensor}-{line.reference:.4f})\n"
     )
