@@ -39,8 +39,8 @@ class Indicators:
 
 # Fitted on 445 findings of 432 cases, half of them drawn with seeds 3001, 3002 and 3103 of trials/first, half by a
 # second generator of the same kinds (not kept here), and 107 findings of 90 cases whose hidden effect was withheld from
-# the library (weight 0.35); then rounded. Names: made steeper by 1.25 and lower by 0.6 (Platt) on 94 findings of seeds
-# 5501, 5502, 5504 to 5507 and 21 with the effect withheld (seed 5504, weight 0.35): log loss 0.49 to 0.45.
+# the library (weight 0.35); then rounded. Names: made steeper by 1.25 and lower by 0.6 (Platt) on 94 findings of seeds 5501,
+# 5502, 5504 to 5507 and 21 with the effect withheld (seed 5504, weight 0.35): log loss 0.49 to 0.45.
 NAMING = {
     "constant": -2.89,
     "gain": 0.31,
