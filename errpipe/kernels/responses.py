@@ -88,25 +88,6 @@ def lag_paused(run, t, u, tau_up, tau_down, start_at_input, pause, usual):
 
 
 @kernel
-def lag_tau_derivative(run, t, u, tau):
-    """d(lag)/d(tau) of a symmetric lag started at its input, same shape as u."""
-    d = np.empty(u.size)
-    state = 0.0
-    slope = 0.0
-    for i in range(u.size):
-        if i == 0 or run[i] != run[i - 1]:
-            state = u[i]
-            slope = 0.0
-        else:
-            dt = t[i] - t[i - 1]
-            decay = np.exp(-dt / tau)
-            slope = slope * decay + (state - u[i - 1]) * decay * dt / (tau * tau)
-            state = u[i - 1] + (state - u[i - 1]) * decay
-        d[i] = slope
-    return d
-
-
-@kernel
 def switch(run, u, on, off):
     """1 once u >= on, 0 once u <= off, else the value before; a run starts at 0 unless u >= on."""
     y = np.empty(u.size)

@@ -128,9 +128,7 @@ def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarr
     for first in (smooth, rough_curve):
         first[-1] = np.log(_residual(spreads, moments, unpack(first[free])))
     best = search(smooth)
-    if (
-        cost(rough_curve[free])[0] < best[0]
-    ):  # a short wave: the search from the smooth start has no gradient towards it
+    if cost(rough_curve[free])[0] < best[0]:  # a short wave: the smooth start has no gradient towards it
         best = min(best, search(rough_curve), key=lambda one: one[0])
     return unpack(best[1])
 

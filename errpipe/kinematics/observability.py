@@ -97,7 +97,8 @@ def information(model: ident.Parametrisation, obs: Observations, noise: float) -
 
 def _name(chain: Chain, model: ident.Parametrisation, vector: np.ndarray, left: float) -> Unseen:
     weight = np.sqrt(np.bincount(model.prior.component, weights=vector**2, minlength=len(chain.components)))
-    order = [int(i) for i in np.argsort(-weight, kind="stable") if weight[i] > NAMED] or [int(np.argmax(weight))]
+    ranked = np.argsort(-np.round(weight, 6), kind="stable")  # equal weights: the machine's order
+    order = [int(i) for i in ranked if weight[i] > NAMED] or [int(ranked[0])]
     return Unseen(
         tuple(chain.components[i] for i in order), tuple(round(float(weight[i]), 3) for i in order), float(left)
     )

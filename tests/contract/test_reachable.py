@@ -18,7 +18,6 @@ TOP = Path(errpipe.__file__).parent
 # Definition -> why it may stay. An entry that is no longer needed fails, too.
 KNOWN = {
     "ChangesPending": "the exit code of `plan`; raised by name of its code",
-    "lag_tau_derivative": "checked against finite differences beside the kernel it belongs to",
     "customary": "the usual plan that examples/next-duty-cycle compares with",
     "linearity": "examples/placement",
     "extrapolation": "examples/placement",

@@ -23,7 +23,6 @@ LONGER = {
     "domain/table.py": "one document and what makes it a valid one",
     "tables/ect.py": "writer and reader of one file format, section by section, side by side",
     "tables/reference.py": "the second opinion on the cycle, step by step as the specification has it, in one place",
-    "kinematics/direct.py": "laser and level records: each correction beside the reading it corrects",
 }
 
 
