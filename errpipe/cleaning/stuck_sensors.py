@@ -23,7 +23,7 @@ SHORTEST = 20  # rows: a shorter stretch is not judged
 ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can tell, only an extreme stretch counts
 MOST_STRETCHES = 5  # of one sensor; more standing still than that is its nature
 MOVED = 4.0  # display steps, or scatters of the estimate, by which the others say that it should have moved
-RELATED = 0.5  # share of a sensor's variance that the others must explain to be heard
+RELATED = 0.5  # share of a sensor's variance that the others must explain to be compared with it
 MAX_NAMED = 5  # sensors in a message
 DEAD_SHARE = 0.3  # of a sensor's cells stuck: the rest is not worth the risk
 
@@ -114,13 +114,13 @@ def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, st
         inside = np.zeros(y.size, dtype=bool)
         for k in chosen:
             inside[starts[k] : ends[k]] = True
-        heard, moved = _should_have_moved(y, [o[rows] for o in others], inside, starts[chosen], ends[chosen])
-        if heard and not moved.all():
+        comparable, moved = _should_have_moved(y, [o[rows] for o in others], inside, starts[chosen], ends[chosen])
+        if comparable and not moved.all():
             continue
-        if not heard and (ratio < ALONE_LONGER or ranked[count - 1] < ALONE_SHORTEST):
+        if not comparable and (ratio < ALONE_LONGER or ranked[count - 1] < ALONE_SHORTEST):
             continue
         longest = int(lengths[chosen].max())
-        why = "while the other sensors moved" if heard else f"{ratio:.0f} times as long as ever otherwise"
+        why = "while the other sensors moved" if comparable else f"{ratio:.0f} times as long as ever otherwise"
         return rows[inside], f"stands still for up to {longest} rows, {why}"
     return rows[:0], ""
 

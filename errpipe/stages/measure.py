@@ -73,7 +73,7 @@ def _reading(test: Any) -> str:
     summary = (
         f"Read off the plot, largest first: {'; '.join(significant)}." if significant else "Nothing systematic shows."
     )
-    addition = f" Not told from nothing: {', '.join(not_significant)}." if not_significant else ""
+    addition = f" Not significant (95 %): {', '.join(not_significant)}." if not_significant else ""
     return (
         f"After ISO 230-4, each circle about its own centre. {summary}{addition} As it appears where "
         f"these circles lie: angles elsewhere in the volume add to it. What is left is {test.noise:.1f} um rms."

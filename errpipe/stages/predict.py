@@ -45,9 +45,9 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
         frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)))
     else:
         frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)))])
-    told = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
+    answer = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
     without = [c for c in source_of.components if c not in source_of.half_width90]
-    return told | ({"intervals": _why_empty(found, without)} if without else {})
+    return answer | ({"intervals": _why_empty(found, without)} if without else {})
 
 
 def _with_readings(

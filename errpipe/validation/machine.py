@@ -138,15 +138,16 @@ def _not_improved(figures: Mapping[str, float]) -> bool:
     return not figures["rms_after"] < (1.0 - TIE) * figures["rms_before"]
 
 
-def _harmful(name: str, told: Mapping[str, float]) -> str:
+def _harmful(name: str, figures: Mapping[str, float]) -> str:
     return (
-        f"{name}: identified {told['effect_rms_um']:.3g} um rms over the travel, {told['left_rms_um']:.3g} left open; "
-        f"worse with it than without with a probability of {told['probability_worse']:.2g} (allowed: {MOST_HARM})"
+        f"{name}: identified {figures['effect_rms_um']:.3g} um rms over the travel, "
+        f"{figures['left_rms_um']:.3g} left open; worse with it than without with a probability of "
+        f"{figures['probability_worse']:.2g} (allowed: {MOST_HARM})"
     )
 
 
-def _not_better(name: str, told: Mapping[str, float]) -> str:
-    return f"{name}: {told['rms_before']:.3g} -> {told['rms_after']:.3g} um on measurements that sat out"
+def _not_better(name: str, figures: Mapping[str, float]) -> str:
+    return f"{name}: {figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on measurements that sat out"
 
 
 def _help(document: Mapping[str, Any]) -> str:

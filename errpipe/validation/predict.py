@@ -146,8 +146,8 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             kept = held(alone, run.last)
             for component, found in run.evaluate(kept).items():
                 values[component][rows] = found
-                told = np.where(np.isfinite(found), found, 0.0)
-                half[component][rows] = source.half_width(component, kept, told, far[rows])
+                predicted = np.where(np.isfinite(found), found, 0.0)
+                half[component][rows] = source.half_width(component, kept, predicted, far[rows])
         frame = _frame(source, part, values, half, far)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
         before += len(part)
@@ -199,10 +199,10 @@ def _frame(
     out: dict[str, np.ndarray] = {"run": labels, "time": recording.time()}
     for component in source.components:
         name = recording.name("error", component=component) or component
-        told = np.where(np.isfinite(values[component]), values[component], 0.0)
+        predicted = np.where(np.isfinite(values[component]), values[component], 0.0)
         silent = ~np.isfinite(values[component])
-        out[f"{name}_predicted"] = told
-        out[f"{name}_lower"] = told - half[component]
-        out[f"{name}_upper"] = told + half[component]
+        out[f"{name}_predicted"] = predicted
+        out[f"{name}_lower"] = predicted - half[component]
+        out[f"{name}_upper"] = predicted + half[component]
         out[f"{name}_outside"] = ((far > 0) | silent).astype(int)
     return pd.DataFrame(out)

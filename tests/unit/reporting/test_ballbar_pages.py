@@ -23,7 +23,7 @@ def test_squareness_is_read_off_the_circle():
     assert len(pages) == 3
     _, figure, caption = next(p for p in pages if p[0].endswith("XY"))
     assert "squareness" in caption or "C0Y = " in caption
-    assert "+Y leans towards minus X" in caption and "Not told from nothing: " in caption
+    assert "+Y leans towards minus X" in caption and "Not significant (95 %): " in caption
     assert "squareness" in figure and figure.startswith("<svg") and "G XY ccw" in figure and "F XY cw" in figure
     assert pages == ballbar_pages(recording)
 
