@@ -9,6 +9,7 @@ from decimal import Decimal
 import numpy as np
 
 from errpipe.domain.table import CompensationTable, Output
+from errpipe.errors import GateError
 from errpipe.tables import batch
 from errpipe.targets._base import TURN, Curve, Line, Plane, Points
 
@@ -16,6 +17,7 @@ SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
 PER_KELVIN = 2.0  # K on either side for a slope
 MOST_CURVE = 4000
+MOST_POINTS = 20_000  # of any control's table
 # Into which a turn is divided: steps are whole micrometres (thousandths of a degree), and short binary fractions.
 TURN_INTERVALS = sorted(part << n for part in (1, 3, 5, 9, 15, 45) for n in range(7))
 LEAST_REVERSAL = 1e-4  # mm (deg) of lost motion: a tenth of a micrometre
@@ -255,8 +257,14 @@ def reversal(axis: str, lost: float, low: float, high: float) -> Curve:
 
 
 def around_zero(low: float, high: float, step: float) -> np.ndarray:
-    """Whole multiples of a step from at most 0 and `low` to at least 0 and `high`, one below 0 in any case."""
-    return np.arange(min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9)) + 1)
+    """Whole multiples of a step from at most 0 and `low` to at least 0 and `high`, one below 0 in any case.
+
+    Raises GateError where the travel lies so many steps from 0 that no control holds as many points.
+    """
+    first, last = min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9))
+    if last - first > MOST_POINTS:
+        raise GateError(f"{last - first} points of {step:g} lie between the reference position and the ends of travel")
+    return np.arange(first, last + 1)
 
 
 def line(table: CompensationTable, axis: str, sensor: str) -> Line:

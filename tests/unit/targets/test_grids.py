@@ -11,6 +11,7 @@ import pytest
 from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain.table import TableInput
+from errpipe.errors import GateError
 from errpipe.stages import targets as stage
 from errpipe.targets import TARGETS, _loss, _sample
 from errpipe.terms._base import Lowered
@@ -133,3 +134,38 @@ def test_a_table_of_an_axis_that_turns_on_does_not_step_at_a_turn():
         way = np.arange(350.0, 370.0, 0.25)
         wrapped, counted = (_sample.curve(table, "C", "C", x).up for x in (way % 360.0, way))
         assert np.abs(np.diff(wrapped)).max() < 0.5e-3 and np.abs(wrapped - counted).max() < 1e-9
+
+
+FEW = {  # deviation (um) and travel of tables with one value, or so little travel that two points are all
+    "a constant": (lambda x: np.full(np.shape(x), 5.0), (0.0, 500.0)),
+    "a straight line": (lambda x: x / 50.0, (0.0, 500.0)),
+    "a micrometre of travel far from 0": (lambda x: (x - 5000.0) * 100.0, (5000.0, 5000.001)),
+}
+
+
+@pytest.mark.parametrize("case", FEW)
+@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+def test_one_or_two_points_are_written_or_refused(target, case):
+    curve, travel = FEW[case]
+    place = TableInput(name="x", kind="position", axis="X", low=-1e5, high=1e5, default=travel[0])
+    source = tables.ComponentSource("EXX", "um", (Lowered(d.ONE, "X", curve),))
+    table = tables.compile_table([source], inputs=[place], travel={"X": travel})
+    try:
+        read = target.read_back(target.write(table))
+    except GateError as err:
+        assert target.name in str(err) or "points of" in str(err)
+        return
+    x = np.linspace(*travel, 5)
+    made = 1e3 * read.correction("X", {"X": x}, np.ones(5), {})
+    gap = made + curve(x)
+    assert np.ptp(gap) < 0.3 + target.rounding_um
+    assert not target.keeps_level or np.abs(gap).max() < 0.3 + target.rounding_um
+
+
+def test_a_travel_of_one_place_is_a_message():
+    place = TableInput(name="x", kind="position", axis="X", low=-1e5, high=1e5, default=250.0)
+    curve = Lowered(d.ONE, "X", lambda x: 4.0 + x, nodes=(250.0,))
+    with pytest.raises(GateError, match="nothing to grid between 250 and 250"):
+        tables.compile_table(
+            [tables.ComponentSource("EXX", "um", (curve,))], inputs=[place], travel={"X": (250.0, 250.0)}
+        )
