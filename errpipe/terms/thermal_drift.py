@@ -12,11 +12,8 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Reference, Sensor
-from errpipe.terms._search import resolved_times
 from errpipe.terms._slack import Slack, lagged
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
-
-BEHIND = 1 / 40  # of the longest session, by which the body may be behind its sensor
 
 
 class ThermalDrift(Term):
@@ -54,7 +51,7 @@ class ThermalDrift(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         rise = recording.array(self.sensor)
-        yield lagged(recording, rise, BEHIND * resolved_times(recording)[1]) - rise, 0.2
+        yield lagged(recording, rise, 300.0) - rise, 0.2
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(rise_driver(self.sensor, self.reference), parameters["gain"])),)
