@@ -23,6 +23,7 @@ SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the pl
 
 def settle_positions(p: Proposal, axis: str) -> None:
     """Roles of positions: beside a command the other one is actual; alone a target is the position."""
+    leave_numbers(p)
     axes = {e["axis"] for e in p.entries.values() if e["role"] in ("command", "position", "actual")}
     errors = [e for e in p.entries.values() if e["role"] == "error"]
     for letter in sorted(axes):
@@ -37,6 +38,18 @@ def settle_positions(p: Proposal, axis: str) -> None:
             p.entries[actual]["role"] = "position"
         elif command is not None and place is not None and actual is not None:
             pass  # all three are recorded
+
+
+def leave_numbers(p: Proposal) -> None:
+    """Of two commands of an axis, one that counts 1, 2, 3 holds the numbers of the targets."""
+    for name, entry in p.entries.items():
+        others = [n for n, e in p.entries.items() if n != name and e["role"] == "command" == entry["role"]]
+        if not any(p.entries[n]["axis"] == entry["axis"] for n in others):
+            continue
+        values = np.unique(p.data[name])
+        if values.size > 2 and np.array_equal(values, np.arange(1, values.size + 1)):
+            p.entries[name] = {"role": "ignore"}
+            p.guesses[name] = "it counts 1, 2, 3, ... beside another command: the numbers of the targets"
 
 
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:

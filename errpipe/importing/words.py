@@ -23,7 +23,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)", "temperature"),
     (r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向)\b", "direction"),
     (
-        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数",
+        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数",
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc)", "counts"),
@@ -67,7 +67,7 @@ UP = re.compile(
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
     r"|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
-    r"|帰り?|反向?|负向?"
+    r"|帰り?|反向?|[负負]向?"
 )
 
 _COMMANDED = (

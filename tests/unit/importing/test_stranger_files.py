@@ -172,3 +172,23 @@ def test_lost_directions_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
 )
 def test_words_of_a_direction(word: str, side: float | None) -> None:
     assert guessing.side(word) == side
+
+
+def test_numbers_of_targets_are_no_positions(tmp_path: Path) -> None:
+    number = {x: n for n, x in enumerate(TARGETS, start=1)}
+    file = tmp_path / "laser.txt"
+    file.write_text(long_table("Run;Target;Nominal;Error (um)", lambda r, x, s, e: f"{r};{number[x]};{x:.3f};{e:.4f}"))
+    recording = imported(tmp_path, file)
+    assert recording.manifest.columns["Target"].role == "ignore"
+    assert recording.name("position", axis="X") == "Nominal"
+    holds_the_truth(recording)
+
+
+def test_japanese_signs_and_french_runs(tmp_path: Path) -> None:
+    header, signs = "Passage;方向;指令位置(mm);誤差(μm)", {1.0: "正", -1.0: "負"}
+    file = tmp_path / "jp.csv"
+    file.write_text(long_table(header, lambda r, x, s, e: f"{r};{signs[s]};{x};{e:.7g}"), encoding="utf-8")
+    recording = imported(tmp_path, file)
+    roles = [column.role for column in recording.manifest.columns.values()]
+    assert sorted(roles) == ["direction", "error", "position", "run"]
+    holds_the_truth(recording)
