@@ -28,7 +28,7 @@ def command(
       errpipe check pipelines/drilled-plates.yaml
       errpipe check pipelines/drilled-plates.yaml --no-data --format github
     """
-    from errpipe.cli.deferred import defer
+    from errpipe.cli._deferred import defer
     from errpipe.cli.output import print_result
 
     defer("numpy", "pandas", "pyarrow", "pyarrow.csv", "pyarrow.parquet")

@@ -16,7 +16,6 @@ ARGUMENTS = "a signature with one documented option per argument; the body is sh
 ONE_LOOP = "one compiled loop: calls out of it cost more than they explain"
 LONGER = {
     "cli/import.py:command": ARGUMENTS,
-    "cli/run.py:command": ARGUMENTS,
     "kernels/evidence.py:scores": ONE_LOOP,
     "kernels/table_nodes.py:run_nodes": "one branch per operation of a table, in the order of the specification",
     "kernels/volumetric.py": "the whole volumetric cycle: numba compiles and caches it as one unit",
