@@ -97,6 +97,12 @@ def slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high
     return float(np.clip(np.sum(x[rows] * y[rows]) / below, low, high)) if below > 0 else 0.0
 
 
+def seen_limits(y: np.ndarray) -> tuple[float, float]:
+    """The range of deviations seen and a quarter of its span more, um; zero is always inside."""
+    low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
+    return low - 0.25 * (high - low), high + 0.25 * (high - low)
+
+
 def limits(y: np.ndarray) -> tuple[float, float]:
     """Lowest and highest deviation that may be predicted, um: gains proved on warming hold for as much cooling.
 
