@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.bench_tables import machine
+from bench.figure import Figure, main
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import bounds, ect
 
@@ -75,20 +76,16 @@ def bench_cortex_m4() -> dict[str, float]:
     return found
 
 
-def main() -> int:
-    """Run; 1 where a figure is beyond what is allowed; says why where it cannot run."""
+def figures() -> list[Figure]:
+    """Code, working memory and instructions per cycle; none where the compiler or the emulator is not installed."""
     if lacking := [name for name in NEEDED if shutil.which(name) is None]:
         print(f"skipped: {', '.join(lacking)} not installed")
-        return 0
-    print(bench_cortex_m4.__doc__)
-    code = 0
-    for what, value in bench_cortex_m4().items():
-        most = ALLOWED * MOST[what] if what in MOST else np.inf
-        told = f"   at most {most:.0f}" if what in MOST else ""
-        print(f"    {what:32s} {value:.0f}{told}{'   MISSED' if value > most else ''}")
-        code |= value > most
-    return int(code)
+        return []
+    return [
+        Figure(f"Cortex-M4, {what.replace('_', ' ')}", value, "1", aim=ALLOWED * MOST[what] if what in MOST else None)
+        for what, value in bench_cortex_m4().items()
+    ]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(figures))

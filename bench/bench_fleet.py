@@ -9,6 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
+from bench.figure import Figure, main
 from errpipe.stages.fleet import fleet
 from tests.e2e.fleet.test_fleet import site
 
@@ -16,7 +17,8 @@ MACHINES = 200
 AIM = 1.8  # times faster with two workers
 
 
-def main() -> int:
+def figures() -> list[Figure]:
+    """Two workers beside one, and what a machine takes."""
     took, times = {}, {}
     with tempfile.TemporaryDirectory() as name:
         file = site(Path(name) / "site", MACHINES)
@@ -25,13 +27,14 @@ def main() -> int:
             found = fleet(file, Path(name) / f"out{jobs}", jobs)
             took[jobs], times = perf_counter() - start, found["times"]
     seconds, memory = (np.array([t[key] for t in times.values()]) for key in ("seconds", "peak_mb"))
-    ratio = took[1] / took[2]
-    print(
-        f"  {MACHINES} machines, 1 worker {took[1]:.1f} s, 2 workers {took[2]:.1f} s: {ratio:.2f} times (wanted: {AIM})"
-    )
-    print(f"  a machine: median {np.median(seconds):.2f} s, largest {seconds.max():.2f} s, peak {memory.max():.0f} MB")
-    return int(ratio < AIM)
+    return [
+        Figure(f"{MACHINES} machines, one worker over two", took[1] / took[2], "x", aim=AIM, at_least=True),
+        Figure(f"{MACHINES} machines, one worker", took[1], "s"),
+        Figure("a machine, median", float(np.median(seconds)), "s"),
+        Figure("a machine, largest", float(seconds.max()), "s"),
+        Figure("peak memory of a worker", float(memory.max()), "MB"),
+    ]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(figures))

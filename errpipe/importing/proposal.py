@@ -30,6 +30,7 @@ PLAIN_UNITS = {
 
 def propose(layout: Layout, options: ImportOptions) -> Proposal:
     """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
+    _no_reading(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
     layout.columns = [part for c in layout.columns for part in wide.split_labels(c)]
     proposal = Proposal(notes=list(layout.notes))
@@ -47,6 +48,19 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     else:
         _long(layout, guesses, axis, options, proposal)
     return proposal
+
+
+LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
+
+
+def _no_reading(layout: Layout) -> None:
+    """Numbers that no quantity reaches become empty cells, with a note."""
+    for c in layout.columns:
+        beyond = np.abs(c.values) > LARGEST
+        if beyond.any():
+            c.cells = [None if out else cell for cell, out in zip(c.cells, beyond, strict=True)]
+            c.values = np.where(beyond, np.nan, c.values)
+            layout.notes.append(f"{c.header}: {int(beyond.sum())} values beyond {LARGEST:g} count as no reading")
 
 
 FACTS = {

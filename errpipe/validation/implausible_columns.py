@@ -219,11 +219,16 @@ def temperature_of_position(recording: Recording) -> Iterator[Finding]:
                 rows = good & (run == k)
                 turns = np.count_nonzero(np.diff(np.sign(np.diff(x[rows]))))
                 if rows.sum() >= FEWEST_MOVES and turns and np.ptp(t[rows]) > 2.0 and np.ptp(x[rows]) > 0:
-                    matches.append(abs(float(np.corrcoef(t[rows], x[rows])[0, 1])))
+                    matches.append(abs(float(np.corrcoef(_spread(t[rows]), _spread(x[rows]))[0, 1])))
             if matches and float(np.median(matches)) > 0.8:
                 evidence = f"it follows {place} back and forth (correlation {np.median(matches):.2f} within the runs)"
                 yield Finding("not-a-temperature", name, evidence, "the columns of temperature and deviation swapped")
                 break
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """Values that vary, from their mean in units of their range: squares of them neither overflow nor vanish."""
+    return (values - values.mean()) / np.ptp(values)
 
 
 def copies(recording: Recording) -> Iterator[Finding]:
@@ -236,10 +241,11 @@ def copies(recording: Recording) -> Iterator[Finding]:
             good = np.isfinite(d) & np.isfinite(u)
             if good.sum() < FEWEST_MOVES or np.ptp(u[good]) == 0 or np.ptp(d[good]) == 0:
                 continue
-            x, y = u[good] - u[good].mean(), d[good] - d[good].mean()
+            x, y = _spread(u[good]), _spread(d[good])
             slope = float(x @ y) / float(x @ x)
             levels = np.unique(u[good]).size
-            if levels > 5 and float(np.sqrt(np.mean((y - slope * x) ** 2))) < COPY * np.ptp(y):
+            if levels > 5 and float(np.sqrt(np.mean((y - slope * x) ** 2))) < COPY:
+                slope *= float(np.ptp(d[good])) / float(np.ptp(u[good]))
                 evidence = f"it is {other} times {slope:.6g} and a constant, row for row"
                 yield Finding(
                     "copy-of-column", name, evidence, "another column: this one holds no measurement of its own"

@@ -149,6 +149,25 @@ def test_other_components_by_their_usual_names(tmp_path: Path, header: str, comp
     assert imported(tmp_path, tmp_path / "f.csv").components() == (component,)
 
 
+def test_a_number_that_says_no_reading_is_an_empty_cell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """SCPI instruments write 9.91e37 where they have no reading."""
+    rows = long_table("run;target [mm];error [um]", lambda r, x, s, d: f"{r};{x};{9.91e37 if x == TARGETS[2] else d}")
+    (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
+    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    assert "values beyond 1e+30 count as no reading" in capsys.readouterr().out
+    assert "e+37" not in (tmp_path / "rec" / "recording.csv").read_text()
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e29])
+def test_readings_of_any_size_meet_no_division_by_zero(tmp_path: Path, size: float) -> None:
+    rows = long_table(
+        "target [mm];error [um];T nut [degC]", lambda r, x, s, d: f"{x * size};{d * size};{20 + x * size}"
+    )
+    (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
+    options = ["--axis", "X", "--unit", "um", "--sign", "actual-minus-commanded", "--component", "EXX"]
+    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", *options]) in (0, 3)
+
+
 def test_lost_directions_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = sorted(long_rows(), key=lambda row: row[1])
     (tmp_path / "f.csv").write_text("\n".join(["run;target;error_um", *(f"{r};{x};{d}" for r, x, _, d in rows)]))
