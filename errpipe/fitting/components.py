@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from pydantic import ValidationError
 
 from errpipe import __version__
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm
@@ -43,11 +44,16 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
 
 
 def term_of(fitted: FittedTerm) -> Term:
-    """The term behind its plain data. Raises DataError on a term this version does not know."""
+    """The term behind its plain data. Raises DataError on a term, or an option of it, that this version does not know."""
     name = fitted.term["term"]
     if name not in TERMS.tags:
         raise DataError(f"error model: the term {name!r} is not known")
-    term: Term = TERMS[name].model_validate(fitted.term)
+    try:
+        term: Term = TERMS[name].model_validate(fitted.term)
+    except ValidationError as err:
+        first = err.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise DataError(f"error model: term {name}: {where}: {first['msg'].lower()}") from err
     return term
 
 

@@ -3,14 +3,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from errpipe import jsonfile
-from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.error_model import ErrorModel, FittedTerm
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.motion import position
 from errpipe.errors import DataError, NotIdentifiable
 from errpipe.fitting.judging import judge_all
 from errpipe.fitting.lowering import left_behind, lower
-from errpipe.fitting.model import ModelSpec, evaluate, fit
+from errpipe.fitting.model import ModelSpec, evaluate, fit, term_of
 from tests.unit.fitting.axis_recordings import axis_recording, with_response
 
 
@@ -289,3 +289,8 @@ def test_lowered_pairs_add_up_to_the_model(axis):
     assert [p.period for p in pairs] == [None, 10.0, None, None, None]
     assert [p.axis for p in pairs] == ["X", "X", "X", "X", None]
     assert left_behind(model) == {"EXX": []}
+
+
+def test_an_option_that_a_term_does_not_have_is_refused():
+    with pytest.raises(DataError, match="error model: term offset: axis: extra inputs"):
+        term_of(FittedTerm(term={"term": "offset", "axis": "X"}, parameters=()))
