@@ -44,7 +44,7 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
 
 
 def term_of(fitted: FittedTerm) -> Term:
-    """The term behind its plain data. Raises DataError on a term, or an option of it, that this version does not know."""
+    """The term behind its plain data. Raises DataError on a term or an option that this version does not know."""
     name = fitted.term["term"]
     if name not in TERMS.tags:
         raise DataError(f"error model: the term {name!r} is not known")
