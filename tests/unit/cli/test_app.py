@@ -39,14 +39,8 @@ def loaded_after(*arguments: str) -> set[str]:
     return {name.split(".")[0] for name in run.stderr.split()} & set(HEAVY)
 
 
-def test_help_is_quick_and_light() -> None:
+def test_help_is_light() -> None:
     assert loaded_after("--help") == set()
-    took = []
-    for _ in range(5):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "errpipe.cli.app", "--help"], capture_output=True, check=True)
-        took.append(time.perf_counter() - start)
-    assert min(took) < 0.2 or os.getloadavg()[0] > os.cpu_count(), f"errpipe --help takes {min(took):.2f} s"
 
 
 def test_checking_a_pipeline_is_light() -> None:

@@ -1,4 +1,4 @@
-"""Recordings of 20 000 rows in several shapes, and what it takes to diagnose one: time and memory of a fresh process.
+"""Recordings of 20 000 and a million rows, and the time and memory that a fresh process takes to diagnose one.
 
 python -m tests.unit.diagnosis.long SHAPE        one line of JSON
 """
@@ -8,9 +8,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from tests.peak_memory import peak_kb
 from .machines import recording
 
 ROWS = 20_000
+STEP = 1e-3  # s, of the 1 kHz log
 WHERE = ("bed", "ball-screw nut", "air beside the beam", "room", "motor", "column")
 AXIS = {"role": "axis", "kind": "linear", "travel": (0, 600), "screw_lead": 10.0, "drive_end": 0.0, "unit": "mm"}
 
@@ -91,12 +93,58 @@ def grid() -> Recording:
     return recording(columns, kinds, axes)
 
 
-SHAPES = {  # what it is -> (the recording, the effect that its first response lacks)
-    "one run": (lambda: linear_axis(1, 5.0, ("EXX",)), "backlash"),
-    "16 sessions": (lambda: linear_axis(16, 5.0, ("EXX",)), "backlash"),
-    "16 sessions of a fast trace": (lambda: linear_axis(16, 0.02, ("EXX",)), "backlash"),
-    "3 responses of a fast trace": (lambda: linear_axis(16, 0.02, ("EXX", "EYX", "EZX")), "backlash"),
-    "a volume, 2 responses": (grid, "squareness"),
+def log(rows: int = 200_000, hidden=None, seed: int = 0):
+    """A 1 kHz log of an axis that goes to and fro ever differently; the simulation holds lead and warmth."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(rows) * STEP
+    x = 150 - 120 * np.cos(2 * np.pi * t / 7.3) * (0.6 + 0.4 * np.cos(2 * np.pi * t / 61.0))
+    v = np.gradient(x, STEP)
+    warm = 20 + 4 * (1 - np.exp(-t / (300 * STEP * rows / 1000)))
+    sensors = {f"T_{k}": warm + np.sin(t / (50 + 30 * k)) + 0.02 * rng.standard_normal(rows) for k in range(3)}
+    force = 40 * np.sign(v) + 0.2 * v + 5 * rng.standard_normal(rows)
+    columns = {"run": np.full(rows, "1"), "t": t, "x": x, "v": v, "a": np.gradient(v, STEP), **sensors, "F": force}
+    columns["rpm"] = np.where((np.arange(rows) * 6 // rows) % 2 == 0, 0.0, 6000.0)
+    sim = 0.02 * (x - 150) + 2.0 * (sensors["T_0"] - 20)
+    noise = np.convolve(rng.standard_normal(rows), 0.4 * 0.6 ** np.arange(20), mode="same")
+    columns |= {"EXX": sim + noise + (hidden({**columns, "d": np.sign(v)}) if hidden else 0.0), "EXX_sim": sim}
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "command", "axis": "X", "unit": "mm"},
+        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
+        "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
+        **{n: {"role": "temperature", "unit": "degC"} for n in sensors},
+        "F": {"role": "force", "unit": "N"},
+        "rpm": {"role": "spindle_speed", "unit": "rpm"},
+        "EXX": {"role": "error", "component": "EXX", "unit": "um"},
+        "EXX_sim": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    return recording(columns, kinds)
+
+
+class Shape(NamedTuple):
+    """A recording, and what its diagnosis must name and may use."""
+
+    make: Callable[[], Recording]
+    names: set[str]
+    megabytes: float
+    """Most memory: the README promises 1.5 GB for 20 000 rows, 2 GB for a million."""
+    seconds: float
+    """Aim of the bench, not of a test."""
+
+
+SHAPES = {
+    "one run": Shape(lambda: linear_axis(1, 5.0, ("EXX",)), {"backlash"}, 1000, 8),
+    "16 sessions": Shape(lambda: linear_axis(16, 5.0, ("EXX",)), {"backlash"}, 1000, 8),
+    "16 sessions of a fast trace": Shape(lambda: linear_axis(16, 0.02, ("EXX",)), {"backlash"}, 1000, 8),
+    "3 responses of a fast trace": Shape(lambda: linear_axis(16, 0.02, ("EXX", "EYX", "EZX")), {"backlash"}, 1000, 8),
+    "a volume, 2 responses": Shape(grid, {"squareness"}, 1000, 8),
+    "a million rows at 1 kHz": Shape(
+        lambda: log(1_000_000, lambda c: 0.6 * np.sin(2 * np.pi * c["x"] / 0.9) - 0.03 * c["v"]),
+        {"pitch_cyclic", "following_error"},
+        2000,
+        60,
+    ),
 }
 
 
@@ -116,13 +164,14 @@ def main(shape: str) -> None:
     """Diagnose and tell, in this process."""
     from errpipe.diagnosis import diagnose
 
-    made = SHAPES[shape][0]()
+    made = SHAPES[shape].make()
     start, cpu = perf_counter(), process_time()
     found, _ = diagnose(made)
     took = {"seconds": round(perf_counter() - start, 2), "cpu_seconds": round(process_time() - cpu, 2)}
     peak = peak_kb() / 1024
-    first = [r.findings[0].effect if r.findings else "" for r in found.responses]
-    print(json.dumps({**took, "peak_mb": round(peak), "columns": len(made.frame.columns), "named": first}))
+    told = {f.effect: [p.value for p in f.parameters if p.name == "period"] for f in found.responses[0].findings}
+    rows, columns = made.frame.shape
+    print(json.dumps({**took, "peak_mb": round(peak), "rows": rows, "columns": columns, "periods_by_name": told}))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""20 000 rows and ten or more columns: diagnosed in the time and the memory that the README promises."""
+"""20 000 and a million rows, ten or more columns: diagnosed rightly in the memory that the README promises.
+
+How long it takes is measured by `make bench`.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,11 @@ from . import long
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", long.SHAPES)
-def test_a_long_recording_takes_neither_half_a_minute_nor_one_and_a_half_gigabytes(shape: str) -> None:
+def test_a_long_recording_is_diagnosed_in_bounded_memory(shape: str) -> None:
     took = long.measured(shape)
+    wanted = long.SHAPES[shape]
     assert took["columns"] >= 10
-    assert took["named"][0] == long.SHAPES[shape][1]
-    assert took["peak_mb"] < 1000  # of 1500; a fast trace 900, slow ones 390 to 540
-    assert took["cpu_seconds"] < 25  # of 30 s; what other programs take of the clock is not its own
+    assert wanted.names <= set(took["periods_by_name"])
+    assert took["peak_mb"] < wanted.megabytes
+    for period in took["periods_by_name"].get("pitch_cyclic", ()):
+        assert abs(period - 0.9) < 0.002  # mm, the wave that was hidden in the million rows

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -16,38 +11,7 @@ from errpipe.drivers.motion import direction
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 
-from .machines import recording
-
-STEP = 1e-3
-
-
-def log(rows: int = 200_000, hidden=None, seed: int = 0):
-    """A 1 kHz log of an axis that goes to and fro ever differently; the simulation holds lead and warmth."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(rows) * STEP
-    x = 150 - 120 * np.cos(2 * np.pi * t / 7.3) * (0.6 + 0.4 * np.cos(2 * np.pi * t / 61.0))
-    v = np.gradient(x, STEP)
-    warm = 20 + 4 * (1 - np.exp(-t / (300 * STEP * rows / 1000)))
-    sensors = {f"T_{k}": warm + np.sin(t / (50 + 30 * k)) + 0.02 * rng.standard_normal(rows) for k in range(3)}
-    force = 40 * np.sign(v) + 0.2 * v + 5 * rng.standard_normal(rows)
-    columns = {"run": np.full(rows, "1"), "t": t, "x": x, "v": v, "a": np.gradient(v, STEP), **sensors, "F": force}
-    columns["rpm"] = np.where((np.arange(rows) * 6 // rows) % 2 == 0, 0.0, 6000.0)
-    sim = 0.02 * (x - 150) + 2.0 * (sensors["T_0"] - 20)
-    noise = np.convolve(rng.standard_normal(rows), 0.4 * 0.6 ** np.arange(20), mode="same")
-    columns |= {"EXX": sim + noise + (hidden({**columns, "d": np.sign(v)}) if hidden else 0.0), "EXX_sim": sim}
-    kinds = {
-        "run": {"role": "run"},
-        "t": {"role": "time", "unit": "s"},
-        "x": {"role": "command", "axis": "X", "unit": "mm"},
-        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
-        "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
-        **{n: {"role": "temperature", "unit": "degC"} for n in sensors},
-        "F": {"role": "force", "unit": "N"},
-        "rpm": {"role": "spindle_speed", "unit": "rpm"},
-        "EXX": {"role": "error", "component": "EXX", "unit": "um"},
-        "EXX_sim": {"role": "simulated", "component": "EXX", "unit": "um"},
-    }
-    return recording(columns, kinds)
+from .long import STEP, log
 
 
 @pytest.fixture(scope="module")
@@ -158,35 +122,3 @@ def test_lost_motion_of_a_long_log_is_named() -> None:
 
     found, _ = diagnose(log(150_000, lambda c: -1.5 * c["d"]))
     assert [f.effect for f in found.responses[0].findings] == ["backlash"]
-
-
-MILLION = """
-import json, sys, time
-import numpy as np
-from tests.peak_memory import peak_kb
-from tests.unit.diagnosis.test_thinning import log
-from errpipe.diagnosis import diagnose
-made = log(1_000_000, lambda c: 0.6 * np.sin(2 * np.pi * c["x"] / 0.9) - 0.03 * c["v"])
-start = time.process_time()
-found, _ = diagnose(made)
-print(json.dumps({
-    "cpu": time.process_time() - start,
-    "mb": peak_kb() / 1024,
-    "columns": len(made.frame.columns),
-    "named": [f.effect for f in found.responses[0].findings],
-    "period": [p.value for f in found.responses[0].findings for p in f.parameters if p.name == "period"],
-}))
-"""
-
-
-@pytest.mark.slow
-def test_a_million_rows_take_neither_a_minute_nor_two_gigabytes() -> None:
-    """And a wave of 0.9 mm and a following error are found in them."""
-    told = subprocess.run(
-        [sys.executable, "-c", MILLION], check=True, capture_output=True, text=True, cwd=Path(__file__).parents[3]
-    )
-    took = json.loads(told.stdout)
-    assert took["columns"] == 12
-    assert {"pitch_cyclic", "following_error"} <= set(took["named"])
-    assert abs(took["period"][0] - 0.9) < 0.002
-    assert took["cpu"] < 60 and took["mb"] < 2000  # measured 47 s, 1550 MB
