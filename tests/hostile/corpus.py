@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.hostile.attack import measured
 from tests.hostile.doors import MANIFEST, PIPELINE, recording_folder
+from tests.hostile.kills import measured
 
 Words = list[list[str]]
 Case = tuple[str, Callable[[Path], Words]]

@@ -10,7 +10,8 @@ import pytest
 
 from errpipe import jsonfile
 from errpipe.pipeline import runner
-from tests.hostile import attack
+from tests.hostile import attack, kills
+from tests.hostile.processes import forked
 
 
 @pytest.mark.slow
@@ -23,7 +24,7 @@ def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_short_kill_campaign_finds_nothing(tmp_path: Path) -> None:
-    killed, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
+    killed, found = kills.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
     assert found == [] and killed >= 5
 
 
@@ -42,7 +43,7 @@ def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(jsonfile, "write_bytes", in_place)
     monkeypatch.setattr(runner, "_publish", lambda source, target: in_place(target, source.read_bytes()))
-    _, found = attack.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
+    _, found = kills.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
     assert any("neither old nor new" in line for line in found)
 
 
@@ -54,9 +55,9 @@ def test_what_is_planted_is_found(tmp_path: Path) -> None:
     def fails() -> int:
         raise KeyError("T_nut")
 
-    assert attack.forked(fails, tmp_path)[0] == 1
-    assert attack.forked(lambda: os.kill(os.getpid(), signal.SIGSEGV) or 0, tmp_path)[0] is None
-    assert attack.forked(lambda: 3, tmp_path)[0] == 3
+    assert forked(fails, tmp_path)[0] == 1
+    assert forked(lambda: os.kill(os.getpid(), signal.SIGSEGV) or 0, tmp_path)[0] is None
+    assert forked(lambda: 3, tmp_path)[0] == 3
 
 
 def test_a_file_that_is_touched_beside_is_found(tmp_path: Path) -> None:

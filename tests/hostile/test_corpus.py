@@ -12,7 +12,7 @@ import pytest
 
 from errpipe.cli.app import main
 from tests.hostile import corpus
-from tests.hostile.attack import ALLOWED, quiet
+from tests.hostile.processes import ALLOWED, quiet
 from tests.peak_memory import peak_kb
 
 CPU_LIMIT = 10  # s of the processor for one command
