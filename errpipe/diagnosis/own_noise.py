@@ -22,8 +22,11 @@ EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier whe
 
 def needs_own_noise(made: SetUp, search: Search, explanation: Explanation) -> bool:
     """Is the residual autocorrelated, or a finding weak?"""
-    weakest = min((f.gain for f in explanation.accepted), default=np.inf)
-    return weakest <= CERTAIN or _dependence(made, search, explanation) > DEPENDENT
+    return _is_weak(explanation) or _dependence(made, search, explanation) > DEPENDENT
+
+
+def _is_weak(explanation: Explanation) -> bool:
+    return min((f.gain for f in explanation.accepted), default=np.inf) <= CERTAIN
 
 
 def _dependence(made: SetUp, search: Search, explanation: Explanation) -> float:
@@ -38,9 +41,9 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     a slow wandering is then no evidence for what is slow, and a step in it stands out.
     """
     made.in_own_noise = True
-    if not needs_own_noise(made, search, explanation):
-        return search, explanation
     dependent = _dependence(made, search, explanation) > DEPENDENT
+    if not dependent and not _is_weak(explanation):
+        return search, explanation
     library, handicap = made.library, 0.0 if dependent else EXPLAINED
     best = (likelihood(search, explanation) + handicap, library.table.colour, search, explanation)
     wandering = -np.inf  # log evidence of noise alone

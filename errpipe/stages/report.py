@@ -328,29 +328,19 @@ def _family_grids(folder: Path) -> list[tuple[str, str, str]]:
 def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     """The seasonal tables, where the fit was a thermal model for all seasons."""
     from errpipe.reporting.run_report import Table
+    from errpipe.validation.seasons import FIGURES
 
     headings = {
         "seasons": "Seasons left out whole",
         "forward": "Trained on past months alone",
         "forward_daily": "Trained anew each day on the past alone",
     }
-    names = (
-        "uncompensated",
-        "in_season",
-        "out_of_season",
-        "ratio",
-        "bias",
-        "scatter",
-        "worst",
-        "coverage",
-        "half_width",
-    )
     out = []
     for key, heading in headings.items():
         document = validation.get(key)
         if document is None:
             continue
-        rows = [[g["left_out"], *(g[n] for n in names)] for g in document["groups"]]
+        rows = [[g["left_out"], *(g[n] for n in FIGURES)] for g in document["groups"]]
         gap = document.get("optimism")
         caption = f"{document['component']} in {document['unit']}, rms unless said otherwise."
         for month in document.get("months", ()):
@@ -359,7 +349,7 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
         if gap:
             promised = f"{gap['random_rows']:.2f}; whole groups left out keep {gap['groups_left_out']:.2f}"
             caption += f" Random rows would have promised {promised}: the gap is optimism."
-        out.append(Table(heading, ["left out", *(n.replace("_", " ") for n in names)], rows, caption))
+        out.append(Table(heading, ["left out", *(n.replace("_", " ") for n in FIGURES)], rows, caption))
     return out
 
 

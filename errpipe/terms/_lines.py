@@ -19,7 +19,7 @@ MISSING_BASE = 4  # the base itself may be absent down to this share of the lowe
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
 FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
 FASTEST_WAVE = 2.0  # waves within the mean step between places, the most that uneven places are asked about
-HALF = 0.5
+FOLDED = 0.5  # share of the residual of longer waves that one shorter than two steps, an alias else, must go below
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
 
@@ -70,7 +70,7 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     Rows of one place share its error, so places are counted, not rows: beside a cubic, P places and a wave that leaves
     the share q of the sum of squares, chance leaves as little with q^((P - 6) / 2) times the number of frequencies
     (F test; Lomb-Scargle false-alarm probability). From FEWEST_TURNS to half the mean step between places: uneven ones
-    tell apart what even ones alias. A wave shorter than two steps must leave less than HALF of what longer ones do.
+    tell apart what even ones alias. A wave shorter than two steps must leave less than FOLDED of what longer ones do.
     """
     places, index = np.unique(at, return_inverse=True)
     free = places.size - 6
@@ -81,18 +81,18 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     highest = FASTEST_WAVE * (places.size - 1) / span
     frequency = np.arange(FEWEST_TURNS / span, highest * (1 + 1e-9), 0.125 / span)
     cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
-    rest = _beside(cubic, mean)
-    left = np.array([_squares(_beside(_beside(cubic, waves(places, f)), rest)) for f in frequency])
+    rest = _residual(cubic, mean)
+    left = np.array([_squares(_residual(_residual(cubic, waves(places, f)), rest)) for f in frequency])
     if not left.size or _squares(rest) <= 0:
         return np.zeros(0)
     chance = max(highest * span, 1.0) * (left / _squares(rest)) ** (free / 2)
     padded, long = np.r_[np.inf, left, np.inf], frequency <= 0.5 * (places.size - 1) / span
-    clear = long | (left < HALF * left[long].min(initial=np.inf))
+    clear = long | (left < FOLDED * left[long].min(initial=np.inf))
     best = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]) & (chance < FALSE_ALARMS) & clear)
     return frequency[best[np.argsort(left[best], kind="stable")][:STRONGEST]]
 
 
-def _beside(block: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _residual(block: np.ndarray, values: np.ndarray) -> np.ndarray:
     """What a fit of a block's columns leaves of values (rows,) or (rows, k)."""
     return values - block @ np.linalg.lstsq(block, values, rcond=None)[0]
 

@@ -32,6 +32,9 @@ Fitter = Callable[[Recording, str, np.ndarray], Any]
 
 VERSION = 1
 RANDOM_FOLDS = 5  # folds of random rows, for the optimism gap
+FIGURES = (  # of each group left out, in the order of the tables
+    "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage", "half_width",
+)  # fmt: skip
 POOLED = ("uncompensated", "out_of_season")
 
 

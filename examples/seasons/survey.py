@@ -59,18 +59,7 @@ def lines(series: dict[str, tuple[list[float], list[float]]], across: str, up: s
 
 def text(document: dict[str, Any]) -> str:
     """The table for a terminal."""
-    names = (
-        "left_out",
-        "uncompensated",
-        "in_season",
-        "out_of_season",
-        "ratio",
-        "bias",
-        "scatter",
-        "worst",
-        "coverage",
-        "half_width",
-    )
+    names = ("left_out", *seasons.FIGURES)
     lines = ["  ".join(f"{n:>13}" for n in names)]
     for row in document["groups"]:
         cells = [row["left_out"], *(row[n] for n in names[1:])]
