@@ -43,7 +43,7 @@ def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(jsonfile, "write_bytes", in_place)
     monkeypatch.setattr(runner, "_publish", lambda source, target: in_place(target, source.read_bytes()))
-    _, found = kills.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
+    _, found = kills.kills(tmp_path / "kills", 8, random.Random(5), time.monotonic() + 120)
     assert any("neither old nor new" in line for line in found)
 
 
