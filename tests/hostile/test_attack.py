@@ -38,7 +38,7 @@ def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pyt
             for half in (data[: len(data) // 2], data[len(data) // 2 :]):
                 stream.write(half)
                 stream.flush()
-                time.sleep(0.1)  # long beside what a busy machine adds
+                time.sleep(0.04)  # long beside what a busy machine adds
         return True
 
     monkeypatch.setattr(jsonfile, "write_bytes", in_place)
