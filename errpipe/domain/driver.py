@@ -108,6 +108,12 @@ def inputs(driver: Driver) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for child in _below(driver) for name in inputs(child)))
 
 
+def axes(driver: Driver) -> set[str]:
+    """Letters of the axes whose motion a driver follows."""
+    own = {driver.axis} if isinstance(driver, Direction | Approach) else set()
+    return own.union(*map(axes, _below(driver)))
+
+
 def remembers(driver: Driver) -> bool:
     """Whether a driver's value depends on rows before the row."""
     return isinstance(driver, First | Lag | Switch | Direction | Approach) or any(map(remembers, _below(driver)))

@@ -67,6 +67,7 @@ def compile_model(
     recording: how fast its sensors and axes moved limits readings and corrections.
     """
     from errpipe import __version__, jsonfile, tables
+    from errpipe.domain import driver as d
     from errpipe.errors import GateError
     from errpipe.fitting.lowering import left_behind, lower
     from errpipe.guard import rates
@@ -77,7 +78,10 @@ def compile_model(
     if len(empty) == len(lowered):
         behind = ", ".join(sorted({t for terms in left_behind(model).values() for t in terms})) or "no term"
         raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
-    _inputs.unknown_inputs(_inputs.read_by([p.driver for pairs in lowered.values() for p in pairs]), model)
+    followed = [p for pairs in lowered.values() for p in pairs]
+    _inputs.unknown_inputs(_inputs.read_by([p.driver for p in followed]), model)
+    axes = {p.axis for p in followed if p.axis is not None and p.profile is not None}
+    placed = _inputs.with_positions(model, axes.union(*(d.axes(p.driver) for p in followed)), recording)
     if guard is not None:
         lowered = {name: [_guarded(p, guard) for p in pairs] for name, pairs in lowered.items()}
     keep = None if model.validity.fades else False  # no box in the table, but it still fades where a sensor is lost
@@ -90,9 +94,9 @@ def compile_model(
     table = tables.compile_table(
         sources,
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
-        inputs=_inputs.table_inputs(model, guard, rates.learn(recording) if recording is not None else None),
-        travel=_inputs.travel(model),
-        turning=_inputs.turning(model),
+        inputs=_inputs.table_inputs(placed, guard, rates.learn(recording) if recording is not None else None),
+        travel=_inputs.travel(placed),
+        turning=_inputs.turning(placed),
         error_bound=options.error_bound,
         position_cycle_s=options.position_cycle,
         thermal_cycle_s=options.thermal_cycle,

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.table import AXIS, NAME, Kind, TableInput, text_problem
 from errpipe.errors import GateError, UsageError
+from errpipe.fitting.validity import box
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rates import ReadingRate
+
+if TYPE_CHECKING:
+    from errpipe.domain.recording import Recording
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
 # Role of a column -> kind of the controller's channel, lowest and highest believable reading, stale after (s).
@@ -31,6 +37,7 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "depth_of_cut": ("other", 0.0, 1e4, None),
     "cut_length": ("other", 0.0, 1e9, None),
 }
+POSITIONS = ("command", "position")  # roles that say where an axis is, the first known one first
 FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
 
 
@@ -131,9 +138,35 @@ def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
             out[letter] = tuple(facts["travel"])
     for name, facts in model.columns.items():
         seen = model.validity.ranges.get(name)
-        if facts["role"] in ("position", "command") and seen is not None:
+        if facts["role"] in POSITIONS and seen is not None and seen[1] > seen[0]:
             out[facts["axis"]] = seen
     return out
+
+
+def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording | None) -> ErrorModel:
+    """The model with the positions of all of `axes`, which its pairs follow though none of its terms reads them.
+
+    Raises GateError for an axis whose position nobody recorded, and for one that stood still and has no stated travel.
+    """
+    columns, ranges = dict(model.columns), dict(model.validity.ranges)
+    for axis in sorted(axes):
+        held = [n for n, c in columns.items() if c["role"] in POSITIONS and c.get("axis") == axis]
+        if not held and recording is not None:
+            held = [n for role in POSITIONS if (n := recording.name(role, axis=axis)) is not None][:1]
+            columns |= {n: recording.manifest.columns[n].model_dump(exclude_none=True) for n in held}
+            ranges |= dict(box(recording, held, np.full(len(recording), True)).ranges)
+        if not held:
+            raise GateError(f"export: the model follows {axis}, and no column of the recording holds its position")
+    validity = model.validity.model_copy(update={"ranges": ranges})
+    model = model.model_copy(update={"columns": columns, "validity": validity})
+    for axis in sorted(set(axes) - set(travel(model))):
+        kind = "rotary, travel: [0, 360]" if axis[0] in "ABC" else "linear, travel: [0, 500]"
+        raise GateError(
+            f"export: {axis} stood at one position in the recording, and its travel is not stated: nobody knows where "
+            f"the correction holds. State it in the recording's manifest, such as constants: "
+            f"{{{axis}: {{role: axis, kind: {kind}}}}}"
+        )
+    return model
 
 
 def turning(model: ErrorModel) -> set[str]:

@@ -45,7 +45,7 @@ def axis_of_component(recording: Recording) -> Iterator[Finding]:
         if own_travel is None:
             has = f"no column holds the position of {component.axis} (found: {', '.join(sorted(travels))})"
             yield Finding("wrong-axis", name, f"{component.name}: {has}", _renamed(component, moving))
-        elif own_travel <= AT_REST * travels[moving]:
+        elif own_travel < AT_REST * travels[moving]:
             rests = f"{component.axis} moves {own_travel:.3g} while {moving} moves {travels[moving]:.4g}"
             yield Finding("wrong-axis", name, f"{component.name}: {rests}", _renamed(component, moving))
 

@@ -1,0 +1,60 @@
+"""How far an axis travels: from the recording or its manifest, never from what a position could be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.cli.app import main
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.formats import manifest_folder
+from errpipe.tables import ect
+from errpipe.targets import _sample
+
+PIPELINE = """
+pipeline: 1
+stages:
+  - {kind: ingest, recording: rows}
+  - kind: fit
+    components:
+      - {component: EXX, terms: [{term: offset}, {term: backlash, axis: X}]}
+  - {kind: validate}
+  - {kind: export, targets: [linuxcnc_screw]}
+"""
+
+
+def export(folder, x: np.ndarray, travel: tuple[float, float] | None = None) -> int:
+    """Exit code of a run on lost motion of 8 um at positions, each from both sides."""
+    r = np.random.default_rng(4)
+    side = np.tile([1.0, -1.0], x.size // 2)
+    frame = pd.DataFrame({"run": np.repeat(list("12345678"), x.size // 8), "x": x, "dir": side})
+    frame["EXX"] = -4.0 * side + r.normal(0, 0.3, x.size)
+    columns = {
+        "run": Column(role="run"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "dir": Column(role="direction", axis="X"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    constants = {"X": Constant(role="axis", kind="linear", travel=travel, unit="mm")} if travel else {}
+    manifest = Manifest(recording=1, tables=("recording.parquet",), columns=columns, constants=constants)
+    manifest_folder.write(Recording(manifest, frame), folder / "rows")
+    (folder / "p.yaml").write_text(PIPELINE)
+    return main(["run", str(folder / "p.yaml"), "--out", str(folder / "out")])
+
+
+def test_lost_motion_alone_at_one_position_is_refused_without_a_travel(tmp_path, capsys):
+    assert export(tmp_path, np.full(160, 450.0)) == 4
+    assert "X stood at one position in the recording, and its travel is not stated" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "export" / "table.ect").exists()
+
+
+@pytest.mark.parametrize("moves", [True, False], ids=["it moves", "it is stated"])
+def test_lost_motion_alone_is_exported_over_the_travel(tmp_path, moves):
+    x = np.repeat(np.tile(np.linspace(-300, 0, 10), 8), 2) if moves else np.full(160, -120.0)
+    assert export(tmp_path, x, None if moves else (-300.0, 0.0)) == 0
+    table = ect.read(tmp_path / "out" / "export" / "table.ect")
+    assert _sample.span(table, "X") == (-300.0, 0.0)
+    rows = np.loadtxt(tmp_path / "out" / "export" / "linuxcnc_screw" / "x.comp")
+    np.testing.assert_allclose(rows[:, 0], [-300.0, 0.0])
+    np.testing.assert_allclose(rows[:, 1] - rows[:, 2], 0.008, atol=3e-4)
