@@ -35,14 +35,14 @@ class CompileOptions(Options):
         None,
         gt=0,
         le=1e6,
-        description="Largest correction; default: what it can reach.",
+        description="Largest correction of an axis; default: what it can reach.",
         json_schema_extra={"unit": "um"},
     )
     slew: float | None = Field(
         None,
         gt=0,
         le=1e9,
-        description="Largest rate of a correction; default: what the axis' motion asks of it, at most 1 um/ms.",
+        description="Largest rate of an axis' correction; default: what the axis' motion asks of it, at most 1 um/ms.",
         json_schema_extra={"unit": "um/s"},
     )
     acceleration: float | None = Field(
@@ -106,7 +106,7 @@ def compile_model(
         fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
     )
     speeds = travel_speeds(recording) if recording is not None else {}
-    return tables.limited(table, speeds, dict.fromkeys((s.name for s in sources), stated))
+    return tables.limited(table, speeds, of_axes=stated)
 
 
 def travel_speeds(recording: Recording) -> dict[str, float]:

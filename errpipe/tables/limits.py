@@ -21,26 +21,53 @@ RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate e
 
 
 def limited(
-    table: t.CompensationTable, speeds: Mapping[str, float] | None = None, stated: Mapping[str, Limits] | None = None
+    table: t.CompensationTable,
+    speeds: Mapping[str, float] | None = None,
+    stated: Mapping[str, Limits] | None = None,
+    of_axes: Limits | None = None,
 ) -> t.CompensationTable:
     """The table with magnitude, slew and acceleration for every output: what is stated, else defaults.
 
     speeds: axis -> largest speed of the recording, mm/s or deg/s; an axis without one counts as fast. Without a
-    magnitude: what the table can reach, rounded up. Raises GateError for limits of outputs the table does not have.
+    magnitude: what the table can reach, rounded up. of_axes: limits of each axis' whole correction, which its outputs
+    share. Raises GateError for limits of outputs the table does not have.
     """
-    stated = stated or {}
     needed = slews(table, speeds or {})
+    stated = _shared(table, of_axes or Limits(), needed) | dict(stated or {})
     limits = {}
     for output in table.outputs:
-        own = stated.get(output.name, Limits())
+        own = stated[output.name]
         slew = own.slew or needed[output.name]
         limits[output.name] = Limits(own.magnitude, slew, own.acceleration or slew / RISE_S)
     unknown = {name: own for name, own in stated.items() if name not in limits}
     return with_limits(table, limits | unknown)
 
 
+def _shared(table: t.CompensationTable, whole: Limits, needed: Mapping[str, float]) -> dict[str, Limits]:
+    """Output -> its part of an axis' limits: of the magnitude as it reaches, of the rates as it moves."""
+    far = _parts(table, {r.name: r.deviation + r.gridding for r in bounds.outputs(table)})
+    fast = _parts(table, needed)
+    return {
+        name: Limits(
+            whole.magnitude and whole.magnitude * far[name],
+            whole.slew and whole.slew * fast[name],
+            whole.acceleration and whole.acceleration * fast[name],
+        )
+        for name in far
+    }
+
+
+def _parts(table: t.CompensationTable, sizes: Mapping[str, float]) -> dict[str, float]:
+    """Output -> its part of what all outputs of its axis add up to, 0..1: a controller adds them."""
+    whole: dict[str, float] = {}
+    for output in table.outputs:
+        key = output.axis or output.name
+        whole[key] = whole.get(key, 0.0) + sizes[output.name]
+    return {o.name: sizes[o.name] / (whole[o.axis or o.name] or 1.0) for o in table.outputs}
+
+
 def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, float]:
-    """Output -> default slew, um/s or urad/s."""
+    """Output -> default slew, um/s or urad/s: of the outputs of one axis together at most `MOST_SLEW`."""
     spans = bounds.node_spans(table.nodes, table.inputs, table.table)
     reach = {c.name: c.deviation for c in bounds.components(table)}
     rates = dict.fromkeys(reach, 0.0)
@@ -62,7 +89,7 @@ def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, 
             if sizes and reach[term.component] > 0:  # an arm moves too, at a speed the table does not know
                 total = MOST_SLEW
         out[output.name] = min(max(total, LEAST_SLEW), MOST_SLEW)
-    return out
+    return {name: min(slew, MOST_SLEW * part) for (name, slew), part in zip(out.items(), _parts(table, out).values())}
 
 
 def _slope(profile: t.Profile) -> float:
