@@ -89,7 +89,8 @@ def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, 
             if sizes and reach[term.component] > 0:  # an arm moves too, at a speed the table does not know
                 total = MOST_SLEW
         out[output.name] = min(max(total, LEAST_SLEW), MOST_SLEW)
-    return {name: min(slew, MOST_SLEW * part) for (name, slew), part in zip(out.items(), _parts(table, out).values())}
+    parts = _parts(table, out)
+    return {name: min(slew, MOST_SLEW * parts[name]) for name, slew in out.items()}
 
 
 def _slope(profile: t.Profile) -> float:
