@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from errpipe.domain.table import CompensationTable
 from errpipe.targets import iec_st
 from tests.faults import runners, sequences
 from tests.faults.sequences import Part
@@ -66,11 +67,11 @@ def run(
     return found
 
 
-def compiled(name: str, folder: Path) -> runners.Shared:
-    """The C runtime or the function blocks as a shared library."""
+def compiled(name: str, folder: Path, table: CompensationTable | None = None) -> runners.Shared:
+    """The C runtime or the function blocks as a shared library; blocks with room for a table."""
     folder.mkdir(exist_ok=True)
     if name.startswith("Structured Text"):
-        room = iec_st.room_for(sequences.table(0))
+        room = iec_st.room_for(table or sequences.table(0))
         units = [iec_st.unit(unit, room) for unit in st.UNITS]
         if name == MATIEC:
             return runners.Shared(matiec.build(folder, units))

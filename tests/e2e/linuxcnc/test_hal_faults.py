@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from errpipe.kernels.table_codes import HOLD, OFF
+from errpipe.tables import ect
 from errpipe.tables.reference import Evaluator
 from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
+from tests.e2e import test_one_bad_reading as one_bad_reading
 from tests.e2e.linuxcnc import session
 from tests.e2e.linuxcnc.test_hal_component import stream
 from tests.faults import sequences
@@ -111,3 +113,54 @@ def by_reference(made, given: np.ndarray) -> tuple[np.ndarray, int]:
         cycle = evaluator.cycle(new, enable=bool(homed and not off), hold=bool(homed and not off and not on))
         out.append(list(cycle.correction.values()))
     return 1e3 * np.array(out), cycle.rejected["T nut"]
+
+
+PLAIN = """loadrt threads name1=servo-thread period1=1000000
+loadrt streamer depth=24000 cfg=fffbu
+loadrt errpipe
+loadrt scale count=1
+setp scale.0.gain 1e6
+loadrt sampler depth=24000 cfg=fu
+addf streamer.0 servo-thread
+addf errpipe servo-thread
+addf scale.0 servo-thread
+addf sampler.0 servo-thread
+net x streamer.0.pin.0 => errpipe.in-x
+net side streamer.0.pin.1 => errpipe.in-dir
+net nut streamer.0.pin.2 => errpipe.in-t-nut
+net on streamer.0.pin.3 => errpipe.enable
+net only streamer.0.pin.4 => errpipe.only
+net c errpipe.correction-x => scale.0.in
+net cn scale.0.out => sampler.0.pin.0
+net r errpipe.rejected-t-nut => sampler.0.pin.1
+"""
+OUT = 1500  # cycles in which a correction ramps to 0
+BAD = (75.0, -20.0, UNCONNECTED, 190.0, 25.3)
+
+
+@pytest.mark.slow
+def test_one_bad_sample_of_a_plain_axis_with_the_default_export(tmp_path, capsys):
+    """Each meets a thermal cycle and, half a second on, none; then 75 degC for 2 s and back, none at all, no leave."""
+    made = one_bad_reading.exported(tmp_path)
+    samples = [np.r_[bad, np.full(1499, 25.0), bad, np.full(499, 25.0)] for bad in BAD]  # 1000 cycles a thermal cycle
+    calm = [np.full(n, v) for n, v in ((2000, 75.0), (1000, 25.0), (500, UNCONNECTED), (OUT, 25.0))]
+    nut = np.concatenate([np.full(6000, 25.0), *samples, *calm])
+    only = np.full(nut.size, int(ect.fingerprint(made), 16))
+    only[-OUT:] += 1  # another table is the only one that may run: this one is taken off, not dropped
+    given = np.column_stack([np.full(nut.size, 1000.0), np.ones(nut.size), nut, np.ones(nut.size), only])
+    with session.alone() as folder:
+        (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
+        module = session.install(folder / COMPONENT)
+        try:
+            found, _, _ = stream(folder, given, PLAIN, bits=2)
+        finally:
+            module.unlink()
+    assert len(found) == nut.size and np.all(np.diff(found[:, 0]) == 1), "a cycle was lost"
+    moved = 1e-3 * found[:, 1]
+    right = moved[5999]
+    step, off = np.abs(np.diff(moved, prepend=0.0)).max(), np.abs(moved[6000:-OUT] - right).max()
+    with capsys.disabled():
+        print(f"\nHAL, one bad sample: {step:.6f} um in 1 ms at most, {off:.4f} um beyond what is right ({right:.2f})")
+    assert abs(right) > 50.0 and found[-1, 2] > len(BAD)
+    assert step <= one_bad_reading.STEP + PRINT_UM and off < one_bad_reading.BAD_SAMPLE
+    assert moved[-1] == 0.0
