@@ -16,6 +16,7 @@ import numpy as np
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
 from errpipe.domain.diagnosis import Finding, FoundParameter
+from errpipe.drivers.motion import is_rotary
 from errpipe.terms import TERMS
 from errpipe.terms.viscous_friction import ViscousFriction
 
@@ -118,7 +119,6 @@ def by_direction(case: Case) -> ByDirection | None:
     if min(forward.sum(), back.sum()) < 10 * BLOCKS:
         return None
     best, laws = None, []
-    known = case.recording.manifest.axis(axis)
     fastest = float(np.quantile(np.abs(v), 0.999))
     for sharpness in (fastest * s for s in SHARPNESS):
         dry = np.sign(v) if sharpness == 0 else np.tanh(v / sharpness)
@@ -127,8 +127,9 @@ def by_direction(case: Case) -> ByDirection | None:
         laws.append(law)
         if best is None or law.held_out < best.law.held_out:
             single_law = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
-            rotary = known is not None and known.kind == "rotary"
-            best = ByDirection(axis, velocity, sharpness, law, single_law, case.pair.unit, rotary)
+            best = ByDirection(
+                axis, velocity, sharpness, law, single_law, case.pair.unit, is_rotary(case.recording, axis)
+            )
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
     differs = best.law.differ(1, 2) or best.law.differ(3, 4)

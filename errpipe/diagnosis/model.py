@@ -66,6 +66,9 @@ def modelled(case: Case, k: int) -> Modelled:
     if joint < CHI2_95.get(cores, 2.0 * cores):
         linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores)
         joint = max(joint, alone)
+    if curved is None and spans:  # a size goes with the scale that it was fitted at
+        cov[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
+        linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, cov, scale), strict=True)]
     estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
@@ -264,6 +267,31 @@ def _carried_over(case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.
         slopes.append((ends[0] - ends[1]) / (2 * STEP))
     slope = np.column_stack(slopes) * scale[:, None]
     return slope @ cov @ slope.T
+
+
+def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: np.ndarray) -> np.ndarray:
+    """Covariance of the linear parameters, times their scales, over the spans of the non-linear ones, each alone."""
+    out = np.zeros((scale.size, scale.size))
+    for j, (_, _, _, *ends) in enumerate(spans):
+        if h.terms[0].nonlinear()[j].name in h.terms[0].fixed or not ends[0] < ends[1]:
+            continue
+        sizes = []
+        for end in ends:
+            try:
+                block, freedom, own, cores = _columns(case, _at(h, j, float(end)))
+            except ValueError:  # its columns do not vary there
+                break
+            sizes.append(_fit(scene, block, freedom, size, case)[0][:cores] / own[:cores])
+        if len(sizes) == 2:
+            half = (sizes[1] - sizes[0]) / 2 * scale
+            out += np.outer(half, half) / (2 * DROP)
+    return out
+
+
+def _wider(e: Estimate, other: Estimate) -> Estimate:
+    """The estimate with the interval of another one around its own value, where that is longer."""
+    reach = max(e.high - e.value, (other.high - other.low) / 2)
+    return replace(e, low=e.value - reach, high=e.value + reach)
 
 
 def _moved(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import is_rotary
 from errpipe.terms import Term
 
 PER_DEGREE = (  # unit on a linear axis, unit on a rotary one, and what a value is multiplied with
@@ -22,8 +23,7 @@ LAG_OF_ANGLES = 1e-6 * 180.0 / math.pi * 1e3  # ms of urad/(deg/s), where um/(mm
 
 def on_rotary_axis(term: Term, recording: Recording) -> bool:
     """Does the term act along a rotary axis?"""
-    known = recording.manifest.axis(str(getattr(term, "axis", "")))
-    return known is not None and known.kind == "rotary"
+    return is_rotary(recording, str(getattr(term, "axis", "")))
 
 
 def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:

@@ -15,10 +15,18 @@ def axes(recording: Recording, kind: str = "linear") -> tuple[str, ...]:
     found: list[str] = []
     for name in (*recording.names("position"), *recording.names("command")):
         letter = str(recording.manifest.columns[name].axis)
-        known = recording.manifest.axis(letter)
-        if letter not in found and ((known.kind if known else None) or "linear") == kind:
+        if letter not in found and is_rotary(recording, letter) == (kind == "rotary"):
             found.append(letter)
     return tuple(found)
+
+
+def is_rotary(recording: Recording, axis: str) -> bool:
+    """Does an axis turn: as the manifest states, else where its positions are in degrees?"""
+    known = recording.manifest.axis(axis)
+    if known is not None and known.kind is not None:
+        return known.kind == "rotary"
+    name = recording.name("position", axis=axis) or recording.name("command", axis=axis)
+    return name is not None and recording.manifest.columns[name].unit == "deg"
 
 
 def direction_column(recording: Recording, axis: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import position
+from errpipe.drivers.motion import is_rotary, position
 from errpipe.terms._base import Parameter
 from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
 from errpipe.terms._search import Signals
@@ -50,9 +50,7 @@ def total(x: np.ndarray, period: float, orders: tuple[float, ...], parameters: M
 
 def turn(recording: Recording, axis: str) -> tuple[float, ...]:
     """One turn of a rotary axis that made nearly one, after which all repeats."""
-    fact = recording.manifest.axis(axis)
-    whole = fact is not None and fact.kind == "rotary" and np.ptp(position(recording, axis)) > NEARLY * TURN
-    return (TURN,) if whole else ()
+    return (TURN,) if is_rotary(recording, axis) and np.ptp(position(recording, axis)) > NEARLY * TURN else ()
 
 
 def seen(

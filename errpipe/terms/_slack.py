@@ -14,7 +14,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import direction, position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
-from errpipe.terms._search import resolved_lengths
+from errpipe.terms._search import resolved_lengths, resolved_times
 
 Slack = Iterator["tuple[np.ndarray, float]"]  # column, shape (rows,), and its freedom
 
@@ -84,8 +84,13 @@ def start_states(recording: Recording, tau: float, first: float, later: float) -
         yield column, first if k == 0 else later
 
 
-def lagged(recording: Recording, values: np.ndarray, tau: float) -> np.ndarray:
-    """First-order lag of values with time constant tau in s, started at the input, shape (rows,)."""
+def lagged(recording: Recording, values: np.ndarray, tau: float, most: float = 1.0) -> np.ndarray:
+    """First-order lag of values with time constant tau in s, started at the input, shape (rows,).
+
+    most: share of the longest session that tau may reach; what follows far later than that does not follow at all, and
+    less the values it would be their negative, the textbook form itself.
+    """
+    tau = min(tau, most * resolved_times(recording)[1])
     return responses.lag(sessions(recording), recording.time(), values, tau, tau, True)
 
 

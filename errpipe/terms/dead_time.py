@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import is_rotary, position, position_name
 from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
@@ -97,9 +97,8 @@ class DeadTime(Term):
 
     def _signal(self, recording: Recording) -> np.ndarray:
         if self.axis:
-            known = recording.manifest.axis(self.axis)
-            turns = known is not None and known.kind == "rotary"
-            return position(recording, self.axis) * (np.pi / 180e-6 if turns else 1e3)  # urad of deg, um of mm
+            unit = np.pi / 180e-6 if is_rotary(recording, self.axis) else 1e3  # urad of deg, um of mm
+            return position(recording, self.axis) * unit
         return recording.array(str(self.column))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:

@@ -63,8 +63,8 @@ class ScaleExpansion(Term):
         level = base[:, 0] / np.where(np.abs(x) > 1e-9, x, 1e-9) * (np.nanmax(x) - np.nanmin(x))
         yield np.where(np.abs(x) > 1e-6, level, 0.0), 0.3
         rise = recording.array(self.sensor)
-        for tau in (400.0, 1500.0):
-            yield (lagged(recording, rise, tau) - rise) * x, 0.3
+        for tau, most in ((400.0, 0.05), (1500.0, 0.2)):
+            yield (lagged(recording, rise, tau, most) - rise) * x, 0.3
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         slope = parameters["coefficient"] * 1e-3

@@ -50,6 +50,14 @@ class Squareness(Term):
                 if axis != direction_of(component):
                     yield cls(axis=axis)
 
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Squareness]:
+        """Also of a straightness: there a fit leaves it to the set-up, but a simulation may lack it."""
+        yield from cls.bind(recording, component)
+        own = own_axis(component)
+        if own in axes(recording) and direction_of(component) not in (own, None):
+            yield cls(axis=str(own))
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         if not self.radial:
             return (position(recording, self.axis) * 1e-3)[:, None]

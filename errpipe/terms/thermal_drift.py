@@ -51,7 +51,7 @@ class ThermalDrift(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         rise = recording.array(self.sensor)
-        yield lagged(recording, rise, 300.0) - rise, 0.2
+        yield lagged(recording, rise, 300.0, 0.05) - rise, 0.2
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(scaled(rise_driver(self.sensor, self.reference), parameters["gain"])),)
