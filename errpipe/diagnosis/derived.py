@@ -15,6 +15,7 @@ from errpipe.kernels import responses
 
 FAST = 0.1  # s between rows, below which an axis is recorded under way
 STILL = 4.0  # scatter of a position from which it has moved
+BOTH_WAYS = 0.05  # share of the rows either way; fewer are returns to the start of another pass
 LEAST_MOVE = 0.001  # mm or deg; as where the direction is read off the positions elsewhere
 
 
@@ -56,7 +57,7 @@ def _motion(recording: Recording, axis: str, name: str):
     bend = np.abs(np.diff(x, 2)[same]) if fast else np.zeros(1)
     scatter = 1.4826 * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
     side = responses.direction_of_travel(sessions(recording), x, max(STILL * scatter, LEAST_MOVE), 1)
-    if np.unique(side).size < 2:
+    if min(np.mean(side > 0), np.mean(side < 0)) < BOTH_WAYS:
         return
     if not fast:
         yield "direction", None, side

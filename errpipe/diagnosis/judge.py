@@ -193,6 +193,7 @@ def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
 
 def _without(made: SetUp, m: model.Modelled) -> Case:
     """The best explanation without a finding, by whatever value of its non-linear parameters."""
+    made.prior = made.prior.copy()  # searches made before keep their own
     for i, h in enumerate(made.library.hypotheses):
         if (h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers):
             made.prior[i] = NEVER

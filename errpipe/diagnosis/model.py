@@ -56,17 +56,19 @@ def modelled(case: Case, k: int) -> Modelled:
         hypothesis, spans, curved = _refine_jointly(case, scene, hypothesis)
     block, freedom, scale, cores = _columns(case, hypothesis)
     b, cov = _fit(scene, block, freedom, f.size, case)
-    cov = cov * _dependence(case, scene, block, b)
+    dependence = _dependence(case, scene, block, b)
+    cov = cov * dependence
     if curved is not None:
         cov[:cores, :cores] += _carried_over(case, scene, hypothesis, f.size, curved, scale[:cores])
     contribution = block @ b
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
-    if joint < CHI2_95.get(cores, 2.0 * cores):
-        linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores)
+    projected = joint < CHI2_95.get(cores, 2.0 * cores)
+    if projected:
+        linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores, dependence)
         joint = max(joint, alone)
-    if curved is None and spans:  # a size goes with the scale that it was fitted at
+    if curved is None and spans and not projected:  # a size goes with the scale that it was fitted at
         cov[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
         linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, cov, scale), strict=True)]
     estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
@@ -84,7 +86,7 @@ MOSTLY = 0.5  # share of the contribution's variance that the textbook form must
 
 
 def _projected_sizes(
-    case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int
+    case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int, dependence: float
 ) -> tuple[list[Estimate], float]:
     """Sizes where departures take the textbook form's place: its projection on the contribution; their chi squared.
 
@@ -94,7 +96,7 @@ def _projected_sizes(
     nearest = np.linalg.lstsq(core, contribution - contribution.mean(), rcond=None)[0]
     S, _ = _projected(scene, block[:, :cores])
     cov = case.sigma**2 * np.linalg.inv(S + 1e-9 * np.trace(S) * np.eye(cores))
-    cov = cov * _dependence(case, scene, block[:, :cores], nearest)
+    cov = cov * dependence  # of what the whole form leaves: departures have their share below
     out = _linear(h, nearest, cov, scale)
     wider = [DEPARTED * abs(e.value) for e in out]
     left = contribution - contribution.mean() - core @ nearest

@@ -10,6 +10,7 @@ CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of 
 FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
 STRONGEST = 12  # waves kept of each signal
 MOST_LINES = 6
+APART = 1.0  # turns over the positions covered by which two lines differ at least: nearer ones would cancel each other
 LEAST = 30.0  # power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
 LEAST_BASE = 6.0  # turns of the base within the positions covered: with fewer every line is near some multiple of it
 MOST_ORDER = 100
@@ -122,6 +123,8 @@ def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
         gained = power(at, rest, best)
         if gained < LEAST * (float(rest @ rest) - gained) / at.size:
             break
+        if any(abs(best - f) * span < APART for f in found):
+            break  # a wave that is stronger here than there, or no wave
         found.append(best)
         block = np.column_stack([base, *(waves(at, f) for f in found)])
         fitted = np.linalg.lstsq(block, signal, rcond=None)[0]

@@ -14,7 +14,7 @@ from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, drive_periods, is_radial
+from errpipe.terms._place import axes_acting, drive_periods, is_radial, own_axis
 from errpipe.terms._search import Signals, Waves
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
@@ -58,6 +58,12 @@ class PitchCyclic(Term):
             for period in dict.fromkeys((*stated, *half, *turn)):
                 yield cls(axis=axis, radial=radial, fixed={"period": period})
             yield cls(axis=axis, radial=radial)
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[PitchCyclic]:
+        """Also of a straightness: a bent screw pushes its nut sideways once a turn."""
+        own = own_axis(component)
+        yield from cls.bind(recording, component if own is None else f"E{own}{own}")
 
     @classmethod
     def located(
