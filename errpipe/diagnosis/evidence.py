@@ -6,7 +6,8 @@ freedom (1 for the textbook form, less for departures from it), a its unknown si
 a grid. e is white noise with a small slowly varying share; an ARMA(1,1) filter makes it white. The noise
 variance is profiled. A hypothesis pays for every column and for every size that does not fit.
 
-All products of columns are formed once (`Table`); a search then never touches the rows again.
+Products of columns are formed once, when a search asks for them (`Table`): those of an active column with all others,
+and those of a hypothesis' columns among themselves. Of thousands of columns a search makes some hundred active.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ import numpy as np
 from errpipe.diagnosis.coloured import USUAL, Colour, recolour, whiten
 from errpipe.kernels import evidence
 
-ROOM = 512  # capacity for columns besides those of the hypotheses
 AT_ONCE = 64  # columns filtered together
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
 MAX_TEXTBOOK_PENALTY = 60.0  # up to this log Bayes factor at a share of 0
@@ -37,7 +37,7 @@ def stretches(fold: np.ndarray) -> list[tuple[int, int, int]]:
 
 
 class Table:
-    """Whitened columns with all their products; columns can be added, and are addressed by index.
+    """Whitened columns and their products, fold by fold; columns can be added, and are addressed by index.
 
     Blocks are taken one at a time and need not exist at once; a column that several of them share is held once.
     places[i] are the indices of block i's columns. Storage is asked for generously: memory that is never written
@@ -52,13 +52,14 @@ class Table:
         self._store = np.zeros((run.size, room), order="F")
         self._seen: dict[bytes, int] = {}
         self.width = 0
+        self._forget_products()
         self.places = [self._put(block) for block in blocks]
-        self._products = np.zeros((self.width + ROOM, self.width + ROOM))
-        self._multiply()
 
-    def _multiply(self) -> None:
-        """Form all products anew."""
-        np.matmul(self.W.T, self.W, out=self.G)
+    def _forget_products(self) -> None:
+        self._at = np.full(self.width, -1)  # place among the known columns, -1: its products are not known
+        self._known = np.zeros(0, dtype=int)  # columns whose products with all others are known
+        self._cross = np.zeros((len(self.rows) + 1, 0, self.width))  # these, fold by fold, and over all rows
+        self._among: dict[bytes, np.ndarray] = {}  # products of a few columns among themselves, in the same order
 
     def recolour(self, colour: Colour) -> None:
         """Whiten every column by another model of the noise, in place; signals (`Data`) must be made again."""
@@ -66,23 +67,54 @@ class Table:
             columns = self._store[:, k : min(k + AT_ONCE, self.width)]
             columns[:] = recolour(columns, self.run, self.colour, colour)
         self.colour = colour
-        self._multiply()
+        self._forget_products()
 
-    def without(self, fold: int) -> np.ndarray:
-        """Products of the columns over the rows outside of a fold; formed when needed, for they are as large as `G`."""
-        out = self.G.copy()
-        for k in range(0, self.width, 4 * AT_ONCE):
-            columns = slice(k, k + 4 * AT_ONCE)
-            for first, last, f in self.stretches:
-                if f == fold:
-                    out[k:, columns] -= self.W[first:last, k:].T @ self.W[first:last, columns]
-            out[columns, k:] = out[k:, columns].T
+    def forget(self, width: int) -> None:
+        """Go back to the first so many columns."""
+        self.width = width
+        self._forget_products()
+
+    def know(self, index: np.ndarray) -> None:
+        """Form the products of these columns with all others, where they are not known yet."""
+        done = self._cross.shape[2]
+        if done < self.width:
+            fresh = self._between(self._known, slice(done, self.width))
+            self._cross = np.concatenate([self._cross, fresh], axis=2)
+            self._at = np.r_[self._at, np.full(self.width - done, -1)]
+        fresh = np.unique(index[self._at[index] < 0])
+        if fresh.size:
+            self._at[fresh] = self._known.size + np.arange(fresh.size)
+            self._cross = np.concatenate([self._cross, self._between(fresh, slice(0, self.width))], axis=1)
+            self._known = np.r_[self._known, fresh]
+
+    def _between(self, index: np.ndarray, others: slice) -> np.ndarray:
+        """Products of some columns with others, fold by fold and over all rows, shape (folds + 1, k, others)."""
+        W, W_others = self.W[:, index], self.W[:, others]
+        out = np.zeros((len(self.rows) + 1, index.size, W_others.shape[1]))
+        for first, last, f in self.stretches if index.size else ():
+            out[f] += W[first:last].T @ W_others[first:last]
+        out[-1] = out[:-1].sum(axis=0)
         return out
 
-    @property
-    def G(self) -> np.ndarray:
-        """Products of the columns over all rows."""
-        return self._products[: self.width, : self.width]
+    def products(self, index: np.ndarray, others: np.ndarray, without: int | None = None) -> np.ndarray:
+        """Products of columns with others, shape (k, others), over all rows or those outside of a fold."""
+        self.know(index)
+        at = self._at[index][:, None]
+        whole = self._cross[-1][at, others]
+        return whole if without is None else whole - self._cross[without][at, others]
+
+    def among(self, index: np.ndarray, without: int | None = None) -> np.ndarray:
+        """Products of columns among themselves, shape (k, k), over all rows or those outside of a fold."""
+        name = index.tobytes()
+        if name not in self._among:
+            W = self.W[:, index]
+            out = np.zeros((len(self.rows) + 1, index.size, index.size))
+            for first, last, f in self.stretches:
+                out[f] += W[first:last].T @ W[first:last]
+            out[-1] = out[:-1].sum(axis=0)
+            self._among[name] = out
+        parts = self._among[name]
+        return parts[-1] if without is None else parts[-1] - parts[without]
 
     @property
     def W(self) -> np.ndarray:
@@ -90,7 +122,7 @@ class Table:
         return self._store[:, : self.width]
 
     def _put(self, block: np.ndarray) -> np.ndarray:
-        """Store a block's columns, shared ones once; returns their indices. Products are not formed yet."""
+        """Store a block's columns, shared ones once; returns their indices."""
         where: list[int] = []
         fresh: list[int] = []
         for j in range(block.shape[1]):
@@ -100,10 +132,11 @@ class Table:
             if at == self.width + len(fresh):
                 fresh.append(j)
             where.append(at)
-        self._append(block[:, fresh])
+        self.add(block[:, fresh])
         return np.array(where, dtype=int)
 
-    def _append(self, columns: np.ndarray) -> None:
+    def add(self, columns: np.ndarray) -> np.ndarray:
+        """Append columns (rows, k); returns their indices."""
         first, last = self.width, self.width + columns.shape[1]
         if last > self._store.shape[1]:
             grown = np.zeros((self.n, 2 * last), order="F")
@@ -113,18 +146,7 @@ class Table:
             fresh = columns[:, k - first : k - first + AT_ONCE]
             self._store[:, k : min(k + AT_ONCE, last)] = whiten(fresh, self.run, self.colour)
         self.width = last
-
-    def add(self, columns: np.ndarray) -> np.ndarray:
-        """Append columns (rows, k) and form their products; returns their indices."""
-        before = self.width
-        self._append(columns)
-        if self.width > self._products.shape[0]:
-            known = self._products[:before, :before]
-            self._products = np.zeros((self.width + ROOM, self.width + ROOM))
-            self._products[:before, :before] = known
-        self.G[:, before:] = self.W.T @ self.W[:, before:]
-        self.G[before:, :before] = self.G[:before, before:].T
-        return np.arange(before, self.width)
+        return np.arange(first, last)
 
 
 class Data:
@@ -139,12 +161,11 @@ class Data:
         self._known = np.zeros((len(table.rows), 0))
         self._total = np.zeros(0)
         self.without: int | None = None
-        self._train: np.ndarray | None = None
 
     def hold_out(self, fold: int) -> Data:
         """The same signal, one fold taking no part."""
         other = copy.copy(self)
-        other.without, other._train, other._total = fold, None, np.zeros(0)
+        other.without, other._total = fold, np.zeros(0)
         return other
 
     @property
@@ -157,15 +178,6 @@ class Data:
     def yy(self) -> float:
         """Sum of squares."""
         return float(self.squares.sum() - (0.0 if self.without is None else self.squares[self.without]))
-
-    @property
-    def G(self) -> np.ndarray:
-        """Products of the table's columns."""
-        if self.without is None:
-            return self.table.G
-        if self._train is None or self._train.shape[0] != self.table.width:
-            self._train = self.table.without(self.without)
-        return self._train
 
     def products(self) -> np.ndarray:
         """Products with all columns that the table holds by now."""
@@ -225,13 +237,12 @@ class Listed:
     def blocks(self, data: Data) -> np.ndarray:
         """Products of each hypothesis' columns among themselves, times their freedoms, flat."""
         if data.without not in self._blocks:
-            widths = np.diff(self.starts)
-            wide = np.repeat(widths, widths**2)
-            place = np.arange(wide.size) - np.repeat(self.places[:-1], widths**2)
-            first = np.repeat(self.starts[:-1], widths**2)
-            i, j = first + place // wide, first + place % wide
-            free = self.freedom[i] * self.freedom[j]
-            self._blocks[data.without] = data.G[self.columns[i], self.columns[j]] * free
+            made = []
+            for first, last in itertools.pairwise(self.starts):
+                free = self.freedom[first:last]
+                of_one = data.table.among(self.columns[first:last], data.without) * free[:, None] * free
+                made.append(of_one.ravel())
+            self._blocks[data.without] = np.concatenate([np.zeros(0), *made])
         return self._blocks[data.without]
 
 
@@ -252,15 +263,18 @@ class Scene:
         table = data.table
         self.table, self.data, self.active, self.sigma = table, data, active, sigma
         self.n = data.n
-        self.G = data.G
         i = active.index
         self.Zy_all = data.products()
-        self.M = self.G[i[:, None], i]
+        self.M = self.with_active(i)
         prior = (sigma / np.maximum(active.sd, 1e-300)) ** 2  # none for a free column, whose sd is infinite
         self.M.flat[:: i.size + 1] += prior + 1e-11 * np.diag(self.M) + 1e-300
         self.chol = np.linalg.cholesky(self.M)
         self.half = evidence.forward(self.chol, self.Zy_all[i])
         self.Q = max(data.yy - float(self.half @ self.half), 1e-12 * data.yy + 1e-300)
+
+    def with_active(self, index: np.ndarray) -> np.ndarray:
+        """Products of the active columns with others, shape (active, others)."""
+        return self.table.products(self.active.index, index, self.data.without)
 
     def coefficients(self) -> np.ndarray:
         """Posterior mean of the active columns' coefficients."""
@@ -277,8 +291,7 @@ class Scene:
 
     def freedom_used(self) -> float:
         """Effective number of coefficients."""
-        i = self.active.index
-        return float(np.trace(np.linalg.solve(self.M, self.G[np.ix_(i, i)])))
+        return float(np.trace(np.linalg.solve(self.M, self.with_active(self.active.index))))
 
     def rms(self) -> float:
         """Whitened residual rms, corrected for the coefficients used."""
@@ -293,9 +306,10 @@ class Scene:
 
     def exactly(self, index: np.ndarray, value: np.ndarray, sd: np.ndarray, rows: float | None = None) -> np.ndarray:
         """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd`."""
-        cross = np.ascontiguousarray(self.G[self.active.index][:, index])
+        cross = self.with_active(index)
         s = evidence.freed(self.chol, cross, self.half, self.Zy_all[index])
-        S = self.G[index, index] - np.sum(cross**2, axis=0)
+        own = [self.table.among(index[k : k + 1], self.data.without)[0, 0] for k in range(index.size)]
+        S = np.array(own) - np.sum(cross**2, axis=0)
         rest = s - value * S  # product with the residual once `value` times the column is subtracted
         Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
         price = 0.5 * np.log1p(S * sd**2 / self.sigma**2)
@@ -320,7 +334,7 @@ class Scene:
         """As `score`, for all listed hypotheses or some: their gains, sizes, and the textbook form's shares."""
         which = listed.every if which is None else which
         used, where = listed.used(which)
-        cross = np.ascontiguousarray(self.G[self.active.index][:, used])
+        cross = self.with_active(used)
         seen = evidence.freed(self.chol, cross, self.half, self.Zy_all[used])
         return evidence.scores(
             which,

@@ -95,7 +95,8 @@ class Library:
             self._families[h.key].pop()
         for listed in (self.hypotheses, self.cores, self.freedoms, self.scales, self.places):
             del listed[hypotheses:]
-        self.table.width, self._together = columns, None
+        self.table.forget(columns)
+        self._together = None
 
     def add(self, columns: np.ndarray) -> np.ndarray:
         """Append columns that belong to no hypothesis (rows, k); returns their numbers."""

@@ -80,7 +80,7 @@ class LeftOut:
 def coefficients(data: Data, active: Active, sigma: float, without: int | None) -> np.ndarray:
     """Posterior mean of the active columns' coefficients, one more fold taking no part."""
     table, i = data.table, active.index
-    G, s = data.G[np.ix_(i, i)], data.products()[i]
+    G, s = table.products(i, i, data.without), data.products()[i]
     if without is not None:
         rows = table.rows[without]
         W = table.W[np.ix_(rows, i)]

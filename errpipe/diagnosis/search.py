@@ -74,9 +74,9 @@ class Search:
         if not alone.size or alone.max() < self.threshold:
             return Explanation((), alone, 0.0)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
-        for first in self.best_of_each_key(alone, starts):
-            if alone[first] < 0.3 * alone.max() - 5:
-                break
+        firsts = [k for k in self.best_of_each_key(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
+        self.data.table.know(np.concatenate([self.library.indices(k) for k in firsts]))
+        for first in firsts:
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
             keys = tuple(sorted((self.library.hypotheses[i].key for i, _ in chosen), key=str))
             if keys not in tried or total > tried[keys][0]:

@@ -98,9 +98,10 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
             sizes.setdefault(0 if h.terms[0].gain_sd else library.places[i].size, []).append(i)
     for width, members in sizes.items():
         columns = np.stack([library.places[i][: width or 1] for i in members])
-        cross = np.linalg.solve(scene.chol, scene.G[np.ix_(active, columns.ravel())])
+        cross = np.linalg.solve(scene.chol, scene.with_active(columns.ravel()))
         cross = cross.reshape(active.size, *columns.shape).transpose(1, 2, 0)  # (members, width, active)
-        S = scene.G[columns[:, :, None], columns[:, None, :]] - cross @ cross.transpose(0, 2, 1)
+        own = np.stack([table.among(c, scene.data.without) for c in columns])
+        S = own - cross @ cross.transpose(0, 2, 1)
         s = products[columns] - cross @ half
         prior = case.search.prior[members][:, None]
         if width == 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from errpipe.diagnosis.coloured import correlation_time, whiten
+from errpipe.diagnosis.coloured import Colour, correlation_time, whiten
 from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, textbook_share
 
 
@@ -40,8 +40,8 @@ def test_hypotheses_of_all_widths_at_once_have_the_evidence_of_each():
     freedom = [rng.uniform(0.05, 1.0, i.size) for i in index]
     gain, size, core = beside.scores(Listed(index, freedom, [1, 1, 2, 4, 20]), rows=300.0)
     for k, i in enumerate(index):
-        half = np.linalg.solve(beside.chol, beside.G[np.ix_(beside.active.index, i)])
-        S, s = beside.G[np.ix_(i, i)] - half.T @ half, beside.Zy_all[i] - half.T @ beside.half
+        half = np.linalg.solve(beside.chol, beside.with_active(i))
+        S, s = made.W[:, i].T @ made.W[:, i] - half.T @ half, beside.Zy_all[i] - half.T @ beside.half
         told, at, b = beside._log_bf((S * freedom[k][:, None] * freedom[k])[None], (freedom[k] * s)[None], 300.0)
         assert_allclose([gain[k], size[k]], [told[0], at[0]], rtol=1e-6)
         assert_allclose(core[k], textbook_share(freedom[k] * b[0], [1, 1, 2, 4, 20][k]), rtol=1e-6)
@@ -51,11 +51,30 @@ def test_columns_added_later_have_the_same_products():
     rng = np.random.default_rng(6)
     _, made = table(rng)
     more = rng.standard_normal((400, 600))  # more than there is room for
+    asked = np.array([6, 2, 4])
+    made.know(asked[:2])
     made.add(more[:, :5])
+    made.know(asked)
     made.add(more[:, 5:])
-    assert_allclose(made.G, made.W.T @ made.W, rtol=1e-9, atol=1e-9)
-    kept = made.W[made.fold != 2]
-    assert_allclose(made.without(2), kept.T @ kept, rtol=1e-9, atol=1e-9)
+    every = np.arange(made.width)
+    for without, W in ((None, made.W), (2, made.W[made.fold != 2])):
+        assert_allclose(made.products(asked, every, without), W[:, asked].T @ W, rtol=1e-9, atol=1e-9)
+        assert_allclose(made.among(asked, without), W[:, asked].T @ W[:, asked], rtol=1e-9, atol=1e-9)
+
+
+def test_products_are_formed_anew_for_another_noise_and_after_columns_are_forgotten():
+    rng = np.random.default_rng(7)
+    _, made = table(rng)
+    asked, fresh = np.array([1, 5, 6]), rng.standard_normal((400, 3))
+    for change in (lambda: made.recolour(Colour(20.0, 0.9)), lambda: made.forget(7)):
+        made.add(fresh)
+        made.know(asked)
+        made.among(asked)
+        change()
+        made.add(fresh[:, 1:])
+        W = made.W[made.fold != 1]
+        assert_allclose(made.products(asked, np.arange(made.width), 1), W[:, asked].T @ W, rtol=1e-9, atol=1e-9)
+        assert_allclose(made.among(asked, 1), W[:, asked].T @ W[:, asked], rtol=1e-9, atol=1e-9)
 
 
 def test_on_noise_alone_no_column_gains():
@@ -87,7 +106,8 @@ def test_a_fold_left_out_is_as_if_it_had_not_been_there():
     data = Data(made, y).hold_out(0)
     rows = made.rows[0]
     keep = np.setdiff1d(np.arange(400), rows)
-    assert_allclose(data.G, made.W[keep].T @ made.W[keep], rtol=1e-9, atol=1e-9)
+    every = np.arange(made.width)
+    assert_allclose(made.products(every, every, data.without), made.W[keep].T @ made.W[keep], rtol=1e-9, atol=1e-9)
     assert_allclose(data.products(), made.W[keep].T @ data.y[keep], rtol=1e-9, atol=1e-9)
     assert data.n == keep.size
 
