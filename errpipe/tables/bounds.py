@@ -205,7 +205,7 @@ def cost(table: t.CompensationTable) -> tuple[Cost, Cost]:
 
 
 # Bytes of one record of the C runtime's work area on a 64-bit machine in double, and on a 32-bit one in single.
-_WORK = {8: (176, 16, 72, 16, 8, 64, 8, 16, 88, 32, 4), 4: (96, 8, 44, 8, 4, 36, 4, 16, 48, 28, 4)}
+_WORK = {8: (176, 16, 72, 16, 8, 64, 8, 32, 88, 56, 4), 4: (96, 8, 44, 8, 4, 36, 4, 16, 48, 28, 4)}
 
 
 def work_bytes(table: t.CompensationTable, real: int = 8) -> int:

@@ -732,6 +732,7 @@ static ect_error load_profiles(ect *e, const sections *s)
                 || !is_turn_count_small(e, p, step))) {
             return ECT_PROFILE;
         }
+        p->value = (ect_real)i32_at(p->values) * p->scale;
         p->same_grid = (uint8_t)(i > 0 && p->input >= 0 && same_bytes(r, before, 8) && same_bytes(r + 12, before + 12, 20));
         used += count;
     }
@@ -754,14 +755,14 @@ static ect_error load_sums(ect *e, const sections *s)
         const uint8_t *r = s->at[PAIRS] + i * RECORD[PAIRS];
         ect_pair *p = &e->pairs[i];
         e->where = i;
-        p->component = u32_at(r);
-        p->profile = u32_at(r + 4);
-        p->node = u32_at(r + 8);
         p->keep = u32_at(r + 12);
-        if (p->component >= s->count[COMPONENTS] || p->profile >= s->count[PROFILES] || p->node >= s->count[NODES]
+        if (u32_at(r) >= s->count[COMPONENTS] || u32_at(r + 4) >= s->count[PROFILES] || u32_at(r + 8) >= s->count[NODES]
             || p->keep > 1) {
             return ECT_PAIR;
         }
+        p->component = &e->components[u32_at(r)];
+        p->profile = &e->profiles[u32_at(r + 4)].value;
+        p->node = &e->nodes[u32_at(r + 8)].value;
     }
     return ECT_OK;
 }
@@ -823,17 +824,18 @@ static ect_error load_outputs(ect *e, const sections *s)
         const uint8_t *r = s->at[TERMS] + i * RECORD[TERMS];
         ect_term *t = &e->terms[i];
         e->where = i;
-        t->component = u32_at(r);
         t->count = u32_at(r + 4);
         t->weight = real_at(r + 24);
-        if (t->component >= s->count[COMPONENTS] || t->count > 4 || !is_number(t->weight)) {
+        if (u32_at(r) >= s->count[COMPONENTS] || t->count > 4 || !is_number(t->weight)) {
             return ECT_TERM;
         }
+        t->component = &e->components[u32_at(r)];
         for (k = 0; k < 4; k++) {
-            t->node[k] = u32_at(r + 8 + 4 * k);
-            if (k < t->count ? t->node[k] >= s->count[NODES] : t->node[k] != 0xFFFFFFFFu) {
+            uint32_t number = u32_at(r + 8 + 4 * k);
+            if (k < t->count ? number >= s->count[NODES] : number != 0xFFFFFFFFu) {
                 return ECT_TERM;
             }
+            t->node[k] = k < t->count ? &e->nodes[number].value : NULL;
         }
     }
     return ECT_OK;
@@ -1076,28 +1078,32 @@ static uint32_t condition(ect *e, const ect_real *readings, const uint8_t *fresh
     return status;
 }
 
-/* What the table sees of the inputs, and what their validity leaves of it. */
-static void show(ect *e, int thermal)
+/* What the table sees of the inputs; the least that the validity of one leaves of the correction. */
+static ect_real show(ect *e, int thermal)
 {
     uint32_t i;
+    ect_real least = R(1);
     for (i = 0; i < e->input_count; i++) {
         ect_input *in = &e->inputs[i];
         ect_real v = in->now, o;
-        if (in->slow && !thermal) {
-            continue;
-        }
-        if (in->flags & HAS_VALID) {
-            in->left = R(1);
-            o = v < in->valid_low ? in->valid_low - v : v - in->valid_high;
-            if (o > R(0)) {
-                in->left = R(1) - o / in->margin;
-                if (e->rules > 1) {
-                    v = v < in->valid_low ? in->valid_low : in->valid_high;
+        if (!in->slow || thermal) {
+            if (in->flags & HAS_VALID) {
+                in->left = R(1);
+                o = v < in->valid_low ? in->valid_low - v : v - in->valid_high;
+                if (o > R(0)) {
+                    in->left = R(1) - o / in->margin;
+                    if (e->rules > 1) {
+                        v = v < in->valid_low ? in->valid_low : in->valid_high;
+                    }
                 }
             }
+            in->value = v;
         }
-        in->value = v;
+        if (in->left < least) {
+            least = in->left;
+        }
     }
+    return least;
 }
 
 /* nodes (6) -------------------------------------------------------------------------------------- */
@@ -1247,15 +1253,8 @@ static ect_real move(const ect *e, ect_real x, ect_real goal, ect_real whole)
     return goal > x + step ? x + step : goal < x - step ? x - step : goal;
 }
 
-static uint32_t run_fade(ect *e, int lost)
+static uint32_t run_fade(ect *e, ect_real target)
 {
-    ect_real target = lost ? R(0) : R(1);
-    uint32_t i;
-    for (i = 0; !lost && i < e->input_count; i++) {
-        if (e->inputs[i].left < target) {
-            target = e->inputs[i].left;
-        }
-    }
     if (!(target > R(0))) {
         target = R(0);
     }
@@ -1271,8 +1270,7 @@ static uint32_t run_profiles(ect *e)
     for (i = 0; i < e->profile_count; i++) {
         ect_profile *p = &e->profiles[i];
         if (p->input < 0) {
-            p->value = (ect_real)i32_at(p->values) * p->scale;
-            continue;
+            continue; /* its value is fixed */
         }
         if (!p->same_grid) {
             ect_real n = (ect_real)p->last, s = (e->inputs[p->input].value - p->start) * p->inverse_step;
@@ -1313,20 +1311,20 @@ static uint32_t run_sums(ect *e)
     }
     for (i = 0; i < e->pair_count; i++) {
         const ect_pair *p = &e->pairs[i];
-        ect_real part = e->profiles[p->profile].value * e->nodes[p->node].value;
+        ect_real part = *p->profile * *p->node;
         if (!p->keep) {
             part = part * e->fade;
         }
-        e->components[p->component] = e->components[p->component] + part;
+        *p->component = *p->component + part;
     }
     for (i = 0; i < e->output_count; i++) {
         ect_output *o = &e->outputs[i];
         ect_real d = R(0);
         for (k = o->first; k < o->first + o->count; k++) {
             const ect_term *t = &e->terms[k];
-            ect_real part = t->weight * e->components[t->component];
+            ect_real part = t->weight * *t->component;
             for (m = 0; m < t->count; m++) {
-                part = part * e->nodes[t->node[m]].value;
+                part = part * *t->node[m];
             }
             d = d + part;
         }
@@ -1436,15 +1434,16 @@ void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int mode)
 {
     uint32_t status;
     int slow;
+    ect_real left;
     if (e->table == NULL) {
         return;
     }
     slow = e->until_slow == 0;
     e->until_slow = (slow ? e->slow_every : e->until_slow) - 1;
     status = ECT_RUNNING | condition(e, readings, fresh);
-    show(e, slow);
+    left = show(e, slow);
     status |= run_nodes(e, slow);
-    status |= run_fade(e, (status & LOST) != 0);
+    status |= run_fade(e, status & LOST ? R(0) : left);
     status |= run_profiles(e);
     status |= run_sums(e);
     if (mode == ECT_HOLD) {

@@ -101,7 +101,9 @@ typedef struct {
 } ect_profile;
 
 typedef struct {
-    uint32_t component, profile, node, keep;
+    const ect_real *profile, *node; /* their values */
+    ect_real *component;
+    uint32_t keep;
 } ect_pair;
 
 typedef struct {
@@ -114,7 +116,8 @@ typedef struct {
 
 typedef struct {
     ect_real weight;
-    uint32_t component, count, node[4];
+    const ect_real *component, *node[4]; /* their values */
+    uint32_t count;
 } ect_term;
 
 typedef struct {
