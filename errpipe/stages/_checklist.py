@@ -23,7 +23,7 @@ def checklist(
 
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Unit: {target.unit}."]
-    if table.title.startswith(_artefacts.UNGATED):
+    if _artefacts.UNGATED in table.title:
         lines += [
             "",
             f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
@@ -32,8 +32,8 @@ def checklist(
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
     numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others))
     read = _within_travel(read, table)
-    happens = (*_plausible.of_files(read), *_at_the_axis(table), *_of_force(table))
-    lines += [f"- {says}." for says in happens] + ["", "## Switch it on", ""]
+    happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
+    lines += [f"- {says}." for says in dict.fromkeys(happens)] + ["", "## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]

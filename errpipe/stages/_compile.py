@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from errpipe.guard.description import SensorGuard
 
 
+TURN = 360.0  # deg
+USUAL = 1.5  # steps between targets: what is left of a turn beyond that was not measured
+
+
 class CompileOptions(Options):
     """How a model becomes a table."""
 
@@ -101,12 +105,29 @@ def compile_model(
         position_cycle_s=options.position_cycle,
         thermal_cycle_s=options.thermal_cycle,
         machine=model.machine,
-        title=model.title,
+        title="; ".join(filter(None, [*_not_measured(placed, followed, recording), model.title])),
         version=__version__,
         fingerprint=jsonfile.fingerprint(_artefacts.model_json(model)),
     )
     speeds = travel_speeds(recording) if recording is not None else {}
     return tables.limited(table, speeds, of_axes=stated)
+
+
+def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Recording | None) -> list[str]:
+    """What is bridged of a turn: where the ends of what was measured lie further apart than its targets do."""
+    import numpy as np
+
+    from errpipe.stages import _inputs, _plausible
+
+    said = []
+    for axis in sorted(_inputs.turning(model) & {p.axis for p in pairs if p.profile is not None and not p.period}):
+        low, high = _inputs.travel(model)[axis]
+        column = recording and (recording.name("command", axis=axis) or recording.name("position", axis=axis))
+        places = np.unique(recording.array(column)) if recording and column else np.empty(0)
+        usual = float(np.diff(places[(places >= low) & (places <= high)]).max(initial=0.0))
+        if low + TURN - high > USUAL * usual:
+            said.append(_plausible.bridged(axis, high, low + TURN))
+    return said
 
 
 def travel_speeds(recording: Recording) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 PLACES = 41  # positions along an axis at which corrections are evaluated for the largest
+NOT_MEASURED = re.compile(r"(\w+) not measured from (\S+) to (\S+) deg")  # `bridged`
 UNBOUNDED = (-1e5, 1e5)  # mm: the believable range of a position (`_inputs.CHANNELS`) where no profile has an end
 
 
@@ -91,7 +93,31 @@ def of_table(table: CompensationTable) -> list[str]:
     """One sentence for each axis that a table moves: where its correction is largest, and which way it goes."""
     from errpipe.targets import _sample
 
-    return [says for axis in _sample.outputs_by_axis(table) for _, says in [_largest(table, axis)] if says]
+    largest = [says for axis in _sample.outputs_by_axis(table) for _, says in [_largest(table, axis)] if says]
+    return [*largest, *not_measured(table)]
+
+
+def not_measured(table: CompensationTable) -> list[str]:
+    """A sentence for each rotary axis of whose turn a part was not measured: bridged (the title says so) or held."""
+    from errpipe.targets import _sample
+
+    bridges = [
+        f"{axis} was not measured from {low} to {high} deg: the correction there is drawn from one end to the other; "
+        "measure it before cutting there"
+        for axis, low, high in NOT_MEASURED.findall(table.title)
+    ]
+    ends = {x: _sample.span(table, x) for x in _sample.positions_of(table) if x[0] in "ABC"}
+    return bridges + [
+        f"{axis} is corrected from {low:g} to {high:g} deg and held beyond: for an axis that turns on, state its "
+        "travel (0 to 360 deg) in the recording and export again"
+        for axis, (low, high) in ends.items()
+        if high - low < _sample.TURN - 1e-6
+    ]
+
+
+def bridged(axis: str, low: float, high: float) -> str:
+    """What the title of a table says of a part of a turn that was not measured, deg."""
+    return f"{axis} not measured from {low:g} to {high:g} deg"
 
 
 def of_files(read: Any) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,6 +14,17 @@ from errpipe.formats import manifest_folder
 from errpipe.tables import ect
 from errpipe.targets import _sample
 
+ROTARY = ("linuxcnc_hal", "linuxcnc_screw", "iec_st", "c_runtime", "twincat_nc_table", "beckhoff_ssfk", "fanuc_pitch")
+TURNING = """
+pipeline: 1
+stages:
+  - {kind: ingest, recording: rows}
+  - kind: fit
+    components:
+      - {component: ECC, terms: [{term: measured_points, axis: C}]}
+  - {kind: validate}
+  - {kind: export, targets: [%s]}
+"""
 PIPELINE = """
 pipeline: 1
 stages:
@@ -58,3 +71,32 @@ def test_lost_motion_alone_is_exported_over_the_travel(tmp_path, moves):
     rows = np.loadtxt(tmp_path / "out" / "export" / "linuxcnc_screw" / "x.comp")
     np.testing.assert_allclose(rows[:, 0], [-300.0, 0.0])
     np.testing.assert_allclose(rows[:, 1] - rows[:, 2], 0.008, atol=3e-4)
+
+
+BRIDGED, HELD = "C was not measured from 270 to 360 deg", "C is corrected from 0 to 270 deg and held beyond"
+
+
+@pytest.mark.parametrize(
+    ("last", "travel", "said"),
+    [(270.0, (0.0, 360.0), BRIDGED), (270.0, None, HELD), (330.0, (0.0, 360.0), ""), (360.0, None, "")],
+)
+def test_the_part_of_a_turn_that_nobody_measured_is_named_everywhere(tmp_path, last, travel, said):
+    """Targets every 30 deg: what a last step is short of a turn is no more of a guess than any other step."""
+    r, x = np.random.default_rng(5), np.tile(np.arange(0.0, last + 1.0, 30.0), 8)
+    frame = pd.DataFrame({"run": np.repeat(list("12345678"), x.size // 8), "c": x})
+    frame["ECC"] = 80.0 * np.sin(np.radians(x)) + r.normal(0, 0.3, x.size)
+    columns = {
+        "run": Column(role="run"),
+        "c": Column(role="position", axis="C", unit="deg"),
+        "ECC": Column(role="error", component="ECC", unit="urad"),
+    }
+    constants = {"C": Constant(role="axis", kind="rotary", travel=travel, unit="deg")}
+    manifest = Manifest(recording=1, tables=("recording.parquet",), columns=columns, constants=constants)
+    manifest_folder.write(Recording(manifest, frame), tmp_path / "rows")
+    (tmp_path / "p.yaml").write_text(TURNING % ", ".join(ROTARY))
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 0
+    consequences = json.loads((tmp_path / "out" / "export" / "export.json").read_text())["consequences"]
+    texts = [path.read_text() for path in (tmp_path / "out" / "export").rglob("CHECKLIST.md")]
+    assert len(texts) == len(ROTARY)
+    for text in (*texts, "\n".join(consequences)):
+        assert [sentence for sentence in (BRIDGED, HELD) if sentence in text] == ([said] if said else [])
