@@ -69,8 +69,9 @@ def modelled(case: Case, k: int) -> Modelled:
         linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores, dependence)
         joint = max(joint, alone)
     if curved is None and spans and not projected:  # a size goes with the scale that it was fitted at
-        cov[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
-        linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, cov, scale), strict=True)]
+        wide = cov.copy()
+        wide[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
+        linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, wide, scale), strict=True)]
     estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]

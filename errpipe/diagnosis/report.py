@@ -145,6 +145,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     own = {f.hypothesis.effect for f in accepted}
     margin = min((r[1] for r in rivals if r[0] not in own), default=50.0)
     margin = min(margin, max(case.over_noise, 0.0))
+    others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
     return confidence.Indicators(
         gain=accepted[k].gain,
@@ -159,7 +160,18 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         rows=int(case.y.size),
         unreached=unreached(case, case.sigma) if proved else 0.0,
         fast=int(is_fast(case)),
+        beside=0.0 if proved else _best_shape(case, case.chosen()),
+        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
     )
+
+
+def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
+    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none."""
+    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
+    if not inputs:
+        return 0.0
+    sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
+    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
 
 
 def unreached(case: Case, left: float) -> float:
