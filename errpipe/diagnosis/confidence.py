@@ -41,8 +41,8 @@ class Indicators:
 
 # Fitted on 445 findings of 432 cases, half of them drawn with seeds 3001, 3002 and 3103 of trials/first, half by a
 # second generator of the same kinds (not kept here), and 107 findings of 90 cases whose hidden effect was withheld from
-# the library (weight 0.35); then rounded. `beside` and `instead` took the place of `shapes` later, the rest as it was: 159
-# findings (trials/first 9441, trials/second 9442, a sweep of single effects; withheld ones with weight 0.5).
+# the library (weight 0.35); then rounded. `beside` and `instead` took the place of `shapes` later, the rest as it was:
+# 159 findings (trials/first 9441, trials/second 9442, a sweep of single effects; withheld ones with weight 0.5).
 NAMING = {
     "constant": -1.83,
     "gain": 0.25,
