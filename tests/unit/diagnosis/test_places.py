@@ -51,6 +51,54 @@ def test_a_wave_beside_another_one_that_the_simulation_holds():
     assert {p.name: p.value for p in said.findings[0].parameters}["period"] == pytest.approx(180.0)
 
 
+def one_pass(component: str, unit: str, hidden, constants: dict | None = None, passes: int = 1, **more):
+    """Passes of one axis one way, 0.2 s a row, with the deviation `hidden` of (position, temperature); the simulation
+    holds nothing."""
+    rng, count = np.random.default_rng(4), 240
+    x = np.tile(np.linspace(0, 100, count), passes)
+    t = 0.2 * np.arange(x.size)
+    warm = 20 + 6 * (1 - np.exp(-t / 15)) + 0.5 * np.sin(t / 4) + 0.003 * rng.normal(size=x.size)
+    columns = {"run": np.repeat(np.arange(passes), count).astype(str), "t": t, "p": x, "T": warm}
+    columns["E"] = hidden(x, warm) + 0.3 * rng.normal(size=x.size)
+    columns["S"] = 0 * x
+    error = {"component": component, "unit": "urad" if unit == "deg" else "um"}
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "p": {"role": "position", "axis": component[2], "unit": unit},
+        "T": {"role": "temperature", "unit": "degC", "location": "scale"},
+        "E": {"role": "error", **error},
+        "S": {"role": "simulated", **error},
+    }
+    return diagnose(recording(columns, kinds, constants))[0].responses[0].findings[0]
+
+
+def test_a_straightness_that_goes_with_the_position_is_a_squareness():
+    assert one_pass("EYX", "mm", lambda x, warm: 0.05 * x).effect == "squareness"
+
+
+def test_a_straightness_with_a_wave_has_one():
+    assert one_pass("EYX", "mm", lambda x, warm: 2 * np.sin(2 * np.pi * x / 7)).effect == "pitch_cyclic"
+
+
+def test_passes_one_way_have_no_sides():
+    """The returns between them are not recorded: what depends on the side is then what depends on the place."""
+    assert one_pass("EXX", "mm", lambda x, warm: 0.05 * x, passes=3).effect == "scale_error"
+
+
+def test_an_axis_in_degrees_turns_where_no_constant_says_so():
+    found = one_pass("ECC", "deg", lambda x, warm: 5 * np.sin(2 * np.pi * x / 9))
+    assert {p.name: p.unit for p in found.parameters}["period"] == "deg"
+
+
+def test_an_expansion_within_a_minute_is_one():
+    """Its departures, usual delays of minutes, must not take the place of the textbook form."""
+    found = one_pass("EXX", "mm", lambda x, warm: 20e-3 * x * (warm - 20))
+    assert found.effect == "scale_expansion" and found.confidence > 0.7
+    low, high = found.parameters[0].ci95
+    assert low < 20 < high and high - low < 20
+
+
 def test_wear_is_no_drift_where_the_clock_starts_anew_with_each_tool():
     each, tools = np.arange(0.0, 60), 8
     t, tool = np.tile(each, tools), np.repeat(np.arange(tools), each.size).astype(str)

@@ -1,11 +1,15 @@
 """The search: what explains together beats what explains best alone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from errpipe.diagnosis import judge
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.diagnosis.search import Search
+from errpipe.terms import NEVER
 from errpipe.terms.offset import Offset
 
 TERM = (Offset(),)
@@ -45,3 +49,14 @@ def test_one_cause_is_not_taken_for_two():
     rng = np.random.default_rng(1)
     a, b = rng.standard_normal((2, 400))
     assert explained({"a": a, "b": b, "near": a + 0.1 * b}, 2.0 * a + rng.standard_normal(400)) == {"a"}
+
+
+def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monkeypatch):
+    """Else its finding counts as excluded, too, when the two are compared, and the other one always stands."""
+    found = SimpleNamespace(effect="a", drivers=("x",))
+    made = SimpleNamespace(library=SimpleNamespace(hypotheses=[found]), prior=np.zeros(1))
+    earlier = SimpleNamespace(prior=made.prior)
+    monkeypatch.setattr(judge, "_settled", lambda made: ())
+    monkeypatch.setattr(judge, "_explained", lambda made: made)
+    other = judge._without(made, SimpleNamespace(hypothesis=found))
+    assert other.prior[0] == NEVER and earlier.prior[0] == 0.0
