@@ -25,6 +25,15 @@ def direction_of(component: str) -> str | None:
     return None
 
 
+def as_positioning(component: str) -> str:
+    """The positioning deviation of the axis that a component belongs to (EXX of EYX), else the component.
+
+    What goes with a screw's turn or an axis' reversal pushes sideways, too.
+    """
+    own = own_axis(component)
+    return component if own is None else f"E{own}{own}"
+
+
 def is_radial(component: str) -> bool:
     """Is it the radial deviation of a circular test?"""
     return component == "E_R"

@@ -13,7 +13,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, direction_column, position, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._place import as_positioning, axes_acting, is_radial
 from errpipe.terms._slack import Slack, bent, gradual_reversal
 
 
@@ -45,6 +45,10 @@ class Backlash(Term):
         for axis in axes_acting(recording, component):
             if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
                 yield cls(axis=axis, radial=is_radial(component))
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Backlash]:
+        return cls.bind(recording, as_positioning(component))
 
     def cuttable(self, recording: Recording) -> bool:
         return recording.name("direction", axis=self.axis) is not None

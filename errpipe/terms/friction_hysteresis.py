@@ -18,7 +18,7 @@ from errpipe.kernels.events import approach_overrun
 from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, is_radial
+from errpipe.terms._place import as_positioning, axes_acting, is_radial
 from errpipe.terms._slack import Slack, bent
 
 OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (chosen in 0.1..1),
@@ -65,6 +65,10 @@ class FrictionHysteresis(Term):
                 yield cls(
                     axis=axis, radial=is_radial(component), overrun=cls._overrun(recording, axis) if sided else 0.0
                 )
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[FrictionHysteresis]:
+        return cls.bind(recording, as_positioning(component))
 
     @classmethod
     def example(cls) -> Example:

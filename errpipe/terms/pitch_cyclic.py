@@ -14,7 +14,7 @@ from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import axes_acting, drive_periods, is_radial, own_axis
+from errpipe.terms._place import as_positioning, axes_acting, drive_periods, is_radial
 from errpipe.terms._search import Signals, Waves
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
@@ -61,16 +61,14 @@ class PitchCyclic(Term):
 
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[PitchCyclic]:
-        """Also of a straightness: a bent screw pushes its nut sideways once a turn."""
-        own = own_axis(component)
-        yield from cls.bind(recording, component if own is None else f"E{own}{own}")
+        return cls.bind(recording, as_positioning(component))
 
     @classmethod
     def located(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[PitchCyclic, tuple[float, ...]]]:
         """Several orders of one wave, as the mismatch shows them."""
-        for axis in () if is_radial(component) else axes_acting(recording, component):
+        for axis in () if is_radial(component) else axes_acting(recording, as_positioning(component)):
             stated = drive_periods(recording.manifest.axis(axis))
             for period, orders, known in waves.seen(recording, axis, signals, stated):
                 yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
