@@ -15,7 +15,7 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
-from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, zoomed
+from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, only_noise, zoomed
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -169,6 +169,18 @@ RETRIES = 4  # further searches, each without the findings ruled out before
 
 def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; `found`: by the search."""
+    case = _without_impossible(made, search, *found)
+    return _nothing_named(made) if only_noise(case) else case
+
+
+def _nothing_named(made: SetUp) -> Case:
+    """The case without any name."""
+    made.prior[:] = NEVER
+    return _explained(made, *_settled(made))
+
+
+def _without_impossible(made: SetUp, search: Search, *found: Explanation) -> Case:
+    """The best explanation without what cannot be true, and where one is close, without what has no size."""
     case = _explained(made, search, *found)
     for _ in range(RETRIES):
         out = plausible.impossible(case)
@@ -176,8 +188,7 @@ def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
             break
         case = _without(made, out[0])
     else:
-        made.prior[:] = NEVER  # no effect is accepted in their place either
-        case = _explained(made, *_settled(made))
+        case = _nothing_named(made)  # no effect is accepted in their place either
     for m in plausible.doubtful(case)[:1]:
         prior = made.prior.copy()
         other = _without(made, m)

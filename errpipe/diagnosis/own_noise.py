@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.diagnosis import coloured
-from errpipe.diagnosis.case import SetUp, chosen_of
+from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.evidence import Data
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import Explanation, Search, settled
@@ -16,6 +16,7 @@ from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
+LIKELIER = 10.0  # log Bayes factor by which noise alone must be likelier than names to take their place
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
@@ -110,3 +111,18 @@ def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, in
             block = scaled(core[rows], slack[rows], freedom)
             if near not in known and block is not None:
                 yield fine, block, core.shape[1]
+
+
+def only_noise(case: Case) -> bool:
+    """Is it clearly likelier that nothing is missing, in noise that is a linear process, than what the names say?
+
+    Autoregressions of what is left with and without the names, compared by BIC: a wave in noise whose spectrum is high
+    there, or a bow in a random walk, is no finding.
+    """
+    chosen = case.chosen()
+    if not chosen:
+        return False
+    named, bare = (coloured.autoregression(residual(case, way), case.run).evidence for way in (chosen, []))
+    freedom = case.search.scene(chosen).freedom_used() - case.search.scene([]).freedom_used()
+    freedom += sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
+    return bool(named - 0.5 * freedom * np.log(case.y.size) < bare - LIKELIER)

@@ -6,11 +6,12 @@ import numpy as np
 
 from errpipe.diagnosis import confidence, holdout
 from errpipe.diagnosis.case import Case, residual
-from errpipe.diagnosis.coloured import USUAL
+from errpipe.diagnosis.coloured import USUAL, is_linear_noise
 from errpipe.domain.diagnosis import Finding, Where
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
-PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold
+PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold,
+NOISE = 0.2  # and where what is left is a linear Gaussian process
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 WANDERING = 2.0  # threshold: rms of the residual over the noise between neighbours, from which it wanders
 
@@ -19,7 +20,7 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
     """Chance that a mechanism outside the vocabulary is at work; PROVISIONAL where held-out rows do not show it.
 
     Autocorrelated residuals alone (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
-    must predict held-out rows.
+    must predict held-out rows, or what is left must come in events or in a rhythm.
     """
     share = held.shape_share()
     if indicators:
@@ -31,7 +32,9 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
         p = confidence.unknown_alone(gain, drop, max(share, 0.0))
     if wanders(case) or unexplained(case, held):
         p = max(p, PROVISIONAL)
-    return p if share >= HELD_OUT_SHARE else min(p, PROVISIONAL)
+    if share >= HELD_OUT_SHARE or p < NOISE:
+        return p
+    return min(p, NOISE if is_linear_noise(residual(case), case.run) else PROVISIONAL)
 
 
 def wanders(case: Case) -> bool:

@@ -85,3 +85,38 @@ def test_a_reversed_sign_is_a_recalibration_and_is_said():
     assert response.verdict == "recalibrate" and "opposite signs" in response.says
     (gain,) = [p for f in response.findings for p in f.parameters if p.name == "gain of simulation less 1"]
     assert -2.1 < gain.value < -1.9 and response.holdout.rms_after_um < 0.3 * response.holdout.rms_before_um
+
+
+def narrow(rng, n: int, pole: float = 0.97, turn: float = 2.1):
+    """Noise with a resonance: its spectrum is high around one frequency."""
+    out = np.zeros(n + 200)
+    for i, push in enumerate(rng.standard_normal(n + 200)):
+        out[i] = 2 * pole * np.cos(turn) * out[i - 1] - pole**2 * out[i - 2] + push
+    return out[200:] / out[200:].std()
+
+
+@pytest.mark.parametrize("kind", ["AR(1) 0.9", "AR(1) 0.99", "random walk", "1/f", "white"])
+def test_noise_that_wanders_is_a_linear_process(kind):
+    run = np.zeros(600, dtype=int)
+    quiet = [coloured.is_linear_noise(noise.KINDS[kind](np.random.default_rng(k), 600), run) for k in range(20)]
+    assert sum(quiet) >= 17
+
+
+def test_events_and_rhythms_are_no_linear_process():
+    rng, run, i = np.random.default_rng(6), np.zeros(900, dtype=int), np.arange(900)
+    decays = sum(np.where(i >= a, 12.0 * np.exp(-(i - a) / 15.0), 0.0) for a in (90, 350, 410, 700))
+    beat = 3.0 * np.sin(2 * np.pi * i / 60 + 2.0 * np.sin(i / 300))
+    for structure in (decays, beat):
+        assert not coloured.is_linear_noise(structure + rng.standard_normal(900), run)
+
+
+def test_a_wave_of_noise_whose_spectrum_is_high_there_is_no_finding():
+    rng = np.random.default_rng(11)
+    i = np.arange(1500)
+    x, noisy = 0.02 * i, narrow(rng, i.size)
+    for hidden, wanted in ((0.0, []), (2.0 * np.sin(2 * np.pi * x / 1.7), ["pitch_cyclic"])):
+        columns = {"t": 0.5 * i, "x": x, "E": 0.3 * x + hidden + noisy, "S": 0.3 * x}
+        kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
+        for name, role in (("E", "error"), ("S", "simulated")):
+            kinds[name] = {"role": role, "component": "EXX", "unit": "um"}
+        assert [effect for effect, _ in noise.said(recording(columns, kinds))] == wanted
