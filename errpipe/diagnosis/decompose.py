@@ -175,6 +175,8 @@ class _Work:
             others = chosen[:p] + chosen[p + 1 :]
             moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 5) if k[0] != chosen[p][0]]
         out = []
+        together = [np.zeros(0, dtype=int), *(self.library.indices(i) for move in moves for i, _ in move)]
+        self.data.table.know(np.concatenate(together))
         for move in moves:
             name = tuple(sorted(i for i, _ in move))
             if name not in seen:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from errpipe.diagnosis import admit, holdout, hypotheses, model, partial, plausible, recalibration
 from errpipe.diagnosis import decompose as parts
@@ -88,6 +89,7 @@ def _least_size(library, i: int, held: parts.Decomposition) -> float:
 
 
 OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
+OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few beyond it as among these
 
 
 HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
@@ -158,7 +160,7 @@ def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> boo
 def _isolated_outliers(left: np.ndarray) -> np.ndarray:
     """Isolated outliers: rows beyond the threshold whose neighbours are not."""
     size = np.abs(left) / (1.4826 * np.median(np.abs(left)) + 1e-300)
-    out = size > OUTLIER
+    out = size > -ndtri(ndtr(-OUTLIER) * min(OUTLIER_ROWS / left.size, 1.0))
     beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
     return out & (beside < size)
 
