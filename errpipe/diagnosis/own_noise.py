@@ -16,7 +16,6 @@ from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
-LIKELIER = 10.0  # log Bayes factor by which noise alone must be likelier than names to take their place
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
@@ -114,15 +113,21 @@ def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, in
 
 
 def only_noise(case: Case) -> bool:
-    """Is it clearly likelier that nothing is missing, in noise that is a linear process, than what the names say?
+    """Is it likelier that nothing is missing, in noise that is a linear process, than what the names say?
 
-    Autoregressions of what is left with and without the names, compared by BIC: a wave in noise whose spectrum is high
-    there, or a bow in a random walk, is no finding.
+    A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding.
     """
     chosen = case.chosen()
-    if not chosen:
-        return False
-    named, bare = (coloured.autoregression(residual(case, way), case.run).evidence for way in (chosen, []))
-    freedom = case.search.scene(chosen).freedom_used() - case.search.scene([]).freedom_used()
-    freedom += sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
-    return bool(named - 0.5 * freedom * np.log(case.y.size) < bare - LIKELIER)
+    used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
+    nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
+    gain = linear_gain(case, residual(case, []), residual(case), used[0] - used[1] + nonlinear)
+    return bool(chosen) and gain < 0.0
+
+
+def linear_gain(case: Case, before: np.ndarray, after: np.ndarray, freedom: float) -> float:
+    """By how much the log evidence of noise that is a linear process grows with an explanation, less its price (BIC).
+
+    before, after: residuals (rows,); freedom: effective number of coefficients in between.
+    """
+    grown = coloured.autoregression(after, case.run).evidence - coloured.autoregression(before, case.run).evidence
+    return grown - 0.5 * freedom * float(np.log(case.y.size))

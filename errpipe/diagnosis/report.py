@@ -19,7 +19,6 @@ from errpipe.diagnosis import (
     whiteness,
 )
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
-from errpipe.diagnosis.evidence import Scene
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 from errpipe.terms import Term
 
@@ -50,7 +49,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     p_unknown = unnamed.chance(case, indicators, held)
     findings, verdict = _verdict(case, findings, p_unknown, unnamed.unexplained(case, held))
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
-        contribution["unknown"], after = _with_shape(case)
+        contribution["unknown"], after = unnamed.with_shapes(case)
     floor = float(
         min(case.sigma, case.noise_estimate) if indicators or p_unknown >= unnamed.PROVISIONAL else case.sigma
     )
@@ -90,15 +89,6 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
-
-
-def _with_shape(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Contribution of the shapes without a name on the judged rows, and the residual of findings and shapes."""
-    shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
-    named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
-    b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
-    contribution = shapes @ b[-shapes.shape[1] :]
-    return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
 
 
 def _datums(case: Case) -> str:

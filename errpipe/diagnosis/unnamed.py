@@ -7,6 +7,8 @@ import numpy as np
 from errpipe.diagnosis import confidence, holdout
 from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.coloured import USUAL, is_linear_noise
+from errpipe.diagnosis.evidence import Scene
+from errpipe.diagnosis.own_noise import linear_gain
 from errpipe.domain.diagnosis import Finding, Where
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
@@ -32,9 +34,27 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
         p = confidence.unknown_alone(gain, drop, max(share, 0.0))
     if wanders(case) or unexplained(case, held):
         p = max(p, PROVISIONAL)
-    if share >= HELD_OUT_SHARE or p < NOISE:
+    if p < NOISE or (share >= HELD_OUT_SHARE and not shapes_are_noise(case)):
         return p
     return min(p, NOISE if is_linear_noise(residual(case), case.run) else PROVISIONAL)
+
+
+def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Contribution of the shapes without a name on the judged rows, and the residual of findings and shapes."""
+    shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
+    named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
+    contribution = shapes @ b[-shapes.shape[1] :]
+    return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
+
+
+def shapes_are_noise(case: Case) -> bool:
+    """Does a linear process account for what the shapes do? Slow inputs follow a random walk between held-out rows."""
+    if not case.remainder.taken:
+        return False
+    scenes = Scene(case.search.data, case.remainder.active, case.search.noise), case.search.scene(case.chosen())
+    freedom = scenes[0].freedom_used() - scenes[1].freedom_used()
+    return linear_gain(case, residual(case), with_shapes(case)[1], freedom) < 0.0
 
 
 def wanders(case: Case) -> bool:
