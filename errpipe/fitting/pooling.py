@@ -63,25 +63,31 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return (matrix + matrix.T) / 2.0
 
 
-def distance(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> float:
-    """Squared Mahalanobis distance of two machines' estimates; chi-square with p degrees where they are alike."""
-    gap = a - b
-    return float(gap @ np.linalg.pinv(covariance, hermitian=True) @ gap)
+def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Squared Mahalanobis distance of every two machines, (n, n); chi-square where they are alike.
+
+    estimates: (n, p); covariances: (n, p, p).
+    """
+    out = np.zeros((len(estimates), len(estimates)))
+    for i in range(len(estimates) - 1):
+        gaps = estimates[i + 1 :] - estimates[i]
+        precisions = np.linalg.pinv(covariances[i + 1 :] + covariances[i], hermitian=True)
+        out[i, i + 1 :] = out[i + 1 :, i] = np.einsum("ij,ijk,ik->i", gaps, precisions, gaps)
+    return out
 
 
 def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
     """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-
-    count = len(estimates)
-    if count < 2:
+    if len(estimates) < 2:
         return []
-    pairs = [
-        distance(estimates[i], estimates[j], covariances[i] + covariances[j])
-        for i in range(count)
-        for j in range(i + 1, count)
-    ]
     limit = chi2_quantile(1.0 - level, estimates[0].size)
-    labels = fcluster(linkage(np.array(pairs), "complete"), limit, "distance")
-    groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
-    return sorted((g for g in groups if len(g) > 1), key=lambda g: (-len(g), g))
+    apart = distances(np.array(estimates), np.array(covariances))
+    np.fill_diagonal(apart, np.inf)
+    groups = [[k] for k in range(len(estimates))]
+    while apart.min() <= limit:
+        i, j = sorted(np.unravel_index(int(apart.argmin()), apart.shape))
+        groups[i] += groups[j]
+        groups[j] = []
+        apart[i] = apart[:, i] = np.maximum(apart[i], apart[j])
+        apart[j] = apart[:, j] = np.inf
+    return sorted((sorted(g) for g in groups if len(g) > 1), key=lambda g: (-len(g), g))
