@@ -5,9 +5,9 @@ day. Held-out runs choose: of each family the setting with the least error enter
 least squares with no negative weight and a sum of at most one (stacked regression, Breiman 1996), so that doing nothing
 and partial gains compete. An entrant joins only where the mixture is better with it, run by run, by a paired t test.
 
-The other groupings have a veto. A fit without a season uses about half of the data, so its residual cannot be
-compared with held-out runs, and would choose models that are too simple; but an entrant with more than
-`REGRET` times the best one's rms there, or a larger one than no compensation, is excluded.
+Groupings by surroundings (season, warmth of the start) have a veto. A fit without a season uses about half of the data,
+so its residual cannot be compared with held-out runs, and would choose models that are too simple; but an entrant with
+more than `REGRET` times the best one's rms there, or a larger one than no compensation, is excluded.
 All of this uses the fitted rows only, so that the result can be judged on other rows.
 """
 
@@ -66,8 +66,7 @@ class Entrant:
 class Grouping:
     """A way to leave groups out: its name, its folds (each a tuple of the groups that sit out) and their labels.
 
-    labels: empty where folds are batches of groups. decides: whether no family wins where all are worse than no
-    compensation here.
+    labels: empty where folds are batches of groups. decides: whether it stands for other surroundings, and may exclude.
     """
 
     name: str
@@ -225,19 +224,17 @@ class _Judged:
 
 
 def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
-    """Mask of the entrants that no grouping beside runs excludes (see `REGRET`).
+    """Mask of the entrants that no grouping by surroundings excludes (see `REGRET`).
 
-    Where every entrant is worse than no compensation, a grouping that does not decide says that half of the duty cycles
-    (say) cannot teach the other half, and not which entrant is wrong.
+    Other groupings are shown and exclude nobody: that half of the duty cycles cannot teach the other half says little
+    of the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less is left so.
     """
     admitted = np.ones(len(next(iter(judged.values())).predicted), dtype=bool)
-    for name, judge in judged.items():
-        if name != RUN and admitted.size:
-            mean_squares = judge.mean_square()
-            better = mean_squares <= judge.by_group({}).mean()
-            admitted &= mean_squares <= REGRET**2 * mean_squares.min()
-            if name in deciding or better.any():
-                admitted &= better
+    for name in deciding & set(judged) - {RUN}:
+        mean_squares = judged[name].mean_square()
+        admitted &= mean_squares <= np.minimum(
+            REGRET**2 * mean_squares.min(initial=np.inf), judged[name].by_group({}).mean()
+        )
     return admitted
 
 
