@@ -34,7 +34,7 @@ def checklist(
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     lines += [f"- {says}." for says in dict.fromkeys(happens)] + ["", "## Switch it on", ""]
-    lines += [f"{n}. {step}" for n, step in enumerate(target.activation, 1)]
+    lines += [f"{n}. {step}" for n, step in enumerate((*_numbered(target, table), *target.activation), 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
     lines += ["", "## Three-point check", ""]
@@ -60,6 +60,19 @@ def checklist(
         seen = lost[0]["states"]
         lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
+
+
+def _numbered(target: Any, table: CompensationTable) -> list[str]:
+    """Which axis the files mean by a number: they count the axes of the table, which knows no others."""
+    from errpipe.targets import _sample
+
+    if not target.numbering:
+        return []
+    named = (f"{axis} is {target.numbering.format(n, n + 1)}" for n, axis in enumerate(_sample.axes_of(table)))
+    return [
+        f"in the files {', '.join(named)}: only the axes of this table are counted. Compare with the machine's own "
+        "numbers and change them where they differ, else another axis is moved"
+    ]
 
 
 def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:

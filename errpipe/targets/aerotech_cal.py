@@ -27,6 +27,7 @@ class AerotechCal(ScrewMap):
     limits = "equidistant; one curve for both directions; the axis' own position; no temperature"
     holds = ("screw",)
     remark = {"": "; {}"}
+    numbering = "axis {1}"
     source = "help.aerotech.com/automation1, Axis Calibration (semantics); keywords from experience"
     activation = (
         "compare the keywords with the controller's own help before loading; list the file under Calibration",

@@ -37,11 +37,12 @@ class BeckhoffCrosscomp(Target):
     holds = ("cross",)
     rounding_um = 0.2
     remark = {"": "# {}"}
+    numbering = "axis number {1}"
     source = "TF5200 axis compensation, cross compensation; ISG kernel parameters kw.crosscomp"
     activation = (
-        "put the lines into the list (achskw) of the slave axis, beside its screw; set this machine's axis numbers",
+        "put the lines into the list (achskw) of the slave axis, beside its screw (the manual has: master, too)",
         "lr_param.crosscomp 1 of the slave axis",
-        "compare the slave's offset at three master positions",
+        "compare the slave's offset at three master positions: it moves by the list below, and no other axis moves",
     )
     goes_with = ("beckhoff_ssfk", "beckhoff_temperature")
 

@@ -33,6 +33,7 @@ class BeckhoffSsfk(ScrewMap):
     unit = "0.1 um (0.0001 deg), whatever the program counts in"
     holds = ("screw", "both directions")
     rounding_um = 0.15
+    numbering = "axis number {1}"
     source = "TF5200 axis compensation lists; ISG kernel parameters kw.ssfk"
     activation = (
         "announce the list in hochlauf.lis (zahl_kw, achs_kw[i], achs_kw_log_ax_nr[i])",

@@ -43,6 +43,7 @@ class FanucPitch(ScrewMap):
     holds = ("screw", "both directions")
     keeps_level = False
     rounding_um = 1.0
+    numbering = "A{1}"
     source = "B-63980EN, B-63950EN, A-77810E (parameters 3620 to 3627); pitch block from experience"
     activation = (
         "the reference position must lie at machine coordinate 0 (parameter 1240 = 0), where point 3620 is; where it "
@@ -54,10 +55,10 @@ class FanucPitch(ScrewMap):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        axes = [axis for _, axis in cls.own_axes(table)]
+        axes = cls.own_axes(table)
         most = MOST // (2 * len(axes))
         lines, first = ["%", f"({CAUTION.upper()})"], 0
-        for number, axis in enumerate(axes, 1):
+        for number, axis in axes:
             points, error = _sample.uniform(table, axis, axis, most - SPARE, 0.5)
             curve = _whole_steps(table, axis, points, most, error)
             lines += _block(number, axis, first, curve)

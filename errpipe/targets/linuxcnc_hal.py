@@ -49,6 +49,7 @@ class LinuxcncHal(Target):
     limits = "nothing is lost; machine units mm; the servo thread must run at the table's position cycle"
     holds = ("screw", "both directions", "cross", "temperature")
     remark = {".hal": "# {}"}
+    numbering = "joint {0}"
     source = "LinuxCNC: docs hal/comp, config/ini-config (OFFSET_AV_RATIO), man motion (axis.L.eoffset)"
     activation = (
         "halcompile --install errpipe.comp (package linuxcnc-uspace-dev)",

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import VerifyError
+from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
@@ -36,7 +36,7 @@ class MitsubishiPitch(ScrewMap):
     controller = "Mitsubishi M6x, C6x, M7x"
     confidence = "experimental"
     sign = "a running sum above zero moves the axis in plus (prove it on the machine)"
-    limits = "half micrometres; -128..127 a division; one curve for both directions; the axis' own position"
+    limits = "half micrometres; -128..127 a division; one curve for both directions; linear axes only"
     unit = "half units of output of 1 um: a metric machine; one with other units does not take them"
     holds = ("screw",)
     keeps_level = False
@@ -53,7 +53,10 @@ class MitsubishiPitch(ScrewMap):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         lines, first = [f"# {CAUTION}"], 1
-        for number, (_, axis) in enumerate(cls.own_axes(table)):
+        axes = [axis for _, axis in cls.own_axes(table)]
+        if any(axis[0] in "ABC" for axis in axes):
+            raise GateError("mitsubishi_pitch: linear axes only (no manual that was read says how a turn is divided)")
+        for number, axis in enumerate(axes):
             points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
             step = float(np.ceil(points.step * 1e3 - 1e-6)) / 1e3
             at = _sample.around_zero(*_sample.span(table, axis), step)

@@ -41,6 +41,7 @@ class PmacComp(ScrewMap):
     holds = ("screw", "both directions")
     keeps_level = False
     remark = {"": "; {}"}
+    numbering = "#{1}"
     source = "PMAC 2 Software Reference p. 207, 208 (DEFINE BLCOMP, COMP), Turbo PMAC p. 301, 303; user manual p. 79"
     activation = (
         "the motor must have 10000 counts per mm (deg); else multiply all lengths and entries by its counts / 10000",

@@ -60,6 +60,7 @@ class SinumerikCec(Target):
     limits = "8 tables of 200 points, equidistant; sums of curves and (4 tables each) products; no temperature"
     holds = ("screw", "both directions", "cross")
     remark = {"": "; {}"}
+    numbering = "AX{1}"
     source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1, K3 (p. 245, 248 to 252, 264); 802D sl p. 222"
     activation = (
         "MD18342 points per table; the option for sag compensation, else alarm 8040",

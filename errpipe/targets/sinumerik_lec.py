@@ -31,6 +31,7 @@ class SinumerikLec(ScrewMap):
     limits = "equidistant; 200 points (808D; 840D sl: MD38000); one direction; the axis' own position"
     holds = ("screw",)
     remark = {"": "; {}"}
+    numbering = "AX{1}"
     source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1 (K3); 808D manual"
     activation = (
         "MD38000 MM_ENC_COMP_MAX_POINTS at least the number below, then power on",

@@ -30,6 +30,7 @@ class SinumerikTemperature(Target):
     limits = "a straight line over the axis per sensor; settled state, no lag; slew limited by MD32760"
     holds = ("temperature",)
     remark = {"": "; {}"}
+    numbering = "AX{1}"
     source = "Function Manual Extended Functions K3 (p. 225 to 230)"
     activation = (
         "MD32750 TEMP_COMP_TYPE = 3 (level and slope); MD32760 COMP_ADD_VELO_FACTOR bounds the step per cycle",

@@ -13,7 +13,8 @@ from errpipe.domain.table import TableInput
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, VerifyError
 from errpipe.stages import targets as stage
-from errpipe.targets import TARGETS
+from errpipe.stages._checklist import checklist
+from errpipe.targets import TARGETS, _sample
 from errpipe.targets._base import AS_THE_AXIS
 from tests.unit.targets import machines, manual_readers
 
@@ -84,7 +85,7 @@ def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
         assert 1e3 * np.abs(gap - level).max() < max(1.05 * target.rounding_um, 0.3), letter
 
 
-LINEAR = {"haas_pitch", "marlin_gcode", "reprap_heightmap"}  # no rotary axis
+LINEAR = {"haas_pitch", "marlin_gcode", "mitsubishi_pitch", "reprap_heightmap"}  # no rotary axis
 TURNS = {"0 to 360": (0.0, 360.0), "-180 to 180": (-180.0, 180.0), "0 to 330 of a turn": (0.0, 330.0)}
 REPEAT = {
     "beckhoff_ssfk",
@@ -167,3 +168,37 @@ def test_an_inch_list_holds_no_rotary_axis():
     (target,) = [t for t in TARGETS if t.name == "haas_pitch"]
     with pytest.raises(GateError, match="C: a list in inches holds no rotary axis"):
         target.write(of(*MACHINES["rotary axis 0 to 360"]))
+
+
+def only_y():
+    """The table reads X and Y and moves Y alone."""
+    bow = Lowered(d.ONE, "X", lambda x: 4.0 * np.sin(np.pi * x / 500.0))
+    own = (Lowered(d.ONE, "Y", lambda y: 0.02 * y), Lowered(d.Direction(axis="Y"), None, even(-3)))
+    inputs = [TableInput(name=a.lower(), kind="position", axis=a, low=-50, high=550, default=0) for a in ("X", "Y")]
+    sources = [tables.ComponentSource("EYX", "um", (bow,)), tables.ComponentSource("EYY", "um", own)]
+    return tables.compile_table(sources, inputs=inputs, travel=dict.fromkeys("XY", (0, 500)))
+
+
+@pytest.mark.parametrize("target", [t for t in TARGETS if t.numbering], ids=lambda t: t.name)
+def test_a_file_that_counts_axes_says_which_one_it_means(target):
+    """Y is the second of them; its number stands in the file, and the checklist asks to compare it."""
+    table = machines.warm() if "temperature" in target.holds and len(target.holds) == 1 else only_y()
+    files = target.write(table)
+    (first,) = [x for x in checklist(target, target.read_back(files), [], table).splitlines() if x.startswith("1. ")]
+    letters = _sample.axes_of(table)
+    for n, letter in enumerate(letters):
+        assert f"{letter} is {target.numbering.format(n, n + 1)}" in first
+    assert "else another axis is moved" in first
+    if letters == ["X", "Y"]:
+        text = "".join(files.values())
+        called = {
+            "aerotech_cal": "OUTAXIS=2",
+            "beckhoff_ssfk": "kopf.achs_nr                  2",
+            "beckhoff_crosscomp": "kopf.achs_nr 2",
+            "fanuc_pitch": "N03620Q1A2P",
+            "linuxcnc_hal": "joint.1.pos-cmd => errpipe.in-y",
+            "pmac_comp": "#2\nDEFINE BLCOMP",
+            "sinumerik_cec": "$AN_CEC_OUTPUT_AXIS[0]=(AX2)",
+            "sinumerik_lec": "$AA_ENC_COMP[0,0,AX2]",
+        }
+        assert called[target.name] in text
