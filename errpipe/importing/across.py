@@ -9,9 +9,10 @@ from __future__ import annotations
 import re
 from itertools import pairwise
 
+from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import DEEPEST_HEADER, split_header
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
 from errpipe.importing.wide import run_and_side, statistic
 
 Figures = list[float | None]
@@ -27,7 +28,10 @@ def upright(sheet: Sheet) -> Sheet:
     at = next((r for r, row in enumerate(rows) if _are_targets(row, rows[r + 1 : r + 4], comma)), None)
     if at is None:
         return sheet
-    targets = [number(c, comma) for c in sheet.rows[at]]
+    try:
+        targets = [number(c, comma) for c in of_one_mark(sheet.rows[at], comma)]
+    except ValueError as err:
+        raise DataError(f"targets: {err} may have a mark of thousands or of decimals") from None
     places = [i for i, v in enumerate(targets) if v is not None]
     sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
     found: list[tuple[str | None, str, float | None, Figures]] = []

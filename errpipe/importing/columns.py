@@ -8,8 +8,10 @@ from datetime import datetime
 
 import numpy as np
 
+from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
+from errpipe.importing.sheet import Cell
 from errpipe.importing.words import CORRECTION, DOWN, UP, WORDS, plain
 
 KIND_OF_UNIT = {
@@ -30,22 +32,33 @@ KIND_OF_UNIT = {
     "urad": "error",
     "arcsec": "error",
 }
+UNKNOWN = "nothing in its name, unit or values says what it is"
+NO_PLACES = ("temperature", "current", "torque", "spindle_speed", "feed", "pressure", "humidity", "time")
 _AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE)
 _AXIS_ABOVE = re.compile(
     r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{2,4})(?:T00:00:00)?")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( [AP]M)?")
 DATES = (
     "%d.%m.%Y %H:%M:%S.%f",
     "%d.%m.%Y %H:%M:%S",
     "%d.%m.%Y %H:%M",
     "%d.%m.%y %H:%M:%S",
     "%d.%m.%y %H:%M",
-    "%m/%d/%Y %H:%M:%S",
     "%m/%d/%Y %I:%M:%S %p",
+    "%m/%d/%Y %H:%M:%S.%f",
+    "%m/%d/%Y %H:%M:%S",
+    "%m/%d/%Y %H:%M",
+    "%d/%m/%Y %H:%M:%S.%f",
+    "%d/%m/%Y %H:%M:%S",
+    "%d/%m/%Y %H:%M",
+    "%Y/%m/%d %H:%M:%S",
     "%H:%M:%S.%f",
     "%H:%M:%S",
+    "%H:%M",
 )
 
 
@@ -62,6 +75,8 @@ def guess(column: RawColumn) -> ColumnGuess:
     """What a column probably is. A column that fits nothing is `ignore`."""
     text = plain(column.header)
     axis = axis_in(column.header)
+    if column.numeric and component_in(column.header.strip()) == column.header.strip():
+        return ColumnGuess("error", axis, f"its name ({column.header}, a component of ISO 230-1)")
     for pattern, kind in WORDS:
         if re.search(pattern, text):
             kind, why = _settled(kind, column)
@@ -72,7 +87,7 @@ def guess(column: RawColumn) -> ColumnGuess:
         return ColumnGuess("direction", axis, "its values (two signs)")
     if seconds(column) is not None and not column.numeric:
         return ColumnGuess("time", axis, "its values (dates)")
-    return ColumnGuess("ignore", axis, "nothing in its name, unit or values says what it is")
+    return ColumnGuess("ignore", axis, UNKNOWN)
 
 
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
@@ -90,6 +105,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "called a compensation, but of two values: it says whether one is on"
     if kind not in ("time", "run", "direction") and not column.numeric:
         return "ignore", "its values are no numbers"
+    if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "") in NO_PLACES:
+        return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
         return "counts", "its unit (counts)"
     if kind in ("velocity", "feed") and unit in ("rpm",):
@@ -111,6 +128,16 @@ def axis_in(text: str) -> str | None:
     """The axis letter that a text names, or None."""
     match = _AXIS.search(text)
     return match.group(1).upper() if match else None
+
+
+def component_in(text: str) -> str | None:
+    """The ISO 230-1 component that a header names, or None."""
+    for word in re.findall(r"[A-Z][A-Z0-9_]{2,4}", text):
+        try:
+            return components.parse(word).name
+        except ValueError:
+            continue
+    return None
 
 
 # Angular errors of a horizontal axis by their usual names (ISO 230-1): the axis they turn about.
@@ -154,6 +181,7 @@ def axis_above(lines: list[str]) -> str | None:
 def side(text: object) -> float | None:
     """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
     word = re.sub(r"^([+-])ve$", r"\1", plain(text).removesuffix(".0").rstrip(".:"))
+    word = re.sub(r"^[xyzabcuvw]\d? ?([+-])$", r"\1", word)
     words = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
     word = words[0] if len(words) == 1 else word
     return 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
@@ -172,53 +200,54 @@ def sides(column: RawColumn) -> np.ndarray:
     return np.array([np.nan if s is None else s for s in signs])
 
 
-def seconds(column: RawColumn) -> tuple[np.ndarray, str | None] | None:
-    """A column of dates or clock times as s since its first, and that date by ISO 8601; None where it is none."""
-    texts = [str(c).strip() for c in column.cells if c not in (None, "")]
-    if not texts:
-        return None
-    parse = _parser(texts[0])
-    if parse is None:
-        return None
-    out = np.full(len(column.cells), np.nan)
-    first: datetime | None = None
-    for i, cell in enumerate(column.cells):
-        if cell in (None, ""):
+def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
+    """A column of dates or clock times as s since its first, that date by ISO 8601, and how it is written.
+
+    None where it is none.
+    """
+    texts = [str(c).strip().replace(",", ".") if c not in (None, "") else "" for c in column.cells]
+    first = next((t for t in texts if t), None)
+    for form in ("ISO 8601", *DATES) if first else ():
+        try:
+            stamps = [_stamp(t, form) if t else None for t in texts]
+            start = next(s for s in stamps if s is not None)
+            out = np.array([np.nan if s is None else (s - start).total_seconds() for s in stamps])
+        except (ValueError, TypeError):  # TypeError: some stamps with a time zone, some without
             continue
-        try:
-            when = parse(str(cell).strip())
-        except ValueError:
-            return None
-        first = first or when
-        try:
-            out[i] = (when - first).total_seconds()
-        except TypeError:  # some stamps with a time zone, some without
-            return None
-    steps = np.flatnonzero(np.diff(out[np.isfinite(out)]) < -43200)  # s: a clock without a date passed midnight
-    dated = first is not None and first.year > 1901
-    if not dated and steps.size:
+        if start.year > 1901:
+            return out, start.isoformat(), form
+        steps = np.flatnonzero(np.diff(out[np.isfinite(out)]) < -43200)  # s: a clock without a date passed midnight
         rows = np.flatnonzero(np.isfinite(out))
         for step in steps:
             out[rows[step + 1 :]] += 86400.0
-    return out, first.isoformat() if dated and first is not None else None
-
-
-def _parser(text: str):
-    """The function that reads stamps like this one, or None."""
-
-    def iso(t: str) -> datetime:
-        return datetime.fromisoformat(t.replace(",", ".").replace("Z", "+00:00"))
-
-    try:
-        if re.match(r"\d{4}-\d\d", text):
-            iso(text)
-            return iso
-    except ValueError:
-        return None
-    for form in DATES:
-        try:
-            datetime.strptime(text.replace(",", "."), form)
-        except ValueError:
-            continue
-        return lambda t, form=form: datetime.strptime(t.replace(",", "."), form)
+        return out, None, form
     return None
+
+
+def _stamp(text: str, form: str) -> datetime:
+    if form != "ISO 8601":
+        return datetime.strptime(text, form)
+    if not re.match(r"\d{4}-\d\d", text):
+        raise ValueError(text)
+    return datetime.fromisoformat(text.replace("Z", "+00:00"))
+
+
+def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
+    """A column of dates without a time of day and one of clock times as one column of both."""
+    dates = [c for c in columns if not c.numeric and all(map(_DATE.fullmatch, _texts(c))) and _texts(c)]
+    clocks = [c for c in columns if not c.numeric and all(map(_CLOCK.fullmatch, _texts(c))) and _texts(c)]
+    if len(dates) != 1 or len(clocks) != 1:
+        return columns
+    (date,), (clock,) = dates, clocks
+    both: list[Cell] = [
+        f"{_DATE.fullmatch(str(d).strip()).group(1)} {str(c).strip()}"
+        if d not in (None, "") and c not in (None, "")
+        else None  # type: ignore[union-attr]
+        for d, c in zip(date.cells, clock.cells, strict=True)
+    ]
+    joined = RawColumn(f"{date.header} {clock.header}", None, both, np.full(len(both), np.nan))
+    return [joined if c is date else c for c in columns if c is not clock]
+
+
+def _texts(c: RawColumn) -> list[str]:
+    return [str(cell).strip() for cell in c.cells if cell not in (None, "")]

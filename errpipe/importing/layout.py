@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
+DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
 MOST_REMARKS = 50
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
@@ -33,9 +34,14 @@ UNITS = {
     **dict.fromkeys(("k", "kelvin"), "K"),
     **dict.fromkeys(("s", "sec", "sek", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec"), "ms"),
+    **dict.fromkeys(("us", "µs", "μs"), "us"),
     **dict.fromkeys(("min", "minutes", "minuten"), "min"),
     **dict.fromkeys(("h", "hours", "std"), "h"),
+    **dict.fromkeys(("cm",), "cm"),
+    **dict.fromkeys(("µin", "uin", "microinch"), "microinch"),
     **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
+    **dict.fromkeys(("mdeg", "m°"), "mdeg"),
+    **dict.fromkeys(("arcmin",), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
     **dict.fromkeys(("mrad",), "mrad"),
     **dict.fromkeys(("rad",), "rad"),
@@ -62,6 +68,10 @@ UNITS = {
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _BRACKET = re.compile(r"\s*[\[(]\s*([^\[\]()]{1,14})\s*[\])]\s*")
 _WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
+_AXIS_OF_SHEET = re.compile(
+    r"^([XYZABCUVW])\d?$|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b", re.IGNORECASE
+)
+_RULE = re.compile(r"[-=_+:~*|]{2,}")
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
@@ -95,6 +105,11 @@ class Layout:
         return next((c for c in self.columns if c.header == header), None)
 
 
+def is_word(cell: Cell) -> bool:
+    """Whether a cell is a word, and not one of those for a missing value."""
+    return isinstance(cell, str) and _WORD.match(cell) is not None
+
+
 def unit_of(text: str) -> str | None:
     """The unit that a text is, or None. Capital Nm is a torque, nm a length."""
     plain = text.strip().strip(".:")
@@ -120,7 +135,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
 
     stated: names of the columns of a file without a header, by a person.
     """
-    rows, unit_in_cells = _without_units([row for row in sheet.rows if _filled(row)])
+    rows, unit_in_cells = _without_units([row for row in sheet.rows if _filled(row) and not _is_rule(row)])
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
@@ -130,12 +145,16 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     head_rows = _header_rows(rows, numbers, start)
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
-    above += [f"Axis: {sheet.name}"] if re.fullmatch(r"[XYZABCUVW]\d?", sheet.name) else []
-    if not used and stated:
-        names = [*stated, *names[len(stated) :]]
+    above += [f"Axis: {letter}" for letter in _axis_of_sheet(sheet.name)]
+    units = [
+        u or a or unit_in_cells.get(i)
+        for i, (u, a) in enumerate(zip(units, _units_above(rows, start - used, names), strict=True))
+    ]
+    if stated:
+        units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
+        names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
     elif not used:
         notes.append("the file has no header: columns are numbered")
-    units = [u or unit_in_cells.get(i) for i, u in enumerate(units)]
     remarks = [
         i for i, row in enumerate(rows[start:], start) if _filled(row) and not any(v is not None for v in numbers[i])
     ]
@@ -147,6 +166,39 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
     laid.below = below
     return laid
+
+
+def _axis_of_sheet(name: str) -> list[str]:
+    """The axis that the name of a sheet or file is or holds: `Y`, `Achse Y`, `y-axis_2026`."""
+    found = _AXIS_OF_SHEET.search(name.replace("_", " "))
+    return [next(filter(None, found.groups())).upper()] if found else []
+
+
+def _is_rule(row: list[Cell]) -> bool:
+    """Whether a row is a line drawn with signs, as below the header of a table in Markdown."""
+    return all(isinstance(c, str) and _RULE.fullmatch(c) for c in _filled(row)) and len(_filled(row)) != 1
+
+
+def _units_above(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
+    """The units of a line above the header that holds nothing else: `Units,mm,um`, or LabVIEW's `Y_Unit_Label`."""
+    width = len(names)
+    for row in rows[max(end - DEEPEST_UNITS, 0) : end]:
+        cells = [label(c) for c in row[1:]]
+        if not re.match(r"(y_)?unit|einheit", label(row[0]), re.IGNORECASE) or not all(unit_of(c) for c in cells if c):
+            continue
+        units = [unit_of(c) if c else None for c in cells]
+        if label(row[0]).lower().startswith("y_"):
+            return ([None, *units] + [None] * width)[:width]
+        if len([u for u in units if u]) == width:
+            return [u for u in units if u]
+    return [None] * width
+
+
+def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[str, ...]:
+    """The names that a person said. Raises DataError where they are not as many as the columns of a header."""
+    if len(stated) > width or (header and len(stated) != width):
+        raise DataError(f"--names says {len(stated)} names, the table has {width} columns")
+    return stated
 
 
 def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, str]]:
@@ -209,7 +261,7 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
     counts = [sum(v is not None for v in row) for row in numbers]
     widths = Counter(n for n, c in zip(filled, counts, strict=True) if c >= 2 or (c and n <= 2))
     if not widths:
-        raise DataError(f"{name}: no row with two numbers (a table of measurements is needed)")
+        raise DataError(f"{name}: no row with two numbers (needed: a table of measurements with a column per signal)")
     width = max(widths, key=lambda n: (widths[n] * n, n))
     for r in range(min(len(filled), DEEPEST_HEADER)):
         block = range(r, min(r + 3, len(filled)))
@@ -222,7 +274,8 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
 def _is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
     """A row with a word above a column of numbers is a header even where its other cells are numbers (run 1, 2, 3)."""
     below = numbers[r + 1 : r + 6]
-    for c, cell in enumerate(row):
+    alone = len(_filled(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
+    for c, cell in enumerate([] if alone else row):
         word = isinstance(cell, str) and _WORD.match(cell) is not None and numbers[r][c] is None
         if word and below and sum(len(b) > c and b[c] is not None for b in below) >= 0.8 * len(below):
             return True
@@ -289,6 +342,12 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
     return [n or f"column {i + 1}" for i, n in enumerate(names)], units, used
 
 
+def _metres(names: list[str]) -> list[str]:
+    """`x_m` as `x [m]` where another header ends so too: alone it may be a measured x."""
+    ending = [n for n in names if re.fullmatch(r"\w+_m", n)]
+    return [f"{n[:-2]} [m]" if n in ending and len(ending) > 1 else n for n in names]
+
+
 def _is_preamble(group: list[str], names: list[str]) -> bool:
     """Whether a row above the names is a fact (`Machine;VMC 3`), not a group of columns."""
     cells = [i for i, text in enumerate(group) if text]
@@ -318,13 +377,20 @@ def _layout(
     names = names + [f"column {i + 1}" for i in range(len(names), width)]
     columns = []
     count_of: Counter[str] = Counter()
-    for i, text in enumerate(names):
+    for i, text in enumerate(_metres(names)):
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
         count_of[header] += 1
         if count_of[header] > 1:
-            header = f"{header} ({count_of[header]})"
+            header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run
         cells = [row[i] if i < len(row) else None for row in rows]
+        try:
+            cells = of_one_mark(cells, comma)
+        except ValueError as err:
+            raise DataError(
+                f"column {header!r}: {err} may have a mark of thousands or of decimals (write its numbers without "
+                "thousands, with the mark of the other columns)"
+            ) from None
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
         if any(c not in (None, "") for c in cells):
             columns.append(RawColumn(header, stated or unit, cells, values))

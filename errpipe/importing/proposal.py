@@ -14,7 +14,7 @@ from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
 from errpipe.importing import settle, wide
-from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 
@@ -25,14 +25,23 @@ PLAIN_UNITS = {
     "thou": ("mm", 0.0254),
     "tenths of a thou": ("mm", 0.00254),
     "1/100 mm": ("mm", 0.01),
+    "cm": ("mm", 10.0),
+    "microinch": ("um", 0.0254),
+    "deg": ("arcsec", 3600.0),
+    "mdeg": ("arcsec", 3.6),
+    "arcmin": ("arcsec", 60.0),
+    "rad": ("mrad", 1000.0),
 }
+PLACES = ("command", "position", "actual")
+_OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,8}|%|°")  # what may be a unit that is not known
+_NO_UNIT = ("x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
 def propose(layout: Layout, options: ImportOptions) -> Proposal:
     """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
     _no_reading(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
-    layout.columns = [part for c in layout.columns for part in wide.split_labels(c)]
+    layout.columns = [part for c in guessing.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     proposal = Proposal(notes=list(layout.notes))
     if not layout.columns:
         raise DataError("no column has a value")
@@ -41,6 +50,9 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
+        angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in PLACES]
+        if angles:
+            raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
         axis = "X"
         proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
     if wide_layout is not None:
@@ -132,7 +144,7 @@ def _long(
     layout: Layout, guesses: dict[str, guessing.ColumnGuess], axis: str, options: ImportOptions, p: Proposal
 ) -> None:
     """One row of the file is one row of the recording."""
-    keep = _measured_rows(layout, guesses)
+    keep = _measured_rows(layout, guesses) & ~_figures_below(layout, p)
     dropped = len(keep) - int(keep.sum())
     if dropped:
         p.notes.append(f"{dropped} rows without a position, time or reading were left out (sums, remarks, blank lines)")
@@ -141,7 +153,7 @@ def _long(
     parts = [
         RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
     ]
-    for column in parts:
+    for column in [c for c in parts if any(cell not in (None, "") for cell in c.cells)]:
         odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
         if odd and column.numeric:
             p.notes.append(f"{len(odd)} cells of {column.header!r} are no numbers (the first: {odd[0]!r}): left empty")
@@ -196,11 +208,9 @@ def _wide_readings(
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
     unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
-    if unit in PLAIN_UNITS:
-        plain, factor = PLAIN_UNITS[unit]
-        values, why, unit = values * factor, f"{why}; {unit} written as {plain}", plain
+    values, unit, why = _plain_unit(values, unit, why)
     if unit is None:
-        unit = unit_by_size(values) if components.unit(component) == "um" else components.unit(component)
+        unit = settle.unit_by_size(values) if components.unit(component) == "um" else components.unit(component)
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
     p.put(
         component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis, _headers=headers
@@ -217,6 +227,30 @@ def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
     return keep & np.any(numbers, axis=0) if numbers else keep & False
 
 
+def _figures_below(layout: Layout, p: Proposal) -> np.ndarray:
+    """Rows of figures over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above."""
+    out = np.zeros(len(layout.columns[0].cells), dtype=bool)
+    for c in layout.columns:
+        words = {i: str(cell) for i, cell in enumerate(c.cells) if cell not in (None, "") and np.isnan(c.values[i])}
+        figures = np.flatnonzero(np.isfinite(c.values))
+        after = figures[-1] if c.numeric else len(c.cells)  # a word below the last number is no run
+        named = [i for i, text in words.items() if wide.statistic(text) or (i > after and re.search(r"[^\W\d]", text))]
+        out[named] |= len(named) < 0.2 * len(c.cells)
+    texts = [
+        [is_word(cell) and v != v for cell, v in zip(c.cells, c.values, strict=True)]
+        for c in layout.columns
+        if c.numeric
+    ]
+    if len(texts) > 1:  # lines of facts above the numbers, as wide as they are
+        out |= 2 * np.sum(texts, axis=0) >= len(texts)
+    if out.any():
+        first = " ".join(label(c.cells[int(np.argmax(out))]) for c in layout.columns).strip()
+        p.notes.append(
+            f"{int(out.sum())} rows are figures over the runs, not readings (the first: {first!r}): left out"
+        )
+    return out
+
+
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
     """One column of the file with the role that was guessed."""
     stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
@@ -226,16 +260,17 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     if g.kind == "time":
         _time(c, unit, why, p)
     elif g.kind == "direction":
-        p.put(c.header, guessing.sides(c), why, role="direction", axis=own)
+        p.put(c.header, guessing.sides(_filled_down(c, p)), why, role="direction", axis=own)
     elif g.kind in ("run", "group"):
-        p.put(c.header, [label(x) for x in c.cells], why, role=g.kind, of=stated.get("of"))
+        p.put(c.header, [label(x) for x in _filled_down(c, p).cells], why, role=g.kind, of=stated.get("of"))
     elif g.kind in ("command", "position", "actual"):
-        unit, why = _unit_or(unit, "deg" if own[0] in "ABC" else "mm", why)
-        p.put(c.header, c.values, why, role=g.kind, axis=own, unit=unit)
+        unit, why = _unit_or(_known_unit(c, unit), "deg" if own[0] in "ABC" else "mm", why)
+        values, unit, why = _plain_unit(c.values, unit, why, ROLE_UNITS[g.kind])
+        p.put(c.header, values, why, role=g.kind, axis=own, unit=unit)
     elif g.kind == "counts":
         _counts(c, own, why, options, p)
     elif g.kind in ("error", "simulated"):
-        component = stated.get("component") or options.component or component_in(c.header)
+        component = stated.get("component") or options.component or guessing.component_in(c.header)
         _response(c, g.kind, own, options.unit or unit, why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
@@ -254,6 +289,41 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         p.put(c.header, c.values if c.numeric else [label(x) for x in c.cells], g.why, role="ignore")
 
 
+def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
+    """The column with empty cells as the one above, where only the first row of each block is filled (merged cells)."""
+    filled = np.array([cell not in (None, "") for cell in c.cells])
+    if filled.all() or not filled[0] or filled.mean() > 0.5:
+        return c
+    at = np.maximum.accumulate(np.where(filled, np.arange(filled.size), 0))
+    p.notes.append(f"empty cells of {c.header!r} are as the filled one above them (merged cells)")
+    return RawColumn(c.header, c.unit, [c.cells[i] for i in at], c.values[at])
+
+
+def _known_unit(c: RawColumn, unit: str | None) -> str | None:
+    """The unit of a column, or None. Raises DataError where its header has another one in brackets."""
+    found = re.search(r"[\[(]\s*([^\[\]()]{1,8}?)\s*[\])]", c.header)
+    odd = found if unit is None and found and _OTHER_UNIT.fullmatch(found.group(1)) else None
+    word = RawColumn(odd.group(1), None, c.cells, c.values) if odd else c
+    sided = len(word.header) > 1 and guessing.side(word.header) is not None
+    named = sided or word.header.lower() in _NO_UNIT
+    if odd and not named and (len(word.header) == 1 or guessing.guess(word).kind == "ignore"):
+        raise DataError(
+            f"column {c.header!r}: {odd.group(1)!r} is no known unit (such as um, mm, inch, thou, deg, urad, arcsec): "
+            f"say it with --set '{c.header}.unit=...'"
+        )
+    return unit
+
+
+def _plain_unit(
+    values: np.ndarray, unit: str | None, why: str, allowed: tuple[str, ...] = ()
+) -> tuple[np.ndarray, str | None, str]:
+    """Values in a unit that the manifest has, that unit, and the reason with what was converted."""
+    if unit not in PLAIN_UNITS or unit in allowed:
+        return values, unit, why
+    plain, factor = PLAIN_UNITS[unit]
+    return values * factor, plain, f"{why}; {unit} written as {plain}"
+
+
 def _unit_or(unit: str | None, usual: str, why: str) -> tuple[str, str]:
     if unit is not None:
         return unit, why
@@ -265,18 +335,38 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
     if p.first("time") is not None:
         p.put(c.header, [label(x) for x in c.cells], "a second clock", role="ignore")
     elif stamps is not None:
-        p.put("t", stamps[0], f"{why}; dates written as s since the first row", role="time", unit="s", epoch=stamps[1])
-    elif c.numeric:
-        unit, why = _unit_or(unit if unit in ROLE_UNITS["time"] else None, "s", why)
-        p.put(
-            c.header,
-            c.values - np.nanmin(c.values) if np.nanmin(c.values) > 1e8 else c.values,
-            why,
-            role="time",
-            unit=unit,
+        since, epoch, form = stamps
+        order = (
+            "; the month first" if form.startswith("%m/%d") else "; the day first" if form.startswith("%d/%m") else ""
         )
+        p.put("t", since, f"{why}; dates written as s since the first row{order}", role="time", unit="s", epoch=epoch)
+    elif c.numeric:
+        values, unit, why = _numbered_time(c, unit, why)
+        p.put(c.header, values, why, role="time", unit=unit)
     else:
         p.put(c.header, [label(x) for x in c.cells], "a date that is not understood", role="ignore")
+
+
+# Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
+EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
+SERIAL_DAYS = (36526.0, 73050.0)  # of a spreadsheet: the years 2000 to 2099
+
+
+def _numbered_time(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str]:
+    """Times that are numbers, their unit and the reason. Raises DataError for days of a spreadsheet or seconds."""
+    first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
+    tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
+    if unit == "us":
+        return (c.values - first) * 1e-6, "s", f"{why}; us written as s"
+    if unit not in ROLE_UNITS["time"] and tick is not None:
+        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size"
+    if unit is None and SERIAL_DAYS[0] <= first <= last < SERIAL_DAYS[1] and last - first < len(c.values):
+        raise DataError(
+            f"column {c.header!r} starts at {first:g}: days of a spreadsheet, or seconds? "
+            f"(--set '{c.header}.unit=d', or s)"
+        )
+    unit, why = _unit_or(unit if unit in ROLE_UNITS["time"] else None, "s", why)
+    return c.values - first if first > 1e8 or (first > SERIAL_DAYS[0] and unit == "d") else c.values, unit, why
 
 
 def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Proposal) -> None:
@@ -299,30 +389,9 @@ def _response(
     if component is None:
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
-    values = c.values
     standard = components.unit(component)
-    if unit in PLAIN_UNITS:
-        plain, factor = PLAIN_UNITS[unit]
-        values, why, unit = values * factor, f"{why}; {unit} written as {plain}", plain
+    values, unit, why = _plain_unit(c.values, _known_unit(c, unit), why)
     if unit is None:
-        unit = standard if standard != "um" else unit_by_size(values)
-        odd = re.search(r"[\[(]([^\[\]()]{1,14})[\])]", c.header)
-        why += f"; {odd.group(1)!r} is no known unit" if odd else ""
+        unit = standard if standard != "um" else settle.unit_by_size(values)
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
     p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis, _headers=(c.header,))
-
-
-def component_in(text: str) -> str | None:
-    """The ISO 230-1 component that a header names, or None."""
-    for word in re.findall(r"[A-Z][A-Z0-9_]{2,4}", text):
-        try:
-            return components.parse(word).name
-        except ValueError:
-            continue
-    return None
-
-
-def unit_by_size(values: np.ndarray) -> str:
-    """um or mm: readings that are all below 1 and have steps below 0.05 are mm (a hundredth of a dial), others um."""
-    size = np.abs(values[np.isfinite(values)])
-    return "mm" if size.size and float(size.max()) < 1.0 else "um"

@@ -7,16 +7,17 @@ reversed there, and the manifest states it.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from errpipe.domain import components, units
 from errpipe.errors import DataError
-from errpipe.importing import words
-from errpipe.importing.layout import Layout
-from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing import columns as guessing
+from errpipe.importing import order, words
+from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
-DENSE_ROWS = 500  # rows: a log, not a test of targets
-DENSE_PLACES = 100  # different commands: a log, not a test of targets
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
 SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
 
@@ -24,6 +25,8 @@ SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the pl
 def settle_positions(p: Proposal, axis: str) -> None:
     """Roles of positions: beside a command the other one is actual; alone a target is the position."""
     leave_numbers(p)
+    one_of_each(p)
+    deviations_as_errors(p)
     axes = {e["axis"] for e in p.entries.values() if e["role"] in ("command", "position", "actual")}
     errors = [e for e in p.entries.values() if e["role"] == "error"]
     for letter in sorted(axes):
@@ -40,16 +43,72 @@ def settle_positions(p: Proposal, axis: str) -> None:
             pass  # all three are recorded
 
 
+def unit_by_size(values: np.ndarray) -> str:
+    """um or mm: readings that are all below 0.1 are mm (0.1 um are no error of an axis), those that reach 1 are um.
+
+    Raises DataError between the two.
+    """
+    size = np.abs(values[np.isfinite(values)])
+    most = float(size.max()) if size.size else 0.0
+    if 0.1 <= most < 1.0:
+        raise DataError(f"the readings reach {most:.3g} and no unit is stated: um or mm? Say it with --unit")
+    return "mm" if most < 0.1 else "um"
+
+
+_BESIDE_THE_MACHINE = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
+
+
+def one_of_each(p: Proposal) -> None:
+    """One commanded and one actual position of an axis; of two actual ones a laser's or a dial's is the measured one.
+
+    Raises DataError where two of a kind differ and nothing says which is meant.
+    """
+    for role in ("command", "actual", "position"):
+        for letter in sorted({e["axis"] for e in p.entries.values() if e["role"] == role}):
+            names = [n for n, e in p.entries.items() if e["role"] == role and e["axis"] == letter and n in p.data]
+            measured = [n for n in names if _BESIDE_THE_MACHINE.search(n)]
+            kept = measured[0] if role == "actual" and len(measured) == 1 else names[0] if names else None
+            for name in [n for n in names if n != kept]:
+                if kept not in measured and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
+                    raise DataError(
+                        f"columns {kept!r} and {name!r} both hold {role} positions of {letter}: say which is meant, "
+                        f"with --set {name}.role=ignore (or command, actual)"
+                    )
+                p.entries[name] = {"role": "ignore"}
+                p.guesses[name] = f"beside {kept}, which is the {role} position"
+
+
+def deviations_as_errors(p: Proposal) -> None:
+    """Readings that do not rise with the command are deviations: a dial that is set to nothing at every target."""
+    if any(e["role"] == "error" for e in p.entries.values()):
+        return
+    for name in [n for n, e in p.entries.items() if e["role"] == "actual" and n in p.data]:
+        entry = p.entries[name]
+        command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
+        if command not in p.data or entry.get("unit") not in ("mm", "um"):
+            continue
+        slope = _slope(_canonical(p, command), _canonical(p, name))
+        if slope is None or abs(slope) > ABSOLUTE or not np.ptp(p.data[name]):
+            continue
+        component, why = components.positioning(entry["axis"]), p.guesses.get(name, "")
+        unit = unit_by_size(p.data[name]) if "no unit is stated" in why else entry["unit"]
+        p.entries[name] = {"role": "error", "component": component, "unit": unit, "_axis": entry["axis"]}
+        p.guesses[name] = f"{why.split('; no unit')[0]}; it does not rise with {command}: deviations in {unit}".strip(
+            "; "
+        )
+
+
 def leave_numbers(p: Proposal) -> None:
-    """Of two commands of an axis, one that counts 1, 2, 3 holds the numbers of the targets."""
+    """Beside another command or position of an axis, one that counts 1, 2, 3 holds the numbers of the targets."""
+    places = ("command", "position")
     for name, entry in p.entries.items():
-        others = [n for n, e in p.entries.items() if n != name and e["role"] == "command" == entry["role"]]
-        if not any(p.entries[n]["axis"] == entry["axis"] for n in others):
+        others = [e for n, e in p.entries.items() if n != name and e["role"] in places and entry["role"] in places]
+        if not any(e["axis"] == entry["axis"] for e in others):
             continue
         values = np.unique(p.data[name])
         if values.size > 2 and np.array_equal(values, np.arange(1, values.size + 1)):
             p.entries[name] = {"role": "ignore"}
-            p.guesses[name] = "it counts 1, 2, 3, ... beside another command: the numbers of the targets"
+            p.guesses[name] = "it counts 1, 2, 3, ... beside another position: the numbers of the targets"
 
 
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
@@ -60,31 +119,56 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     readings_as_errors(p, axis)
     derive_error(p, axis, options)
     if not any(e["role"] == "error" for e in p.entries.values()):
-        have = ", ".join(f"{n} ({e['role']})" for n, e in p.entries.items())
+        have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(
             f"no column holds a deviation, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note)
         )
+    unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
+            if unknown:
+                header = unknown[0].header
+                raise DataError(
+                    f"column {header!r} ({unknown[0].unit}) is not understood, and no position is recorded: say "
+                    f"--set '{header}.role=position', or --set '{header}.role=ignore'"
+                )
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
                 "; "
             )
-    dense = _is_log(p, axis)
-    if dense:
-        _log_of_an_axis(p, axis)
-    else:
-        _directions_and_runs(p, axis)
+    order.settle_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
 
 
+def _found(p: Proposal, name: str) -> str:
+    """A column with its role; one that is ignored with the reason where it has numbers or a known name."""
+    role, why = p.entries[name]["role"], p.guesses.get(name, "")
+    return f"{name} ({role}: {why})" if role == "ignore" and why and why != guessing.UNKNOWN else f"{name} ({role})"
+
+
+def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
+    """Whether a column that nothing was made of has a unit of length and many values."""
+    left_out = p.entries.get(slug(c.header), {}).get("role") == "ignore"
+    return (
+        left_out
+        and c.unit in ("mm", "m", "inch", "um", "deg", "rad")
+        and np.unique(c.values[np.isfinite(c.values)]).size > 3
+    )
+
+
 def leave_corrections(p: Proposal) -> None:
-    """A column of corrections beside one of deviations is left out."""
+    """A column of corrections beside one of deviations is left out, and a following error beside both positions."""
     errors = [n for n, e in p.entries.items() if e["role"] == "error"]
+    for name in [n for n in errors if any(map(words.is_following_error, p.entries[n].get("_headers", (n,))))]:
+        letter = p.entries[name].get("_axis")
+        if p.first("command", letter) and (p.first("actual", letter) or p.first("position", letter)):
+            p.entries[name] = {"role": "ignore"}
+            p.guesses[name] = "a following error beside both positions: the error is derived from them"
+            errors.remove(name)
     corrections = [n for n in errors if any(map(words.is_correction, p.entries[n].get("_headers", (n,))))]
     for name in corrections if len(corrections) < len(errors) else []:
         p.entries[name] = {"role": "ignore"}
@@ -109,6 +193,8 @@ def turn_signs(p: Proposal, layout: Layout, options: ImportOptions) -> None:
             reason = f"it is minus {difference}: the sign is turned" if turn else f"its sign is that of {difference}"
         elif sign is None and corrections:
             sign, reason = "commanded-minus-actual", "a correction is minus the deviation: the sign is turned"
+        elif sign is None and any(map(words.is_following_error, headers)):
+            sign, reason = "commanded-minus-actual", "a following error is commanded minus actual: the sign is turned"
         elif sign is None and reversed_ and not straight:
             sign = "commanded-minus-actual"
             reason = f"the file says {reversed_.group(0)!r}: the sign is turned"
@@ -213,93 +299,3 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
             component, None, role="error", component=component, unit=unit, derived={"minus": [actual, command]}
         )
         p.guesses[name] = f"error = {actual} - {command} (actual minus commanded)"
-
-
-# ---------------------------------------------------------------- order of rows
-
-
-def _is_log(p: Proposal, axis: str) -> bool:
-    command = p.first("command", axis) or p.first("position", axis)
-    if p.first("time") is None or command is None or p.rows < DENSE_ROWS or command not in p.data:
-        return False
-    return np.unique(np.round(p.data[command], 4)).size > DENSE_PLACES
-
-
-def _log_of_an_axis(p: Proposal, axis: str) -> None:
-    """Velocity, acceleration and direction from the command, and an ideal axis as the simulation."""
-    command, time = p.first("command", axis), p.first("time")
-    if command is None or time is None or p.entries[command].get("unit", "mm") not in ("mm", "deg"):
-        return
-    scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
-    t, x = p.data[time] * scale, p.data[command]
-    if np.isfinite(t).all() and np.isfinite(x).all() and np.all(np.diff(t) > 0):
-        unit = p.entries[command].get("unit", "mm")
-        v = np.gradient(x, t)
-        if p.first("velocity", axis) is None:
-            p.put(
-                f"v_{axis}", np.round(v, 6), "derivative of the command", role="velocity", axis=axis, unit=f"{unit}/s"
-            )
-        if p.first("acceleration", axis) is None:
-            a = np.round(np.gradient(v, t), 4)
-            p.put(f"a_{axis}", a, "second derivative of the command", role="acceleration", axis=axis, unit=f"{unit}/s2")
-    error = next(n for n, e in p.entries.items() if e["role"] == "error")
-    if p.first("simulated") is None:
-        component, unit = p.entries[error]["component"], p.entries[error]["unit"]
-        p.put(f"{component}_sim", None, role="simulated", component=component, unit=unit, derived={"constant": 0.0})
-        p.guesses[f"{component}_sim"] = "the simulation is an ideal axis that follows its command (deviation 0)"
-
-
-def _directions_and_runs(p: Proposal, axis: str) -> None:
-    place = p.first("command", axis) or p.first("position", axis)
-    if place is None or place not in p.data:
-        return
-    x = p.data[place]
-    if p.first("direction") is None:
-        moves = motion_sides(x)
-        if moves is not None and np.unique(moves).size == 2:
-            p.put(
-                "direction", moves, "from the order of the positions: +1 where they rise", role="direction", axis=axis
-            )
-    if p.first("run") is None:
-        side = p.first("direction")
-        runs = sweeps(x, p.data.get(side or ""))
-        if len(set(runs)) > 1:
-            why = "a new run each time the targets start again"
-            p.put("run", runs, why, role="run")
-    if p.first("direction") is None and _repeated(x, p.data.get(p.first("run") or "")):
-        p.notes.append(
-            "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
-        )
-
-
-def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
-    """Whether most targets come more than once in a run."""
-    pairs = list(zip(runs or [""] * x.size, np.round(x, 6).tolist(), strict=True))
-    return x.size > 3 and len(set(pairs)) <= 0.6 * len(pairs)
-
-
-def motion_sides(x: np.ndarray) -> np.ndarray | None:
-    """+1 where positions rise, -1 where they fall; a repeated one belongs to the way back. None where unordered."""
-    step = np.sign(np.diff(x))
-    if not step.any():
-        return None
-    out = np.empty(x.size)
-    out[1:] = step
-    out[0] = step[np.flatnonzero(step)[0]]
-    for i in np.flatnonzero(out == 0):
-        later = out[i + 1 :][out[i + 1 :] != 0]
-        out[i] = later[0] if later.size else out[i - 1]
-    turns = np.count_nonzero(np.diff(out))
-    return out if turns <= x.size / 3 else None
-
-
-def sweeps(x: np.ndarray, side: np.ndarray | None) -> list[str]:
-    """Labels of the runs: a pass up and a pass down are one run; without a way back each pass is one."""
-    way = motion_sides(x) if side is None else side
-    if way is None:
-        return ["1"] * x.size
-    jumps = np.r_[False, np.diff(way) != 0]
-    if np.unique(way).size < 2:
-        span = np.ptp(x) or 1.0
-        return [str(1 + k) for k in np.cumsum(np.r_[False, np.abs(np.diff(x)) > 0.5 * span])]
-    return [str(1 + k // 2) for k in np.cumsum(jumps)]

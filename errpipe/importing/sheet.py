@@ -16,6 +16,8 @@ _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
 _GROUPED_BY_MARKS = re.compile(r"[+-]?\d{1,3}(['’]\d{3})+([.,]\d+)?")
 _MINUS_BEHIND = re.compile(r"[\d.,]*[.,]\d+-")
+_DOUBTFUL = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_BLANK_WITHIN = re.compile(r"(?<=\d) (?=\d{3}(?!\d))|(?<=^[+-]) +")
 _GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
 
@@ -57,7 +59,9 @@ def number(cell: Any, comma: bool) -> float | None:
         return float(cell)
     if not cell:
         return None
-    text = str(cell).strip().translate(MINUS).replace(" ", "")
+    text = str(cell).strip().translate(MINUS)
+    if " " in text:  # of thousands, or behind a sign: `12 345`, `- 5.2`
+        text = _BLANK_WITHIN.sub("", text)
     if len(text) > 40:
         return None
     if _MINUS_BEHIND.fullmatch(text):  # as some planning systems write: 5,2-
@@ -71,6 +75,32 @@ def number(cell: Any, comma: bool) -> float | None:
     return float(text) if _PLAIN.fullmatch(text) else None
 
 
+def of_one_mark(cells: list[Cell], comma: bool) -> list[Cell]:
+    """The cells of a column as `number` reads them, whichever mark its decimals and thousands have.
+
+    comma: whether the file writes decimal commas. `75.000` there is 75000 where the column says so: it holds commas,
+    `1.234.567`, or `0` beside `75.000`. Raises ValueError with the cell that may be either.
+    """
+    other = "." if comma else ","
+    texts = {
+        i: c.strip().translate(MINUS).lstrip("+-") for i, c in enumerate(cells) if isinstance(c, str) and other in c
+    }
+    marked = {i: t for i, t in texts.items() if re.fullmatch(rf"\d*\{other}\d+|\d{{1,3}}(\{other}\d{{3}})+", t)}
+    if not marked:
+        return cells
+    groups = [t.split(other) for t in marked.values()]
+    if any(len(g) == 2 and (len(g[1]) != 3 or not 0 < len(g[0]) <= 3 or g[0].startswith("0")) for g in groups):
+        if comma:
+            return cells
+        return [str(c).replace(",", ".") if i in marked else c for i, c in enumerate(cells)]
+    rest = [str(c).strip().translate(MINUS).lstrip("+-") for i, c in enumerate(cells) if i not in marked and c]
+    mixed = any(re.fullmatch(r"\d*" + (r"(\.\d{3})*," if comma else r"(,\d{3})*\.") + r"\d+", t) for t in rest)
+    whole = any(re.fullmatch(r"\d{1,3}", t) for t in rest) and any(t.endswith("0") for t in marked.values())
+    if not (mixed or whole or any(len(g) > 2 for g in groups)):
+        raise ValueError(next(iter(marked.values())))
+    return [str(c).replace(other, "") if i in marked else c for i, c in enumerate(cells)]
+
+
 def label(cell: Cell) -> str:
     """A cell as the name of a run or group: 1.0 -> '1'."""
     if isinstance(cell, float) and cell.is_integer():
@@ -79,12 +109,18 @@ def label(cell: Cell) -> str:
 
 
 def decimal_comma(rows: list[list[Cell]]) -> bool:
-    """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points."""
-    commas = points = 0
+    """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points.
+
+    A mark before three digits may be one of thousands: it counts where no other says more.
+    """
+    commas = points = doubtful = 0
     for row in rows[:2000]:
         for cell in row:
             if isinstance(cell, str) and cell:
                 text = cell.strip().translate(MINUS)
+                if _DOUBTFUL.fullmatch(text):
+                    doubtful += 1 if "," in text else -1
+                    continue
                 commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None
                 points += "." in text and (_PLAIN.fullmatch(text) or _GROUPED_BY_COMMAS.fullmatch(text)) is not None
-    return commas > points
+    return commas > points or (commas == points and doubtful > 0)

@@ -12,6 +12,9 @@ from errpipe.importing.layout import Layout, RawColumn, unit_of
 from errpipe.importing.sheet import label, number
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
+_RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
+_NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
+ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
     r"|max\w*|min\w*|sum\w*|[smrb](?= |$)|\d ?s(igma)?|standard\w*"
@@ -39,6 +42,11 @@ class Wide:
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
     """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
+    if _NO_NAME.fullmatch(header):
+        return None, None
+    numbered = _RUN_AND_LETTER.fullmatch(guessing.plain(header))
+    if numbered and (way := guessing.side(numbered.group(2))) is not None:
+        return numbered.group(1), way
     tokens = _TOKEN.findall(re.sub(r"([+-])ve\b", r"\1", guessing.plain(header)))
     letters = [t for t in tokens if not t.isdigit()]
     numbers = [t for t in tokens if t.isdigit()]
@@ -46,8 +54,9 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     side = None
     for k, token in enumerate(reversed(tokens)):
         mark = not token[0].isalnum()
-        if token.isdigit() or token == "pos" or (len(token) == 1 and not mark and not lone) or (mark and k > 0):
-            continue  # a sign counts at the end alone: `Soll-Ist`, `1-2`
+        sign_within = k > 0 and mark and token not in ARROWS  # a sign counts at the end alone: `Soll-Ist`, `1-2`
+        if token.isdigit() or token == "pos" or (len(token) == 1 and not mark and not lone) or sign_within:
+            continue
         if (side := guessing.side(token)) is not None:
             break
     return (numbers[-1] if numbers else None), side

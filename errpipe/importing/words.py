@@ -9,9 +9,12 @@ import re
 import unicodedata
 
 CORRECTION = (  # minus the deviation
-    r"\b(corrections?|korrektur(en|wert|werte)?|corr|comp(ensation)?s?|kompensation(swerte?)?|correzion[ei]|correccion(es)?)\b"
-    r"|補正|补偿"
+    r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
+    r"|correccion(es)?|to apply)\b|補正|补偿"
 )
+
+# In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos).
+FOLLOWING = r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos(ition)? ?diff|\bf[ -]?error)"
 
 _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"
 
@@ -19,7 +22,7 @@ _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apre
 WORDS: tuple[tuple[str, str], ...] = (
     (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
     (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|時刻|時間|时间|日時)", "time"),
-    (r"^(t|ts|sec|sek)$", "time"),
+    (r"^(t|ts|sec|sek|x value)$", "time"),
     (r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)", "temperature"),
     (r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向)\b", "direction"),
     (
@@ -39,17 +42,18 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"|errore|偏差|誤差|误差)",
         "error",
     ),
+    (FOLLOWING, "error"),
     (CORRECTION, "error"),
     (r"(straightness|geradheit)", "error"),
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (
-        r"(target|soll|nominal|nennwert|command|\bcmd|setpoint|demand|sollwert|ref(erence)?\b|consigne|theorique|cible|teoric"
+        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
         r"|objetivo|目標|目标|指令)",
         "command",
     ),
     (
-        r"(actual|\bist\b|istwert|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bact\b|encoder"
+        r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bact\b|encoder"
         r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|実測|实测|測定値|实际)",
         "actual",
     ),
@@ -66,7 +70,7 @@ UP = re.compile(
 )
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
-    r"|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
+    r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
     r"|帰り?|反向?|[负負]向?"
 )
 
@@ -83,12 +87,16 @@ _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
 )
 
+_AXIS_BEFORE = re.compile(
+    r"\b([xyzabcuvw]\d?)(?=(?:cmd|act|fb|soll|ist|pos|ref|nom|meas|set|err|dev|enc)(?:[^a-z]|$))", re.IGNORECASE
+)
 _LETTERS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "−": "-", "–": "-", "µ": "u", "μ": "u", "_": " "})
 
 
 def plain(text: object) -> str:
-    """A text as the patterns here are written; `xAct` is `x act`."""
+    """A text as the patterns here are written; `xAct` and `Xact` are `x act`."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", str(text).strip())
+    spaced = _AXIS_BEFORE.sub(r"\1 ", spaced)
     word = unicodedata.normalize("NFKD", spaced.lower().translate(_LETTERS))
     return "".join(c for c in word if not unicodedata.combining(c))
 
@@ -97,6 +105,11 @@ def is_correction(header: str) -> bool:
     """Whether a header names corrections; `error after correction` is an error."""
     text = plain(header)
     return re.search(CORRECTION, text) is not None and not re.search(_STATE_OF_A_COMPENSATION, text)
+
+
+def is_following_error(header: str) -> bool:
+    """Whether a header names what controllers show as command minus actual position."""
+    return re.search(FOLLOWING, plain(header)) is not None
 
 
 def titles_corrections(line: str) -> bool:

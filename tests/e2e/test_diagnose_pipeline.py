@@ -227,6 +227,12 @@ def test_what_must_not_be_compensated_is_refused_with_its_reason(diagnosis: Diag
     assert re.search(reason, decision.reason), decision.reason
 
 
+def test_what_looks_like_an_artefact_is_accepted_where_it_is_asked_for() -> None:
+    similar = found("backlash", indistinguishable_from=("sensor_drift",), **BACKLASH)
+    assert not decided(similar).accepted and decided(similar, despite_artefact=True).accepted
+    assert not decided(found("air_refraction", **AIR), despite_artefact=True).accepted  # it is one
+
+
 def test_a_drive_force_is_for_the_drive(tmp_path: Path) -> None:
     term = {"term": {"term": "coulomb_friction", "axis": "X", "column": "v"}, "drivers": ("v",)}
     decision = decided(found("coulomb_friction", unit="N", component="F_X", **term))

@@ -41,6 +41,7 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
         )
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
+    _refuse_known(path, head)
     for door in DOORS:
         if door.sniff(path, head):
             if getattr(door, "binary", False):
@@ -51,6 +52,18 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
             return door.name, sheets
     kinds = ", ".join(door.name for door in DOORS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
+
+
+def _refuse_known(path: Path, head: bytes) -> None:
+    """Raise DataError for kinds of files that are not imported, with what to do instead."""
+    if head.startswith(b"PAR1"):
+        raise DataError(f"{path}: a Parquet table: write a recording.yaml beside it, which says what its columns are")
+    if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
+        raise DataError(f"{path}: a packed file: unpack it first")
+    if head.lstrip().lower().startswith((b"<html", b"<table", b"<!doctype", b"<?xml")) and not mtconnect.sniff(
+        path, head
+    ):
+        raise DataError(f"{path}: XML or HTML of another kind (only MTConnect's is imported): export it as CSV")
 
 
 def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) -> None:

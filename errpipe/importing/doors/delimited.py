@@ -10,11 +10,11 @@ import codecs
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "delimited text"
 suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
@@ -52,7 +52,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")
     separator = _separator(lines[:SAMPLE_LINES])
     if separator == " ":
-        cells: Iterable[list[Cell]] = (list(re.split(r"\s+", line.strip())) if line.strip() else [] for line in lines)
+        cells: Iterable[list[Cell]] = _by_blanks(path, lines)
     else:
         cells = ([cell.strip() or None for cell in row] for row in csv.reader(lines, delimiter=separator))
     try:
@@ -61,6 +61,36 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise DataError(f"{path}: not a table: {err}") from None
     words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
     return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}"]).limited()]
+
+
+def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
+    """Cells between blanks. Raises DataError where a row of numbers lacks one: nobody can say in which column.
+
+    Names may hold blanks themselves (`Soll [mm]`): then two blanks or a bracket part them, or they are a line of text.
+    """
+    sample = [line.split() for line in lines[:SAMPLE_LINES]]
+    figures = [sum(map(_figure, row)) for row in sample]
+    full = Counter(len(row) for row, n in zip(sample, figures, strict=True) if n >= max(2, 0.5 * len(row)))
+    width = full.most_common(1)[0][0] if full else 0
+    first = next((r for r, n in enumerate(figures) if n >= 2 and len(sample[r]) == width), 0)
+    for r, line in enumerate(lines):
+        row: list[Cell] = [*line.split()]
+        if len(row) != width > 1 < len(row):
+            if r > first and all(map(_figure, row)):
+                raise DataError(f"{path}:{r + 1}  {len(row)} numbers, not {width}: a gap between blanks has no column")
+            if r < first and not any(map(_figure, row)):
+                row = _names_with_blanks(line, width)
+        yield row
+
+
+def _figure(word: Cell) -> bool:
+    return number(word, comma=True) is not None or number(word, comma=False) is not None
+
+
+def _names_with_blanks(line: str, width: int) -> list[Cell]:
+    apart = [w for w in re.split(r"\s{2,}|\t", line.strip()) if w]
+    joined = [w.replace("\0", " ") for w in re.sub(r"\s+(?=[\[(])", "\0", line).split()]
+    return [*next((parts for parts in (joined, apart) if len(parts) == width), [line.strip()])]
 
 
 def _bounded(cells: Iterable[list[Cell]], path: Path) -> list[list[Cell]]:

@@ -23,7 +23,7 @@ def sniff(path: Path, head: bytes) -> bool:
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The named sheet, else every sheet with at least two rows. Raises DataError, UsageError."""
     try:
-        from python_calamine import CalamineWorkbook
+        from python_calamine import CalamineWorkbook, SheetVisibleEnum
     except ImportError:
         raise UsageError(f"{path}: reading Excel needs python-calamine: pip install 'errpipe[excel]'") from None
     try:
@@ -32,7 +32,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         if options.sheet is not None and options.sheet not in names:
             near = did_you_mean(options.sheet, names)
             raise UsageError(f"{path}: no sheet {options.sheet!r} (sheets: {', '.join(names)}).{near}")
-        chosen = [options.sheet] if options.sheet is not None else names
+        hidden = {s.name for s in book.sheets_metadata if s.visible != SheetVisibleEnum.Visible}
+        chosen = [options.sheet] if options.sheet is not None else [n for n in names if n not in hidden]
         sheets = []
         for each in chosen:
             sheet = book.get_sheet_by_name(each)

@@ -7,6 +7,8 @@ by the item's name and type, and a person says the unit where the name does not.
 from __future__ import annotations
 
 import re
+from collections import Counter
+from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -23,6 +25,14 @@ def sniff(path: Path, head: bytes) -> bool:
     return b"MTConnectStreams" in head[:4096]
 
 
+def _moment(path: Path, stamp: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(re.sub(r"(\.\d{6})\d+", r"\1", stamp).replace("Z", "+00:00"))
+    except ValueError:
+        raise DataError(f"{path}: {stamp!r} is no time stamp of ISO 8601") from None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+
+
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """All numeric samples in order of time. Raises DataError."""
     data = path.read_bytes()
@@ -33,22 +43,27 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except ElementTree.ParseError as err:
         raise DataError(f"{path}:{err.position[0]}  not XML that can be read") from None
     samples: list[tuple[str, str, float | None]] = []
+    labels: dict[str, tuple[str, str]] = {}  # by data item: component and label
+    component = ""
     for element in root.iter():
-        stamp, text = element.get("timestamp"), (element.text or "").strip()
+        stamp, text, item = element.get("timestamp"), (element.text or "").strip(), element.get("dataItemId")
         kind = element.tag.rpartition("}")[2]
-        value = number(text, comma=False)
-        if stamp and element.get("dataItemId") and (value is not None or text == "UNAVAILABLE"):
-            label = element.get("name") or element.get("dataItemId") or kind
+        component = element.get("name", "") if kind == "ComponentStream" else component
+        value = None if " " in text else number(text, comma=False)
+        if stamp and item and (value is not None or text == "UNAVAILABLE"):
             unit = UNITS.get(kind)
             part = f" {element.get('subType', '').lower()}" if kind == "Position" and element.get("subType") else ""
-            samples.append((stamp, f"{label}{part} [{unit}]" if unit else f"{label}{part}", value))
+            labels[item] = component, f"{element.get('name') or item}{part}" + (f" [{unit}]" if unit else "")
+            samples.append((stamp, item, value))
     if not samples:
-        raise DataError(f"{path}: no numeric sample with a time stamp")
-    names = list(dict.fromkeys(label for _, label, _ in samples))
+        raise DataError(f"{path}: no numeric sample with a time stamp (time series are not read: ask for samples)")
+    names = list(dict.fromkeys(item for _, item, _ in samples))
     affordable(len({stamp for stamp, _, _ in samples}) * len(names), path)
     held: dict[str, float | None] = dict.fromkeys(names)
     rows: dict[str, list[Cell]] = {}
-    for stamp, label, value in sorted(samples, key=lambda s: s[0]):
-        held[label] = value
+    for stamp, item, value in sorted(samples, key=lambda s: _moment(path, s[0])):
+        held[item] = value
         rows[stamp] = [stamp, *held.values()]
-    return [Sheet(path.stem, list(rows.values()), ["time", *names]).limited()]
+    several = Counter(label for _, label in labels.values())
+    header = [f"{labels[n][0]} {labels[n][1]}" if several[labels[n][1]] > 1 else labels[n][1] for n in names]
+    return [Sheet(path.stem, list(rows.values()), ["time", *header]).limited()]

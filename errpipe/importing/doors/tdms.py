@@ -55,24 +55,41 @@ class _Remarks:
 
 
 def _sheet(group) -> Sheet:
-    header, columns = [], []
-    step = group.channels()[0].properties.get("wf_increment")
-    for channel in group.channels():
+    """The channels of a group beside each other; those of another sampling than the longest are read at its times."""
+    header, columns, notes = [], [], []
+    channels = group.channels()
+    base = max(channels, key=len)
+    times = _times(base)
+    for channel in channels:
         values = np.asarray(channel[:])
+        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
+        header.append(f"{channel.name} [{unit}]" if unit else channel.name)
         if values.dtype.kind == "M":
             values = (values - values[0]) / np.timedelta64(1, "s")
-            header.append(f"{channel.name} [s]")
+            header[-1] = f"{channel.name} [s]"
         elif values.dtype.kind not in "iufb":
-            header.append(channel.name)
             columns.append([str(v) for v in values])
             continue
-        else:
-            unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
-            header.append(f"{channel.name} [{unit}]" if unit else channel.name)
+        own = _times(channel)
+        if times is not None and own is not None and values.size and not np.array_equal(own, times):
+            notes.append(f"{channel.name}: sampled at other times than {base.name}: values between its samples")
+            held = times <= own[-1] + (own[-1] - own[0]) / max(len(own) - 1, 1)  # the last value stands for one step
+            values = np.where(held, np.interp(times, own, values, left=np.nan), np.nan)
         columns.append(np.asarray(values, dtype=float).tolist())
     length = max(map(len, columns), default=0)
-    if step and not any(h.lower().startswith("time") for h in header):
+    if times is not None and not any(h.lower().startswith("time") for h in header):
         header.insert(0, "time [s]")
-        columns.insert(0, (float(step) * np.arange(length)).tolist())
+        columns.insert(0, (times - times[0]).tolist())
     rows: list[list[str | float | None]] = [[c[i] if i < len(c) else None for c in columns] for i in range(length)]
-    return Sheet(group.name, rows, header)
+    return Sheet(group.name, rows, header, notes)
+
+
+def _times(channel) -> np.ndarray | None:
+    """s, of every sample of a channel that states its increment, from the start of 1970 where it states its start."""
+    step = channel.properties.get("wf_increment")
+    if not step:
+        return None
+    start = channel.properties.get("wf_start_time")
+    begin = (np.datetime64(start, "us") - np.datetime64(0, "us")) / np.timedelta64(1, "s") if start is not None else 0.0
+    offset = float(channel.properties.get("wf_start_offset") or 0.0)
+    return float(begin) + offset + float(step) * np.arange(len(channel))

@@ -1,0 +1,109 @@
+"""What the order of the rows says: directions and runs of a test of targets, velocities of a log."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.importing.proposed import Proposal
+
+DENSE_ROWS = 500  # rows: a log, not a test of targets
+DENSE_PLACES = 100  # different commands: a log, not a test of targets
+
+
+def settle_order(p: Proposal, axis: str) -> None:
+    """Directions and runs of a test, or velocity, acceleration and an ideal simulation of a log."""
+    if _is_log(p, axis):
+        _log_of_an_axis(p, axis)
+    else:
+        _directions_and_runs(p, axis)
+
+
+def _is_log(p: Proposal, axis: str) -> bool:
+    command = p.first("command", axis) or p.first("position", axis)
+    if p.first("time") is None or command is None or p.rows < DENSE_ROWS or command not in p.data:
+        return False
+    return np.unique(np.round(p.data[command], 4)).size > DENSE_PLACES
+
+
+def _log_of_an_axis(p: Proposal, axis: str) -> None:
+    """Velocity, acceleration and direction from the command, and an ideal axis as the simulation."""
+    command, time = p.first("command", axis), p.first("time")
+    if command is None or time is None or p.entries[command].get("unit", "mm") not in ("mm", "deg"):
+        return
+    scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
+    t, x = p.data[time] * scale, p.data[command]
+    if np.isfinite(t).all() and np.isfinite(x).all() and np.all(np.diff(t) > 0):
+        unit = p.entries[command].get("unit", "mm")
+        v = np.gradient(x, t)
+        if p.first("velocity", axis) is None:
+            p.put(
+                f"v_{axis}", np.round(v, 6), "derivative of the command", role="velocity", axis=axis, unit=f"{unit}/s"
+            )
+        if p.first("acceleration", axis) is None:
+            a = np.round(np.gradient(v, t), 4)
+            p.put(f"a_{axis}", a, "second derivative of the command", role="acceleration", axis=axis, unit=f"{unit}/s2")
+    error = next(n for n, e in p.entries.items() if e["role"] == "error")
+    if p.first("simulated") is None:
+        component, unit = p.entries[error]["component"], p.entries[error]["unit"]
+        p.put(f"{component}_sim", None, role="simulated", component=component, unit=unit, derived={"constant": 0.0})
+        p.guesses[f"{component}_sim"] = "the simulation is an ideal axis that follows its command (deviation 0)"
+
+
+def _directions_and_runs(p: Proposal, axis: str) -> None:
+    place = p.first("command", axis) or p.first("position", axis)
+    if place is None or place not in p.data:
+        return
+    x = p.data[place]
+    if p.first("direction") is None:
+        moves = motion_sides(x)
+        if moves is not None and np.unique(moves).size == 2:
+            p.put(
+                "direction", moves, "from the order of the positions: +1 where they rise", role="direction", axis=axis
+            )
+    if p.first("run") is None:
+        side = p.first("direction")
+        runs = sweeps(x, p.data.get(side or ""))
+        if len(set(runs)) > 1:
+            why = "a new run each time the targets start again"
+            p.put("run", runs, why, role="run")
+    if p.first("direction") is None and _repeated(x, p.data.get(p.first("run") or "")):
+        p.notes.append(
+            "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
+        )
+
+
+def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
+    """Whether most targets come more than once in a run."""
+    pairs = list(zip(runs or [""] * x.size, np.round(x, 6).tolist(), strict=True))
+    return x.size > 3 and len(set(pairs)) <= 0.6 * len(pairs)
+
+
+def motion_sides(x: np.ndarray) -> np.ndarray | None:
+    """+1 where positions rise, -1 where they fall; a repeated one belongs to the way back. None where unordered."""
+    step = np.sign(np.diff(x))
+    if not step.any():
+        return None
+    far = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * np.ptp(x))
+    for i in far if far.size < np.count_nonzero(step) else []:
+        if i + 1 < step.size and step[i + 1] == -step[i]:
+            step[i] = 0  # back to the first target, to pass all of them the same way again
+    out = np.empty(x.size)
+    out[1:] = step
+    out[0] = step[np.flatnonzero(step)[0]]
+    for i in np.flatnonzero(out == 0):
+        later = out[i + 1 :][out[i + 1 :] != 0]
+        out[i] = later[0] if later.size else out[i - 1]
+    turns = np.count_nonzero(np.diff(out))
+    return out if turns <= x.size / 3 else None
+
+
+def sweeps(x: np.ndarray, side: np.ndarray | None) -> list[str]:
+    """Labels of the runs: a pass up and a pass down are one run; without a way back each pass is one."""
+    way = motion_sides(x) if side is None else side
+    if way is None:
+        return ["1"] * x.size
+    jumps = np.r_[False, np.diff(way) != 0]
+    if np.unique(way).size < 2:
+        span = np.ptp(x) or 1.0
+        return [str(1 + k) for k in np.cumsum(np.r_[False, np.abs(np.diff(x)) > 0.5 * span])]
+    return [str(1 + k // 2) for k in np.cumsum(jumps)]
