@@ -23,6 +23,8 @@ from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
+PROPORTIONAL = 0.999  # correlation of a position with the time from which one cannot be told from the other
+TIME_ALONE = -3.0  # log odds of what goes with the time alone there: the position is what a test sets out to vary
 
 
 @dataclass(frozen=True)
@@ -198,6 +200,7 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None
 
 def enumerate_all(recording: Recording, component: str, raw: Recording, signals: Signals) -> Iterator[Hypothesis]:
     """Every hypothesis for a response."""
+    by_time = time_of_one_pass(recording)
     for kind in TERMS:
         bound = list(kind.hypotheses(recording, raw, component))
         groups: list[tuple[Term, ...]] = [(t,) for t in bound]
@@ -208,7 +211,9 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
             points = grid(group[0], recording, signals)
             # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
-            odds = group[0].log_prior_odds() + float(shared)
+            odds = (
+                group[0].log_prior_odds() + float(shared) + (TIME_ALONE if by_time and set(drivers) == by_time else 0.0)
+            )
             for values in points:
                 yield Hypothesis(
                     group[0].reports_as, group, (values,) * len(group), drivers, odds + sizes(group[0], values)
@@ -217,6 +222,17 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
         for term, values in located:
             odds = term.log_prior_odds() - float(np.log(len(located))) + sizes(term, values)
             yield Hypothesis(term.reports_as, (term,), (values,), tuple(term.drivers(recording)), odds)
+
+
+def time_of_one_pass(recording: Recording) -> set[str]:
+    """Name of the time column where a position grows in proportion to it, else nothing: one pass at constant speed."""
+    time = recording.name("time")
+    places = (recording.array(n) for role in ("position", "command") for n in recording.names(role))
+    if time is None or not any(
+        np.ptp(x) > 0 and abs(np.corrcoef(x, recording.time())[0, 1]) > PROPORTIONAL for x in places
+    ):
+        return set()
+    return {time}
 
 
 def sizes(term: Term, values: tuple[float, ...]) -> float:
