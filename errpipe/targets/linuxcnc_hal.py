@@ -117,7 +117,13 @@ def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
             for letter, name in _sample.positions_of(table).items()
         ],
         "joints": [
-            {"letter": letter.lower(), "joint": joint[letter], "pin": hal(p["short"])} for letter, p in letters.items()
+            {
+                "letter": letter.lower(),
+                "joint": joint[letter],
+                "pin": hal(p["short"]),
+                "read": letter in _sample.positions_of(table),
+            }
+            for letter, p in letters.items()
         ],
         "others": _other_lines(table, pins),
     }
@@ -138,6 +144,7 @@ def _input_pins(table: t.CompensationTable) -> list[dict[str, Any]]:
                 "fault": f"fault_{short}",
                 "rejected": f"rejected_{short}",
                 "stale": i.stale_after_s is not None,
+                "place": i.kind == "position",
                 "text": f"{plain(i.name)}: {i.kind}{unit}",
             }
         )

@@ -302,6 +302,8 @@ def run(
         "least_s": least_s,
         "read": read,
         "stops": stops,
+        "stop_pins": ["joint.0.motor-pos-cmd" if way == "shift" else "errpipe.command-x"],
+        "go_on": way == "shift",
         "heat": {"lowpass.0.load": 0, "lowpass.1.load": 0, "lowpass.0.in": SCREW_HOT, "lowpass.1.in": SPINDLE_HOT},
         "cool": {"lowpass.0.in": COLD, "lowpass.1.in": COLD},
     }

@@ -187,6 +187,20 @@ def test_four_emergency_stops_leave_the_axis_where_it_is(linuxcnc, capsys):
     assert np.ptp(places) < 1e-5  # mm
 
 
+def test_four_emergency_stops_with_external_offsets(linuxcnc, capsys):
+    """LinuxCNC forgets a shift at each stop; it comes in again with the next motion, not with the reset."""
+    there = "G21 G90 G61\nF30000\nG1 X450\nG4 P0.5\nM2\n"
+    record = linuxcnc("shift-stops", "shift", machines.too_long_at_plus_x(), program=there, stops=4)
+    *places, after = record.facts["stops"]
+    with capsys.disabled():
+        print(
+            f"\nfour emergency stops, external offsets: moved {1e3 * np.ptp(places):.4f} um; told {after:.6f} mm after"
+        )
+    assert len(places) == 5 and places[0] == pytest.approx(450.0 - 0.009, abs=1e-4)
+    assert np.ptp(places) < 1e-5  # mm
+    assert after == pytest.approx(450.0 - 0.009, abs=1e-4)
+
+
 @pytest.mark.parametrize("way", ["screw", "hal"])
 def test_ten_um_too_long_goes_ten_um_less_far(linuxcnc, way):
     """The sign, in the real controller: at X = +500 the motor is told to go 10 um less far."""

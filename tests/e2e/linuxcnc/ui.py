@@ -91,6 +91,11 @@ def emergency_stops(count):
                 set_pins(PLAN["heat"])
                 time.sleep(0.3)
         places.append(read())
+    if PLAN.get("go_on"):
+        command.mode(linuxcnc.MODE_AUTO)
+        command.wait_complete(10)
+        run_program()
+        places.append(read())
     return places
 
 
