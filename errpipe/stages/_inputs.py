@@ -38,6 +38,9 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "cut_length": ("other", 0.0, 1e9, None),
 }
 POSITIONS = ("command", "position")  # roles that say where an axis is, the first known one first
+STEPPING = ("speed", "coolant", "load", "tool", "other")  # kinds that may step, read once in a thermal cycle
+STEP_S = 0.5  # s until such a step is believed: one bad sample that meets a thermal cycle is not
+STEP_NOISE = 0.02  # of the range that was seen: a spindle's own ripple
 FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
 
 
@@ -55,7 +58,8 @@ def table_inputs(
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
     found = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     found += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
-    found = [_no_faster(channel, (rates or {}).get(channel.name)) for channel in found]
+    known = rates or {}
+    found = [_no_faster(channel, known.get(channel.name) or _rate_of_a_step(channel, model)) for channel in found]
     return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in found]
 
 
@@ -90,6 +94,14 @@ def _fitting_names(columns: dict[str, dict]) -> None:
                     f"export: the {what} of column {name!r} does not fit a table: {problem}. "
                     "Rename it in the recording and its manifest."
                 )
+
+
+def _rate_of_a_step(channel: TableInput, model: ErrorModel) -> ReadingRate | None:
+    """For what may rightly step, such as a speed: a change of all that was seen is believed once it has stayed."""
+    if channel.kind not in STEPPING:
+        return None
+    low, high = model.validity.ranges.get(channel.name, (0.0, 1.0 if channel.kind == "coolant" else 0.0))
+    return ReadingRate((high - low) / STEP_S, STEP_NOISE * (high - low)) if high > low else None
 
 
 def _no_faster(channel: TableInput, rate: ReadingRate | None) -> TableInput:

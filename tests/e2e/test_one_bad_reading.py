@@ -186,3 +186,48 @@ def test_a_sensor_that_is_lost_and_one_that_is_bad_from_the_start(corrections):
     late = corrections([75.0, *[25.0] * 6000], start=0)
     assert np.abs(np.diff(late)).max() <= STEP + ROUNDED
     assert late[-1] == pytest.approx(corrections([25.0] * 6000, start=0)[-1], abs=0.01)
+
+
+SPINDLE = (
+    PIPELINE[: PIPELINE.index("          - {term: scale_exp")]
+    + """
+          - {term: centrifugal_growth, column: n, full_speed: 12000}
+  - {kind: validate}
+  - {kind: export}
+"""
+)
+
+
+def test_one_bad_sample_of_the_spindle_speed_and_a_step_of_it(tmp_path):
+    """A speed steps rightly: it is believed once it has stayed, and one sample is not, nor does it fade the table."""
+    r, x = np.random.default_rng(3), np.tile(np.linspace(0, 1000, 15), 16)
+    n = np.repeat(np.tile([0.0, 6000.0, 12000.0, 0.0], 4), 15)
+    frame = pd.DataFrame(
+        {"run": np.repeat(np.arange(8), 30).astype(str), "t": 60.0 * np.arange(x.size), "x": x, "n": n}
+    )
+    frame["EXX"] = 0.05 * x + 20.0 * (n / 12000.0) ** 2 + r.normal(0, 0.3, x.size)
+    columns = {
+        "run": Column(role="run"),
+        "t": Column(role="time", unit="s"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "n": Column(role="spindle_speed", unit="rpm"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    manifest = Manifest(recording=1, machine="m", tables=("recording.parquet",), columns=columns)
+    manifest_folder.write(Recording(manifest, frame), tmp_path / "rows")
+    (tmp_path / "p.yaml").write_text(SPINDLE)
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 0
+    table = ect.read(tmp_path / "out" / "export" / "table.ect")
+
+    def at(speeds) -> np.ndarray:
+        by_name = {"x": np.full(len(speeds), 1000.0), "n": np.asarray(speeds, dtype=float)}
+        return by_reference(table, np.column_stack([by_name[i.name] for i in table.inputs]))
+
+    warm = np.full(3000, 12000.0)
+    for bad in (60000.0, 0.0, np.nan):
+        found = at([*warm, bad, *[12000.0] * 1999, *[12000.0] * 500, bad, *[12000.0] * 1500])
+        assert abs(found[2999]) > 60.0 and np.abs(found[3000:] - found[2999]).max() < BAD_SAMPLE
+        assert np.abs(np.diff(found)).max() <= STEP + ROUNDED
+    stopped = at([*warm, *[0.0] * 4000])
+    assert stopped[-1] - stopped[2999] == pytest.approx(20.0, abs=1.0)
+    assert np.abs(np.diff(stopped)).max() <= STEP + ROUNDED
