@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from errpipe.diagnosis import unnamed
 from errpipe.diagnosis.against import clustered
 from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.hypotheses import folds
@@ -31,13 +32,16 @@ from errpipe.terms import resolved_times
 MOST_TERMS = 3
 MOST_ROWS = 6000  # rows that take part, chosen at random: further rows change the result little
 MOST_BASE = 40  # columns and lags whose products are tried
-LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name
+LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name; and beyond what names predict
+LIKELY = 0.5  # confidence of a name from which no equation is sought in its place
+MOST_LIKELY = 0.9  # of an equation; below it the share that it predicts
 SURROGATES = 99
 LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged columns
 LAGGED = (
     *("temperature", "pressure", "humidity", "spindle_speed", "feed"),
     *("coolant", "load", "force", "current", "torque"),
 )
+MEASURED = ("temperature", "pressure", "humidity")  # counted from their mean; what is driven has a zero of its own
 MOVING = ("direction", "velocity", "acceleration")
 READ = (*LAGGED, *MOVING, "position", "command", "overhang", "depth_of_cut", "cut_length")
 UNITS = {"temperature": "K", "direction": "1", "coolant": "1"}
@@ -59,19 +63,37 @@ class Candidate:
 
 
 def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
-    """The response, its finding without a name with an empirical equation where there is one that holds."""
+    """The response with an empirical equation where there is one that holds and no name is likely.
+
+    Where it predicts more than the names do it stands for the whole mismatch, and `unknown` comes first.
+    """
     place = next((k for k, f in enumerate(response.findings) if f.effect == "unknown"), None)
-    if place is None:
+    names = [f for f in response.findings if f.effect not in ("unknown", "recalibration")]
+    if place is None and (not names or max(f.confidence for f in names) >= LIKELY):
         return response
-    # `unknown` in first place means the named findings are uncertain: then explain the whole mismatch
-    unexplained = residual(case, [] if place == 0 else None)
-    empirical = equation(case.recording, case.pair.rows, unexplained, response.unit)
-    if empirical is None:
+    whole = residual(case, [])
+    empirical = equation(case.recording, case.pair.rows, whole, response.unit)
+    named = 1.0 - (case.held.names / float(np.std(whole))) ** 2 if names and case.held else 0.0
+    if empirical is not None and empirical.share > named + LEAST_SHARE:
+        p = max(min(empirical.share, MOST_LIKELY), response.findings[place].confidence if place is not None else 0.0)
+        return _unknown_first(case, response, p, empirical)
+    if place:  # beside names that predict more
+        empirical = equation(case.recording, case.pair.rows, residual(case), response.unit)
+    if place is None or empirical is None:
         return response
     f = response.findings[place]
     better = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
     findings = (*response.findings[:place], better, *response.findings[place + 1 :])
     return response.model_copy(update={"findings": findings})
+
+
+def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical: Empirical) -> ResponseDiagnosis:
+    """The response with the equation in the first place; names have what probability is left."""
+    f = unnamed.finding(case, p)
+    first = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
+    others = [g if g.effect == "recalibration" else unnamed.capped(g, 1.0 - p) for g in response.findings]
+    findings = (first, *(g for g in others if g.effect != "unknown"))
+    return response.model_copy(update={"findings": findings, "verdict": "unexplained"})
 
 
 def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, seed: int = 0) -> Empirical | None:
@@ -191,7 +213,7 @@ def _base(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
             unit = () if own == "1" else ((own, 1),)
             sign = role in MOVING
             zero = 0.0 if sign else 0.5 * float(whole[rows].min() + whole[rows].max())
-            zero = float(whole[rows].mean()) if role in LAGGED else zero
+            zero = float(whole[rows].mean()) if role in MEASURED else 0.0 if role in LAGGED else zero
             expression = name if zero == 0 else f"({name} - {zero:.5g})"
             yield Candidate(expression, unit, whole[rows] - zero, PLAIN)
             if role == "velocity":
@@ -201,7 +223,7 @@ def _base(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
                     tau = share * longest
                     lagged = responses.lag(session, t, whole, tau, tau, True)[rows]
                     if np.ptp(lagged) > 0:
-                        yield Candidate(f"lag({name} - {zero:.5g}, {tau:.3g} s)", unit, lagged - zero, BENT)
+                        yield Candidate(f"lag({expression.strip('()')}, {tau:.3g} s)", unit, lagged - zero, BENT)
 
 
 def _times(one: tuple[tuple[str, int], ...], other: tuple[tuple[str, int], ...]) -> tuple[tuple[str, int], ...]:

@@ -37,14 +37,14 @@ UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
     """One response of diagnosis.json, the findings' contributions on the judged rows, and the residual."""
     before, after = case.y + 2.0 * case.simulated if case.pair.reversed else case.y, residual(case)
-    held = case.held or holdout.held_out(case)
+    case.held = held = case.held or holdout.held_out(case)
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
     wandering = case.over_noise < 0.0  # as likely that nothing is missing and the noise wanders
     sized = [UNPROVED if wandering else UNSIZED if plausible.no_size(m) else 1.0 for m in made]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
-    findings = [f.model_copy(update=_capped_confidence(f, most)) for f, most in zip(findings, sized, strict=True)]
+    findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
     findings, verdict = _verdict(case, findings, p_unknown, unnamed.unexplained(case, held))
@@ -58,7 +58,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     chance = significance.chance(case)
     findings = [f.model_copy(update=_surrogate_test(case, f)) for f in findings]
     if held.after > unnamed.SMALLER * held.before:
-        findings = [f.model_copy(update=_capped_confidence(f, UNPROVED)) if f.p_search else f for f in findings]
+        findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.with_directional_law(findings, law) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
@@ -258,20 +258,13 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, unexplained:
     surest = max((f.confidence for f in findings), default=0.0)
     doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
     if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or unexplained):
-        named = [f.model_copy(update=_capped_confidence(f, 1.0 - p_unknown)) for f in findings]
+        named = [unnamed.capped(f, 1.0 - p_unknown) for f in findings]
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
     if p_unknown >= unnamed.PROVISIONAL:
         return [unnamed.finding(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
     return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
-
-
-def _capped_confidence(f: Finding, most: float) -> dict[str, float]:
-    of_class = (
-        {} if f.confidence_of_class is None else {"confidence_of_class": round(min(f.confidence_of_class, most), 3)}
-    )
-    return {"confidence": round(min(f.confidence, most), 3), **of_class}
 
 
 def _recalibration(case: Case, needed: bool) -> list[Finding]:

@@ -95,3 +95,9 @@ def finding(case: Case, probability: float) -> Finding:
         rms_um=float(np.sqrt(max(case.sigma**2 - case.remainder.rms**2, 0.0))),
         compensable=False,
     )
+
+
+def capped(f: Finding, most: float) -> Finding:
+    """A finding with at most this confidence."""
+    of_class = f.confidence_of_class and round(min(f.confidence_of_class, most), 3)
+    return f.model_copy(update={"confidence": round(min(f.confidence, most), 3), "confidence_of_class": of_class})
