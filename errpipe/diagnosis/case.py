@@ -41,6 +41,7 @@ class SetUp:
     session: np.ndarray | None  # of each row, where each session has its own datum
     in_own_noise: bool = False  # was the colour of the noise fitted?
     plain: bool = False  # noise of the usual colour, non-linear parameters on their grid?
+    taken_back: bool = False  # were names taken back because noise alone is likelier?
     over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing
 
     def judged(self) -> LeftOut:

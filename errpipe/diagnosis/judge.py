@@ -172,13 +172,16 @@ RETRIES = 4  # further searches, each without the findings ruled out before
 def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; `found`: by the search."""
     case = _without_impossible(made, search, *found)
-    return _nothing_named(made) if only_noise(case) else case
+    made.taken_back = only_noise(case)
+    return _nothing_named(made) if made.taken_back else case
 
 
 def _nothing_named(made: SetUp) -> Case:
-    """The case without any name."""
-    made.prior[:] = NEVER
-    return _explained(made, *_settled(made))
+    """The case without any name; what the search could have named stays known, for the significance of its best."""
+    prior, made.prior = made.prior, np.full(made.prior.size, NEVER)
+    case = _explained(made, *_settled(made))
+    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]
+    return case
 
 
 def _without_impossible(made: SetUp, search: Search, *found: Explanation) -> Case:

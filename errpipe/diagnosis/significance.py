@@ -91,11 +91,11 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
     half = np.linalg.solve(scene.chol, products[active])
     total = np.einsum("nc,nc->c", signals, signals)
     spare = np.maximum(total - np.einsum("ac,ac->c", half, half), 1e-12 * total + 1e-300)
-    best = np.full(signals.shape[1], -np.inf)
     sizes: dict[int, list[int]] = {}
     for i, h in enumerate(library.hypotheses):
         if case.search.prior[i] > -1e5:
             sizes.setdefault(0 if h.terms[0].gain_sd else library.places[i].size, []).append(i)
+    best = np.full(signals.shape[1], -np.inf if sizes else 0.0)
     for width, members in sizes.items():
         columns = np.stack([library.places[i][: width or 1] for i in members])
         cross = np.linalg.solve(scene.chol, scene.with_active(columns.ravel()))

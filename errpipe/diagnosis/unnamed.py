@@ -32,11 +32,15 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
         base = case.search.scene([]).rms()
         drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
         p = confidence.unknown_alone(gain, drop, max(share, 0.0))
-    if wanders(case) or unexplained(case, held):
+    far = float(np.std(residual(case))) > WANDERING * case.noise_estimate
+    if wanders(case) or unexplained(case, held) or (case.taken_back and far):
         p = max(p, PROVISIONAL)
-    if p < NOISE or (share >= HELD_OUT_SHARE and not shapes_are_noise(case)):
+    if p < NOISE:
         return p
-    return min(p, NOISE if is_linear_noise(residual(case), case.run) else PROVISIONAL)
+    linear = is_linear_noise(residual(case), case.run)
+    if share >= HELD_OUT_SHARE and not (linear and shapes_are_noise(case)):
+        return p
+    return min(p, NOISE if linear else PROVISIONAL)
 
 
 def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
@@ -49,8 +53,11 @@ def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shapes_are_noise(case: Case) -> bool:
-    """Does a linear process account for what the shapes do? Slow inputs follow a random walk between held-out rows."""
-    if not case.remainder.taken:
+    """Does a linear process account for what the shapes do, the strongest of them one over time or runs?
+
+    Slow inputs then follow a random walk between held-out rows.
+    """
+    if not case.remainder.shapes or case.remainder.shapes[0][0].of_inputs:
         return False
     scenes = Scene(case.search.data, case.remainder.active, case.search.noise), case.search.scene(case.chosen())
     freedom = scenes[0].freedom_used() - scenes[1].freedom_used()
