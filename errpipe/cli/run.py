@@ -90,25 +90,34 @@ def _run(
     """Read the pipeline and run what must run; a refusal (exit code 4) writes its report first."""
     from errpipe.cli._arguments import load_pipeline_file
     from errpipe.cli.output import stage_module
-    from errpipe.errors import ConfigError, DataError, GateError
+    from errpipe.errors import DataError, GateError
     from errpipe.pipeline import runner
 
     spec = load_pipeline_file(pipeline, sets)
     try:
         return spec, runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
     except GateError as err:
+        _refuse_names(spec, err)
         page = stage_module("refusal").write_report(spec, folder, str(err))
         if page is not None:
             reporter.clear()
             sys.stderr.write(f"{page}: the report, with the reason\n")
         raise
     except DataError as err:
-        problems = [p for p in stage_module("check").problems(spec) if p.file == spec.document.file]
-        if problems:  # the cause stands in the pipeline file: say where, all at once
-            raise ConfigError(problems) from err
+        _refuse_names(spec, err)
         raise
     finally:
         reporter.clear()
+
+
+def _refuse_names(spec: Pipeline, err: Exception) -> None:
+    """Raise ConfigError where the cause of a refusal stands in the pipeline file: say where, all at once."""
+    from errpipe.cli.output import stage_module
+    from errpipe.errors import ConfigError
+
+    problems = [p for p in stage_module("check").problems(spec) if p.file == spec.document.file]
+    if problems:
+        raise ConfigError(problems) from err
 
 
 def _plain(step: Step) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
             recording, of_source = _source(stage, pipeline, seen, data)
             all_problems += of_source
             seen[stage.label] = recording
-            places = [*_machine(stage, data), *_of_stage(stage, recording)]
+            places = [*_machine(stage, data), *_judged(stage, pipeline), *_of_stage(stage, recording)]
         except ErrpipeError as err:
             places = [((), str(err))]
         for place, text in places:
@@ -188,6 +188,16 @@ def _machine(stage: Any, data: bool) -> Iterator[tuple[Place, str]]:
             yield ("without", k), str(err)
 
 
+def _judged(stage: Any, pipeline: Any) -> Iterator[tuple[Place, str]]:
+    """A stage that exports what was judged needs a judgement, or must say that there is none."""
+    judged = getattr(stage, "ungated", True) or pipeline.links.get(stage.label, {}).get("validation")
+    if not judged and "validation" in stage.takes:
+        yield (
+            (),
+            "nothing before it judges its model on rows that sat out: add a `validate` stage, or say ungated: true",
+        )
+
+
 def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, str]]:
     """Names in the options of one stage: targets, formats, and against a recording all others."""
     yield from _targets(stage)
@@ -245,6 +255,8 @@ def _responses(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
             place: Place = ("components", n)
             if spec.component not in have:
                 yield (*place, "component"), _no_response(spec.component, have)
+            if not spec.terms:
+                yield (*place, "terms"), "no term is named: a component without terms predicts nothing"
             for k, term in enumerate(spec.terms):
                 yield from _term(term, recording, (*place, "terms", k))
                 if term in spec.terms[:k]:

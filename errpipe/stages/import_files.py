@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,6 +26,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     Raises DataError for a file that cannot be read, UsageError for an option that does not fit.
     """
     parts, sources = [], []
+    _refuse_twice(files)
     for file in files:
         proposal, source = _of_known_format(Path(file)), "a format with a door of its own"
         if proposal is None:
@@ -34,6 +36,17 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     complete = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
+
+
+def _refuse_twice(files: Sequence[Path]) -> None:
+    """Raise DataError where two files hold the same bytes: a run that is counted twice claims a repeat that is none."""
+    seen: dict[bytes, Path] = {}
+    for file in map(Path, files):
+        if len(files) > 1 and file.is_file():
+            with file.open("rb") as stream:
+                first = seen.setdefault(hashlib.file_digest(stream, "sha256").digest(), file)
+            if first != file or list(files).count(file) > 1:
+                raise DataError(f"{file}: the same as {first} (a run is imported once)")
 
 
 def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tuple[Proposal, str]:

@@ -47,10 +47,12 @@ EXPLANATIONS: dict[str, str] = {
         "per mm set right first."
     ),
     "constant-deviation": (
-        "Every reading of the error column is the same number. It is another column, or the instrument did not log."
+        "Every reading of the error column is the same number, or one fine reading stands in many rows. It is another "
+        "column, a value that was filled in, or the instrument did not log."
     ),
     "copy-of-column": (
-        "The error column is another column times a constant, row for row. It holds no measurement of its own."
+        "The error column is another column times a constant, row for row, or one run repeats another to the last "
+        "digit (a file imported twice). It holds no measurement of its own."
     ),
     "direction-not-of-motion": (
         "The axis sweeps up and down, but the direction column does not follow it. It is +1 when the position rises."
@@ -68,7 +70,9 @@ EXPLANATIONS: dict[str, str] = {
         "in the order of the targets, the positions in the order of the measurement."
     ),
     "mixed-sign": "One run or one direction holds the curve of the others with the other sign.",
-    "mixed-units": "One run or one direction holds the same curve 25.4 or 1000 times larger than the others.",
+    "mixed-units": (
+        "One run or one direction holds the same curve, or the same targets, 25.4 or 1000 times larger than the others."
+    ),
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
     "outside-travel": (
         "Positions leave the travel of the manifest, or cover so little of it that their unit must be another one."

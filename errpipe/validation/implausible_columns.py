@@ -66,11 +66,20 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
         x, d, run = recording.array(place), recording.array(side), recording.run_codes()
         good = np.isfinite(x) & np.isfinite(d)
         x, d, run = x[good], d[good], run[good]
-        if x.size < FEWEST_MOVES or np.unique(d).size < 2:
-            continue  # approached from one side only: the order of the targets says nothing
+        if x.size < FEWEST_MOVES:
+            continue
         step = np.where(np.diff(run) == 0, np.diff(x), 0.0)
         moved = np.abs(step) > AT_REST * np.ptp(x)
         if moved.sum() < FEWEST_MOVES:
+            continue
+        if np.unique(d).size < 2:
+            if BOTH_WAYS < (falling := float(np.mean(step[moved] < 0))) < 1 - BOTH_WAYS:
+                evidence = f"it says one side throughout, and {place} falls in {100 * falling:.0f} % of the steps"
+                yield Finding("direction-not-of-motion", side, evidence, "a column that was not logged", "ask")
+            continue
+        if run[0] != run[-1] and x.size < DENSE_ROWS and np.all(np.diff(x) > 0):
+            evidence = f"{place} rises from row to row through all runs, and it changes all the same"
+            yield Finding("direction-not-of-motion", side, evidence, "another position (this one counts the rows)")
             continue
         agree = float(np.mean(np.sign(step[moved]) == d[1:][moved]))
         rising = float(np.mean(step[moved] > 0))
@@ -229,6 +238,9 @@ def temperature_of_position(recording: Recording) -> Iterator[Finding]:
 def _spread(values: np.ndarray) -> np.ndarray:
     """Values that vary, from their mean in units of their range: squares of them neither overflow nor vanish."""
     return (values - values.mean()) / np.ptp(values)
+
+
+DENSE_ROWS = 500  # as the import: more are a log of an axis
 
 
 def copies(recording: Recording) -> Iterator[Finding]:

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.validation.plausibility_finding import Check, Finding, Response, is_rearranged, noise_of_difference
+from errpipe.validation.plausibility_finding import (
+    Check,
+    Finding,
+    Response,
+    is_fine,
+    is_rearranged,
+    level_of_rearranged,
+    noise_of_difference,
+)
 
 ABSOLUTE_SLOPE = 0.1  # of the position: no axis is wrong by 10 %; a belt with a wrong pulley reaches 3 %
+FILLED_SHARE, FEWEST_FILLED = 0.3, 10  # of the rows; a run that is set to zero at one target has fewer equal ones
 LARGEST_SHARE = 0.03  # of the travel, offsets of runs and directions removed: a belt with a wrong pulley reaches 3 %
 SMALLEST_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is what air of 1 degC more does to a laser
 QUIETEST = 5e-9  # of the travel: half of what the best interferometer repeats to in air
@@ -80,9 +89,15 @@ def too_small(r: Response) -> Finding | None:
 
 
 def constant(r: Response) -> Finding | None:
-    """A deviation that never changes."""
+    """A deviation that never changes, or one fine reading that stands in many rows: it was filled in."""
     if np.ptp(r.deviation) > 0:
-        return None
+        values, counts = np.unique(r.deviation, return_counts=True)
+        if counts.max() < FILLED_SHARE * r.deviation.size or counts.max() < FEWEST_FILLED or not is_fine(r.deviation):
+            return None
+        evidence = f"{int(counts.max())} of {r.deviation.size} readings are {values[np.argmax(counts)]:.6g}"
+        return Finding(
+            "constant-deviation", r.column, evidence, "a value that was filled in, or an instrument that stuck"
+        )
     return Finding(
         "constant-deviation",
         r.column,
@@ -244,7 +259,7 @@ def shifted_rows(r: Response) -> Finding | None:
         r.column,
         f"both directions agree {gaps[0] / max(gaps[best], 1e-12):.3g} times better with each value at its neighbour",
         f"deviations that belong to {which} (a header counted as a row, or a value logged one target late)",
-        "refuse" if r.repeats()[1] else "ask",
+        level_of_rearranged(r, gaps[0] ** 2, gaps[best] ** 2),
     )
 
 

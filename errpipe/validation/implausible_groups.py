@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
-from errpipe.validation.plausibility_finding import Check, Finding, Response, is_rearranged, noise_of_difference
+from errpipe.validation.plausibility_finding import (
+    FEWEST,
+    Check,
+    Finding,
+    Response,
+    is_fine,
+    is_rearranged,
+    level_of_rearranged,
+    noise_of_difference,
+)
 
 FEWEST_TARGETS = 10  # shared targets; chance reaches a correlation of -0.8 on ten once in 200 tries
 OPPOSITE = -0.8  # correlation of a curve with the mean of the others
@@ -25,19 +35,72 @@ def mixed_sign(r: Response) -> Finding | None:
         if labels.size < 2 or curves is None:
             continue
         match = np.corrcoef(curves)
-        for i, label in enumerate(labels):
-            rest = np.delete(np.arange(labels.size), i)
-            opposite = match[i, rest].max() < OPPOSITE
-            if opposite and all(match[a, b] > ALIKE for a in rest for b in rest):
-                name = r.recording.run_labels()[int(label)] if what == "run" else f"{label:+g}"
-                evidence = f"{what} {name} has the shape of the others with the other sign"
-                evidence += f" (correlation {match[i, rest].mean():.2f})"
-                meant = "its deviations are commanded minus actual: turn them"
-                if what == "direction":  # a screw worn in the middle looks the same
-                    return Finding(
-                        "mixed-sign", r.column, evidence, f"{meant}, or lost motion along a worn screw", "ask"
-                    )
-                return Finding("mixed-sign", r.column, evidence, meant)
+        for minority in _of_the_other_sign(match):
+            rest = np.setdiff1d(np.arange(labels.size), minority)
+            names = [r.recording.run_labels()[int(k)] if what == "run" else f"{k:+g}" for k in labels[minority]]
+            evidence = f"{what} {', '.join(names)} has the shape of the others with the other sign"
+            evidence += f" (correlation {match[np.ix_(minority, rest)].mean():.2f})"
+            meant = "its deviations are commanded minus actual: turn them"
+            if what == "direction":  # a screw worn in the middle looks the same
+                return Finding("mixed-sign", r.column, evidence, f"{meant}, or lost motion along a worn screw", "ask")
+            return Finding("mixed-sign", r.column, evidence, meant)
+    return None
+
+
+def _of_the_other_sign(match: np.ndarray) -> list[np.ndarray]:
+    """The smaller group of curves, where two groups agree within and oppose each other; match: correlations."""
+    group = match[0] > 0
+    if group.all():
+        return []
+    opposite = match[np.ix_(group, ~group)].max() < OPPOSITE
+    alike = min(match[np.ix_(g, g)].min() for g in (group, ~group)) > ALIKE
+    return [np.flatnonzero(~group if 2 * group.sum() >= group.size else group)] if opposite and alike else []
+
+
+def repeated_run(r: Response) -> Finding | None:
+    """A run that is another one to the last digit, where the readings are finer than chance repeats.
+
+    Several runs that are all alike were computed, not measured: nothing is said of them.
+    """
+    labels = np.unique(r.run)
+    bytes_of = {int(k): r.deviation[r.run == k].tobytes() for k in labels}
+    if r.position is None or not is_fine(r.deviation) or len(set(bytes_of.values())) == 1 < labels.size - 1:
+        return None
+    seen: dict[bytes, int] = {}
+    for k in labels:
+        rows = r.run == k
+        first = seen.setdefault(bytes_of[int(k)], int(k))
+        if first != k and rows.sum() >= FEWEST_TARGETS:
+            a, b = (r.recording.run_labels()[int(i)] for i in (first, k))
+            evidence = f"run {b} repeats run {a} to the last digit in all {int(rows.sum())} readings"
+            level: Literal["refuse", "ask"] = "refuse" if labels.size > 2 else "ask"
+            return Finding(
+                "copy-of-column", r.column, evidence, "a file that was imported twice, or copied rows", level
+            )
+    return None
+
+
+FACTORS = {25.4: "inch beside mm", 1000.0: "m, mm and um mixed", 2.0: "a radius beside a diameter"}
+
+
+def mixed_positions(r: Response) -> Finding | None:
+    """One run whose targets are those of the others in another unit."""
+    labels = np.unique(r.run)
+    if r.position is None or labels.size < 2:
+        return None
+    targets = {k: np.unique(np.round(r.position[r.run == k], 3)) for k in labels}
+    for k in labels:
+        others = np.unique(np.concatenate([targets[j] for j in labels if j != k]))
+        own = targets[k]
+        if own.size < FEWEST or others.size != own.size or not np.ptp(own) or not np.ptp(others):
+            continue
+        ratio = float(np.ptp(others) / np.ptp(own))
+        for factor, meant in FACTORS.items():
+            for f in (factor, 1 / factor):
+                if abs(ratio / f - 1) < 1e-3 and np.allclose(own * f, others, rtol=0, atol=2e-3 * np.ptp(others)):
+                    name = r.recording.run_labels()[int(k)]
+                    evidence = f"the targets of run {name} are those of the others divided by {f:.4g}"
+                    return Finding("mixed-units", r.column, evidence, f"positions in {meant}")
     return None
 
 
@@ -57,7 +120,7 @@ def mirrored_rows(r: Response) -> Finding | None:
         r.column,
         f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better when one is read backwards",
         "readings of the way back that stand in the order of the targets, not of the measurement (or the reverse)",
-        "refuse" if r.repeats()[1] else "ask",
+        level_of_rearranged(r, straight**2, mirrored**2),
     )
 
 
@@ -77,4 +140,4 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     return curves if curves.std(axis=1).min() > SMALLEST_UM else None
 
 
-CHECKS: tuple[Check, ...] = (mixed_sign, mirrored_rows)
+CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows)

@@ -14,6 +14,8 @@ from errpipe.domain.recording import Recording
 URAD_PER_DEG = 1e6 * np.pi / 180
 RARE = 1e-4  # chance that two equal variances give such a ratio; four orders are tried on each recording
 RARE_NOISE = 1e-3  # chance that rows in their right order differ by more than the repeats allow
+SINGLE_RUN_RATIO = 16.0  # of variances: of 1023 sound single runs none passes even the F test alone
+FINE = 200.0  # levels within the span; a dial of 0.01 mm has 30 of them over an error of 0.3 mm
 FEWEST = 6  # finite rows; fewer say nothing about a slope
 
 
@@ -107,6 +109,17 @@ def is_rearranged(r: Response, as_declared: float, rearranged: float, targets: i
         return False
     repeats = r.repeats()[1]
     return repeats == 0 or rearranged <= _f_quantile(freedom, repeats, RARE_NOISE) * noise
+
+
+def is_fine(values: np.ndarray) -> bool:
+    """Whether readings have so many possible levels that chance repeats none: a laser's, not a dial's."""
+    steps = np.diff(np.unique(values))
+    return steps.size > 0 and float(np.ptp(values)) > FINE * float(steps.min())
+
+
+def level_of_rearranged(r: Response, as_declared: float, rearranged: float) -> Literal["refuse", "ask"]:
+    """Of a finding that `is_rearranged`: without repeats only a far better agreement refuses."""
+    return "refuse" if r.repeats()[1] or as_declared > SINGLE_RUN_RATIO * rearranged else "ask"
 
 
 Check = Callable[[Response], Finding | None]

@@ -110,6 +110,13 @@ PIPELINE_FAULTS = {
         "  - {kind: twin, by: {kind: csv, columns: {EXX: {column: a, unit: um}}}}\n  - {kind: diagnose}\n",
         "needs `file`",
     ),
+    "an export that nothing judges": (
+        "  - kind: validate\n    iso230_2: true\n  - kind: export\n    targets: [linuxcnc_screw]\n",
+        "  - kind: export\n  - kind: validate\n",
+        "nothing before it judges its model",
+    ),
+    "a component without terms": ("        terms:\n", "        terms: []\n#", "no term is named"),
+    "sensor is a time": ("{term: backlash, axis: X}", "{term: thermal_lag, sensor: t}", "'t' is no temperature"),
     "a machine file that is none": (
         "  - kind: report\n",
         "  - {kind: identify, machine: p.yaml}\n  - {kind: export_volumetric, name: volumetric}\n",

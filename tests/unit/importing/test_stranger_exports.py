@@ -285,3 +285,10 @@ def test_marks_of_thousands(cells: list[str], comma: bool, values: list[float | 
 @pytest.mark.parametrize(("text", "value"), [("12 345", 12345.0), ("- 5.2", -5.2), ("12 13", None), ("1 2 3", None)])
 def test_blanks_within_a_number(text: str, value: float | None) -> None:
     assert number(text, comma=False) == value
+
+
+def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(points("Run,Dir,Target mm,Error um"))
+    with pytest.raises(DataError, match="the same as"):
+        imported(tmp_path, [tmp_path / "a.csv", tmp_path / "b.csv"])
