@@ -3,56 +3,60 @@
     python examples/sensor-failure/failures.py RECORDING_FOLDER [season] [run]
 
     ... season --drift -1 --step 3 --start 0.2      # K/h, K and the share of a run: other failures than the usual ones
+    ... --family auto --judge OTHER_FOLDER          # whichever family wins; learnt from one folder, judged on the other
 
 Model and guard are learnt without the rows they are judged on: `season` leaves out a season whole, `run` one run at a
-time. Needs a thermal recording with a group column `of: season`. Each sensor fails at 40 % of every run where not told
-else; rms over the rows from there on. All of it takes minutes.
+time; `python -m trials.thermal --keep DIR` leaves pairs of folders, `fit` and `judge`. Needs a thermal recording with a
+group column `of: season`. Each sensor fails at 40 % of every run where not told else; rms over the rows from there on.
+All of it takes minutes.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, thermal_arithmetic, thermal_season
+from errpipe.fitting import holdout, thermal_arithmetic
 from errpipe.formats import manifest_folder
 from errpipe.guard import learn, trials, watch
+from errpipe.models import FAMILIES
 
 SCHEMES = ("season", "run")
 
 
-def folds(recording: Recording, scheme: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Rows to learn from and rows to judge on, (rows,) each."""
+def folds(recording: Recording, scheme: str) -> Iterator[tuple[Recording, Recording]]:
+    """What is learnt from, and what is judged."""
     if scheme == "season":
-        yield from ((fold.train, fold.test) for fold in holdout.groups(recording, "leave-one-group-out:season"))
+        for fold in holdout.groups(recording, "leave-one-group-out:season"):
+            yield recording.take(fold.train), recording.take(fold.test)
         return
     run = recording.run_codes()
-    yield from ((run != code, run == code) for code in np.unique(run))
+    yield from ((recording.take(run != code), recording.take(run == code)) for code in np.unique(run))
 
 
 def _with(rows: Recording, names: tuple[str, ...], readings: np.ndarray) -> Recording:
     return Recording(rows.manifest, rows.frame.assign(**dict(zip(names, readings.T, strict=True))))
 
 
-def judge(recording: Recording, component: str, scheme: str, how: dict[str, float]) -> tuple[dict, dict]:
+def judge(
+    pairs: Iterable[tuple[Recording, Recording]], family: str, component: str, how: dict[str, float]
+) -> tuple[dict, dict]:
     """Sums over the runs of each season: healthy squares, and per sensor and way what failing it makes of them.
 
-    how: drift, step and start of `trials.fail`.
+    pairs: what is learnt from, and what is judged; how: drift, step and start of `trials.fail`.
 
     Result: season -> [runs, runs with an alarm, squares, rows, squares guarded]; (season, sensor, way) -> [detected,
     rows to detection, runs in which another sensor was blamed, squares unguarded, squares guarded].
     """
     healthy: dict = {}
     failed: dict = {}
-    for train, test in folds(recording, scheme):
-        model = thermal_season.fit(recording, component, rows=train)
-        learnt_from = recording.take(train)
+    for learnt_from, rows in pairs:
+        model = FAMILIES[family](component=component).train(learnt_from)
         guard = learn.learn(learnt_from)
-        rows = recording.take(test)
         truth = thermal_arithmetic.since_start_of(rows, component)
         run = rows.run_codes()
         season = rows.frame["season"].to_numpy()
@@ -90,14 +94,13 @@ def judge(recording: Recording, component: str, scheme: str, how: dict[str, floa
     return healthy, failed
 
 
-def show(healthy: dict, failed: dict, scheme: str) -> None:
+def show(healthy: dict, failed: dict, how: str) -> None:
     """The table: detected runs @ median rows to detection, ratio to healthy unguarded > guarded."""
     for label, (runs, alarmed, squares, rows, held) in healthy.items():
         base = float(np.sqrt(squares / rows))
         beside = float(np.sqrt(held / rows))
         print(
-            f"-- {scheme} left out: {label}: healthy {base:.2f} um, guarded {beside:.2f};"
-            f" false alarms in {alarmed} of {runs} runs"
+            f"-- {how}: {label}: healthy {base:.2f} um, guarded {beside:.2f}; false alarms in {alarmed} of {runs} runs"
         )
         worst = 0.0
         for name in dict.fromkeys(n for _, n, _ in failed):
@@ -119,14 +122,20 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("schemes", nargs="*", choices=[*SCHEMES, []], default=[])
     parser.add_argument("--component", default="E_D")
+    parser.add_argument("--family", default="season")
+    parser.add_argument("--judge", type=Path, help="another recording, of the same sensors, that is judged")
     parser.add_argument("--drift", type=float, default=trials.DRIFT, help="K/h")
     parser.add_argument("--step", type=float, default=trials.STEP, help="K")
     parser.add_argument("--start", type=float, default=trials.START, help="share of a run, 0..1")
     told = parser.parse_args()
     recording = manifest_folder.read(told.folder)
     how = {"drift": told.drift, "step": told.step, "start": told.start}
+    if told.judge is not None:
+        pairs = [(recording, manifest_folder.read(told.judge))]
+        show(*judge(pairs, told.family, told.component, how), "learnt elsewhere")
+        return
     for scheme in told.schemes or SCHEMES:
-        show(*judge(recording, told.component, scheme, how), scheme)
+        show(*judge(folds(recording, scheme), told.family, told.component, how), f"{scheme} left out")
 
 
 if __name__ == "__main__":
