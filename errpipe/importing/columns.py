@@ -240,9 +240,7 @@ def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
         return columns
     (date,), (clock,) = dates, clocks
     both: list[Cell] = [
-        f"{_DATE.fullmatch(str(d).strip()).group(1)} {str(c).strip()}"
-        if d not in (None, "") and c not in (None, "")
-        else None  # type: ignore[union-attr]
+        f"{match[1]} {str(c).strip()}" if (match := _DATE.fullmatch(str(d).strip())) and c not in (None, "") else None
         for d, c in zip(date.cells, clock.cells, strict=True)
     ]
     joined = RawColumn(f"{date.header} {clock.header}", None, both, np.full(len(both), np.nan))
