@@ -119,11 +119,6 @@ def test_a_wave_of_noise_whose_spectrum_is_high_there_is_no_finding():
         kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
         for name, role in (("E", "error"), ("S", "simulated")):
             kinds[name] = {"role": role, "component": "EXX", "unit": "um"}
-        assert [effect for effect, _ in noise.said(recording(columns, kinds))] == wanted
-
-
-def test_where_names_are_taken_back_the_search_still_has_its_significance():
-    case, _ = noise.case(SEED, "spindle", "random walk", hidden=False)
-    (response,) = diagnose(case)[0].responses
-    assert not [f for f in response.findings if f.effect not in ("recalibration", "unknown")]
-    assert np.isfinite([response.significance.limit95, response.significance.gain]).all()
+        (response,) = diagnose(recording(columns, kinds))[0].responses
+        assert [f.effect for f in response.findings if f.effect != "recalibration"] == wanted
+        assert 0.0 < response.significance.limit95 < np.inf  # of the whole search, also where names were taken back
