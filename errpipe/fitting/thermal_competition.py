@@ -250,7 +250,7 @@ def _each_alone(
     for taught_by in groups:
         others = rows & (group != taught_by)
         size = float(np.sqrt(np.mean(response[others] ** 2))) or 1.0
-        predicted.append([entrant.predict((taught_by,))[others] / size for entrant in entrants])
+        predicted.append([np.nan_to_num(entrant.predict((taught_by,))[others]) / size for entrant in entrants])
         right.append(response[others] / size)
         taught.append(np.full(right[-1].size, taught_by))
     y = np.concatenate(right)

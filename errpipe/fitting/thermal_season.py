@@ -229,6 +229,8 @@ class Problem:
             own = self.rows & (self.group == g) & np.isfinite(gain)
             if own.any():
                 above[k], below[k] = np.mean(residual[own] * gain[own]), np.mean(gain[own] ** 2) + WORTH_PRIOR
+        if not below.any():  # a single group: nothing could sit out
+            return grid, np.zeros(grid.size)
         near = np.exp(-0.5 * ((grid[:, None] - starts) / WORTH_WIDTH) ** 2)
         return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)
 

@@ -160,6 +160,15 @@ def test_of_one_run_the_mean_of_sensors_may_be_taken_where_they_move_alike_and_o
     assert sum(taken) >= 3
 
 
+def test_every_family_competes_on_a_single_run() -> None:
+    """Also those that weigh a correction by groups left out, of which a block that stands alone has none."""
+    whole = one_warm_up(1, alike=True)
+    rows = np.arange(len(whole)) < 300
+    y = since_start(whole.array("E_Z"), whole.run_codes(), 3)[0]
+    left = (y - Auto(component="E_Z").train(whole, rows).values(whole))[~rows]
+    assert rms(left) < 0.1 * rms(y[~rows])
+
+
 def test_what_was_proved_on_warming_is_predicted_of_cooling() -> None:
     """A frame that only shrank while it was fitted, and then grows as far."""
     rng = np.random.default_rng(3)
