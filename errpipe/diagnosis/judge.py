@@ -123,13 +123,13 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     made.prior = search.prior.copy()
     plain = _possible(replace(made, prior=search.prior.copy(), plain=True), copy.copy(search), in_part)
     if plain.explanation.accepted and needs_own_noise(plain, plain.search, plain.explanation):
-        plain.held = holdout.held_out(plain)
+        plain.held = plain.held or holdout.held_out(plain)
     count, width = len(library.hypotheses), library.table.width
     case = _possible(made, search, *([first] if in_part is first else [first, in_part]))
     usual_noise = library.table.colour == USUAL
     if plain.held is None or (usual_noise and not case.explanation.accepted):
         return case
-    case.held = own = holdout.held_out(case)
+    case.held = own = case.held or holdout.held_out(case)
     if usual_noise and not _harms(own):
         return case
     if not _speaks_for_usual_noise(own, plain.held):
@@ -172,8 +172,14 @@ RETRIES = 4  # further searches, each without the findings ruled out before
 def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; `found`: by the search."""
     case = _without_impossible(made, search, *found)
-    made.taken_back = only_noise(case)
+    made.taken_back = only_noise(case) and not _predicts_whole_runs(case)
     return _nothing_named(made) if made.taken_back else case
+
+
+def _predicts_whole_runs(case: Case) -> bool:
+    """Do names predict runs that sat out whole? Noise does not, however slow it is."""
+    case.held = holdout.held_out(case)
+    return "whole runs" in case.held.scheme and case.held.names < BETTER * case.held.before
 
 
 def _nothing_named(made: SetUp) -> Case:
