@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from errpipe.stages.whatis import whatis
+from errpipe.stages.whatis import controller_curves, whatis
 
 WIDTH, HEIGHT = 64, 12  # characters: fits 80 columns with its labels
 
@@ -31,7 +31,16 @@ def _plot_of(file: Path, kind: str) -> list[str]:
         return _recording(file)
     if kind == "compensation table":
         return _table(file)
-    return []
+    return _controller_file(file) if kind == "controller file" else []
+
+
+def _controller_file(file: Path) -> list[str]:
+    out: list[str] = []
+    for c in controller_curves(file)[0][1][:2]:
+        unit, scale = ("arcsec", 3600.0) if c.axis[0] in "ABC" else ("um", 1e3)
+        out += ["", f"correction of {c.axis} in {unit} over {c.over}: + from below, - from above, * both"]
+        out += plot([("+", c.positions, scale * c.up), ("-", c.positions, scale * c.down)])
+    return out
 
 
 def _recording(file: Path) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import re
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,11 @@ def whatis(file: Path) -> dict[str, Any]:
     known = [f.name for f in formats.FORMATS if f.sniff(file)]
     if known:
         return {"kind": "measurement file", "format": known[0]}
+    if file.suffix == ".lock":
+        return _json(file)
+    found = _report(file) or _controller_file(file) or _importable(file)
+    if found is not None:
+        return found
     raise DataError(f"{file}: neither a table, a model, a pipeline, a recording nor a measurement file of errpipe")
 
 
@@ -74,10 +81,68 @@ def _json(file: Path) -> dict[str, Any]:
             return _table(file)
         if "error_model" in value:
             return _model(file)
+        if "errpipe_lock" in value and isinstance(value.get("stages"), dict):
+            return {"kind": "lock of a run", "version": value["errpipe_lock"], "stages": list(value["stages"])}
         for key, what in DOCUMENTS.items():
             if value.get(key) == 1:
                 return {"kind": what, "version": 1, "keys": sorted(value)}
     raise DataError(f"{file}: JSON, but not a document of errpipe")
+
+
+def _report(file: Path) -> dict[str, Any] | None:
+    """A page that errpipe wrote, by its title and last line."""
+    if file.suffix != ".html":
+        return None
+    text = file.read_text(encoding="utf-8", errors="replace")
+    title, version = re.search(r"<title>([^<]*)</title>", text), re.search(r'class="lead">[^<]*errpipe ([\w.]+)', text)
+    if title is None or version is None:
+        return None
+    return {"kind": "report", "title": html.unescape(title.group(1)), "errpipe": version.group(1)}
+
+
+MOST_CONTROLLER_BYTES = 4 << 20
+
+
+def controller_curves(file: Path) -> list[tuple[Any, list[Any]]]:
+    """The targets that read a file as their own, each with its curves; by its folder, else by trying."""
+    from errpipe.targets import TARGETS
+
+    if file.suffix in TABLE_SUFFIXES and file.parent.name not in [t.name for t in TARGETS]:
+        return []  # any table of numbers would pass
+    if file.stat().st_size > MOST_CONTROLLER_BYTES:
+        return []
+    text = file.read_bytes().decode("utf-8", "replace")
+    found = []
+    for target in [t for t in TARGETS if t.name == file.parent.name] or TARGETS:
+        try:
+            curves = list(target.read_back({file.name: text}).curves)
+        except Exception:  # whatever a reader raises of a file that is not its own
+            continue
+        if curves:
+            found.append((target, curves))
+    return found
+
+
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".log", ".xlsx", ".json", ".md", ".html", "")
+
+
+def _controller_file(file: Path) -> dict[str, Any] | None:
+    found = controller_curves(file)
+    if not found:
+        return None
+    curves = [f"{c.axis} over {c.over}, {len(c.positions)} points" for c in found[0][1]]
+    names = [f"{target.name} ({target.controller})" for target, _ in found]
+    return {"kind": "controller file", "target": " or ".join(names), "sign": found[0][0].sign, "curves": curves}
+
+
+def _importable(file: Path) -> dict[str, Any] | None:
+    """A file that the import opens."""
+    from errpipe.importing.doors import DOORS, HEAD_BYTES
+
+    with file.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    door = next((d for d in DOORS if file.suffix.lower() in d.suffixes and head and d.sniff(file, head)), None)
+    return None if door is None else {"kind": "measurement file", "format": door.name, "next": "errpipe import"}
 
 
 def _model(file: Path) -> dict[str, Any]:

@@ -115,7 +115,11 @@ PIPELINE_FAULTS = {
         "  - kind: export\n  - kind: validate\n",
         "nothing before it judges its model",
     ),
-    "a component without terms": ("        terms:\n", "        terms: []\n#", "no term is named"),
+    "a component without terms": (
+        PIPELINE[PIPELINE.index("        terms:") : PIPELINE.index("    holdout:")],
+        "        terms: []\n",
+        "no term is named",
+    ),
     "sensor is a time": ("{term: backlash, axis: X}", "{term: thermal_lag, sensor: t}", "'t' is no temperature"),
     "a machine file that is none": (
         "  - kind: report\n",

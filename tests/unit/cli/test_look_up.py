@@ -54,6 +54,28 @@ def test_show_plots_a_recording_and_a_table(tmp_path: Path, capsys: pytest.Captu
     assert "correction of X in um over X" in page and "-10 |" in page
 
 
+def test_show_says_what_every_file_of_a_run_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Lock, report, a controller's file in its folder and alone, and a file that the import opens."""
+    from errpipe.reporting.run_report import RunReport, render
+    from errpipe.targets import TARGETS
+
+    (target,) = (t for t in TARGETS if t.name == "linuxcnc_screw")
+    ((name, text),) = target.write(too_long_at_plus_x()).items()
+    (tmp_path / name).write_text(text)
+    (tmp_path / target.name).mkdir()
+    (tmp_path / target.name / name).write_text(text)
+    (tmp_path / "errpipe.lock").write_text('{"errpipe_lock": 1, "stages": {"ingest": {}}}')
+    (tmp_path / "report.html").write_text(render(RunReport("A & B", "VMC", "0.1.0", "abc")))
+    (tmp_path / "log.csv").write_text("target,error\n0,1\n10,2\n")
+    assert "kind: lock of a run" in said(capsys, "show", str(tmp_path / "errpipe.lock"))
+    assert "title: A & B" in said(capsys, "show", str(tmp_path / "report.html"))
+    assert "next: errpipe import" in said(capsys, "show", str(tmp_path / "log.csv"))
+    for file in (tmp_path / name, tmp_path / target.name / name):
+        page = said(capsys, "show", str(file))
+        assert "kind: controller file" in page and "linuxcnc_screw (LinuxCNC)" in page
+        assert "correction of X in um over X" in page and "-10 |" in page
+
+
 def test_a_plot_fits_eighty_columns() -> None:
     lines = show.plot([("+", np.arange(500.0), np.sin(np.arange(500.0) / 30)), ("-", [np.nan], [1.0])])
     assert max(map(len, lines)) <= 80

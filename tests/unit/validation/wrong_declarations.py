@@ -171,6 +171,22 @@ def mirrored(f: pd.DataFrame) -> pd.Series:
     return turned
 
 
+def _twice() -> Recording:
+    """The first run again under another name."""
+    recording = axis_test()
+    f = recording.frame
+    again = f[f.run == "run-1"]
+    again = again.assign(run="again", t=f.t.max() + 12 + again.t)
+    return Recording(recording.manifest, pd.concat([f, again], ignore_index=True))
+
+
+def _first_run(change: Callable[[pd.DataFrame], Any]) -> Recording:
+    """The first run alone with another error."""
+    recording = axis_test()
+    f = recording.frame[recording.frame.run == "run-1"].reset_index(drop=True)
+    return Recording(recording.manifest, f.assign(EXX=np.asarray(change(f))))
+
+
 @dataclass(frozen=True)
 class Wrong:
     """declared: the mistake, in words; code: the refusal that must come; meant: words that its message must hold."""
@@ -318,6 +334,43 @@ WRONG: tuple[Wrong, ...] = (
         "another column",
     ),
     Wrong("0.1 um declared as um", _error(lambda f: 10 * f.EXX), "expands-too-much", "in 0.1 um"),
+    Wrong(
+        "three runs of five of the other sign",
+        _error(lambda f: _some(f.EXX, f.run < "run-4", -1.0)),
+        "mixed-sign",
+        "turn",
+    ),
+    Wrong("a file imported twice, as another run", _twice, "copy-of-column", "imported twice"),
+    Wrong(
+        "positions of one run in inch",
+        _column("x", lambda f: _some(f.x, f.run == "run-3", 1 / INCH)),
+        "mixed-units",
+        "inch",
+    ),
+    Wrong(
+        "a reading filled in over half the travel",
+        _error(lambda f: f.EXX.mask(f.x > 400, 7.25)),
+        "constant-deviation",
+        "filled",
+    ),
+    Wrong(
+        "the row number as the position",
+        _column("x", lambda f: 1.0 * f.index),
+        "direction-not-of-motion",
+        "counts the rows",
+    ),
+    Wrong(
+        "errors of a single run one row late",
+        lambda: _first_run(lambda f: np.roll(f.EXX, 1)),
+        "shifted-rows",
+        "row before",
+    ),
+    Wrong(
+        "a single run, its way back in the order of the targets",
+        lambda: _first_run(mirrored),
+        "mirrored-rows",
+        "way back",
+    ),
 )
 
 
