@@ -40,7 +40,8 @@ _AXIS_ABOVE = re.compile(
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{2,4})(?:T00:00:00)?")
+MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
+_DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./]\d{{1,2}}[./]\d{{2,4}})(?:{MIDNIGHT})?")
 _CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( [AP]M)?")
 DATES = (
     "%d.%m.%Y %H:%M:%S.%f",
@@ -239,9 +240,10 @@ def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
     if len(dates) != 1 or len(clocks) != 1:
         return columns
     (date,), (clock,) = dates, clocks
+    pairs = zip(date.cells, clock.cells, strict=True)
     both: list[Cell] = [
-        f"{match[1]} {str(c).strip()}" if (match := _DATE.fullmatch(str(d).strip())) and c not in (None, "") else None
-        for d, c in zip(date.cells, clock.cells, strict=True)
+        None if d in (None, "") or c in (None, "") else f"{str(d).strip().removesuffix(MIDNIGHT)} {str(c).strip()}"
+        for d, c in pairs
     ]
     joined = RawColumn(f"{date.header} {clock.header}", None, both, np.full(len(both), np.nan))
     return [joined if c is date else c for c in columns if c is not clock]

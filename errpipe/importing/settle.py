@@ -67,7 +67,7 @@ def one_of_each(p: Proposal) -> None:
         for letter in sorted({e["axis"] for e in p.entries.values() if e["role"] == role}):
             names = [n for n, e in p.entries.items() if e["role"] == role and e["axis"] == letter and n in p.data]
             measured = [n for n in names if _BESIDE_THE_MACHINE.search(n)]
-            if not names:
+            if len(names) < 2:
                 continue
             kept = measured[0] if role == "actual" and len(measured) == 1 else names[0]
             for name in [n for n in names if n != kept]:

@@ -159,7 +159,7 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
             "identification. Its direction is not known; a test at places not used here would show the true remainder."
         )
     figures = [("Volumetric error, before and after", machine_figures.vectors(chain, q, before, after), caption)]
-    if sum(a.kind == "linear" for a in chain.machine.axes.values()) >= 3:
+    if sum(a.kind == "linear" for a in chain.machine.axes.values()) >= 2:
         slices = machine_figures.slices(chain, sizes)
         figures.append(("Slices, before and after", slices, "Size of the error in um on the middle planes, one scale."))
     return figures

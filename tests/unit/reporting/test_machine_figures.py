@@ -68,6 +68,15 @@ def test_slices_before_and_after_stand_side_by_side_in_one_scale(measured):
     assert svg == machine_figures.slices(chain, panels)
 
 
+def test_a_table_of_two_axes_has_its_plane_before_and_after():
+    axes = {"X": {"kind": "linear", "travel": [0, 500]}, "Y": {"kind": "linear", "travel": [0, 400]}}
+    links = ["workpiece", "X'", "bed", "Y", "spindle", "tool"]
+    chain = compile_chain(Machine.model_validate({"machine": 1, "name": "table", "chain": links, "axes": axes}))
+    panels = {"before": lambda q: q[:, 0] / 50, "after": lambda q: 0.1 + 0 * q[:, 0]}
+    told = words(machine_figures.slices(chain, panels))
+    assert {"X mm", "Y mm", "before: 5.8 um rms, 10.0 largest", "after: 0.10 um rms, 0.10 largest"} <= told
+
+
 def test_what_is_left_without_a_known_direction_is_drawn_as_balls(measured):
     chain, _, q, deviation = measured
     svg = machine_figures.vectors(chain, q, deviation, np.full(len(q), 2.0))
