@@ -140,7 +140,7 @@ def compete(
     """The mixture of entrants. response: um, (rows,); rows: mask of usable rows; group: run of each row.
 
     cautious: groups are neighbouring blocks of one run. A fit without one of them interpolates between its neighbours,
-    which the rest of the machine's life does not; so each block alone predicts all others, and that chooses.
+    which the rest of the machine's life does not; so every stretch of blocks predicts all others, and that chooses.
 
     Raises DataError where nothing can be left out.
     """
@@ -154,7 +154,7 @@ def compete(
         raise DataError("thermal model: only one group of rows, so families cannot be compared")
     judged = {name: _Judged(p, response, rows, group) for name, p in left_out.items()}
     chooser = judged[RUN] if RUN in judged else next(iter(judged.values()))
-    deciding = _each_alone(entrants, groups, response, rows, group) if cautious else chooser
+    deciding = _stretches(entrants, groups, response, rows, group) if cautious else chooser
     left_by = deciding.mean_square(typical=cautious)
     score = np.where(_admitted(judged, {w.name for w in ways if w.decides}), left_by, np.inf)
     best: dict[str, int] = {}
@@ -164,7 +164,7 @@ def compete(
             best[entrant.family] = k
     ranked = sorted(best.values(), key=lambda k: score[k])
     chosen = [k for k in ranked if np.isfinite(score[k])]
-    weights = _settled(_weights(chosen, deciding), deciding) if cautious else _selected(chosen, deciding)
+    weights = _whole(chosen, deciding) if cautious else _selected(chosen, deciding)
     named: dict[str, dict[int, float]] = (
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )
@@ -238,21 +238,26 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
     return admitted
 
 
-def _each_alone(
+def _stretches(
     entrants: Sequence[Entrant], groups: Groups, response: np.ndarray, rows: np.ndarray, group: np.ndarray
 ) -> _Judged:
-    """Every group alone predicts all others, one after the other; residuals count as a share of what was there.
+    """Every stretch of neighbouring groups predicts all others, one after the other, over what the best entrant leaves.
 
-    So that a stretch that moved far does not decide alone. Seed 9821 of `trials.thermal`, 36 single days that predict
-    the other days of two seasons: 11.9 um with blocks that are left out one by one, 8.1 so.
+    A stretch that is hard for all then decides no more than any other. Seed 9821 of `trials.thermal`, 36 single days
+    that predict the other days of two seasons: 11.9 um with blocks that are left out one by one, 8.0 so.
     """
     predicted, right, taught = [], [], []
-    for taught_by in groups:
-        others = rows & (group != taught_by)
-        size = float(np.sqrt(np.mean(response[others] ** 2))) or 1.0
-        predicted.append([np.nan_to_num(entrant.predict((taught_by,))[others]) / size for entrant in entrants])
+    count = len(groups)
+    for first, end in ((a, b) for a in range(count) for b in range(a + 1, count + 1) if b - a < count):
+        teachers = groups[first:end]
+        others = rows & ~np.isin(group, teachers)
+        told = np.array([np.nan_to_num(entrant.predict(teachers)[others]) for entrant in entrants])
+        told = told.reshape(len(entrants), np.count_nonzero(others))
+        size = float(np.sqrt(np.mean((told - response[others]) ** 2, axis=1).min(initial=np.inf)))
+        size = size if np.isfinite(size) and size > 0.0 else 1.0
+        predicted.append(told / size)
         right.append(response[others] / size)
-        taught.append(np.full(right[-1].size, taught_by))
+        taught.append(np.full(right[-1].size, len(taught)))
     y = np.concatenate(right)
     return _Judged(np.concatenate(predicted, axis=1), y, np.ones(y.size, bool), np.concatenate(taught))
 
@@ -288,6 +293,13 @@ def _settled(weights: Mapping[int, float], judged: _Judged) -> dict[int, float]:
     chosen = {k: w for k, w in weights.items() if w >= LEAST_WEIGHT}
     whole = _weights(list(chosen), judged, whole=True) if chosen else {}
     return chosen if _better(judged.by_group(whole) - judged.by_group(chosen)) else whole
+
+
+def _whole(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
+    """Weights of a sum of one, without those that are too small."""
+    weights = _weights(ranked, judged, whole=True) if ranked else {}
+    kept = [k for k, w in weights.items() if w >= LEAST_WEIGHT]
+    return _weights(kept, judged, whole=True) if kept else {}
 
 
 def _weights(kept: Sequence[int], judged: _Judged, whole: bool = False) -> dict[int, float]:

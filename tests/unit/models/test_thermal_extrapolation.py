@@ -113,14 +113,14 @@ def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() 
     assert weights(False) > 0.99 and weights(True) == 0.0
 
 
-def test_blocks_of_one_run_each_predict_all_others() -> None:
+def test_stretches_of_one_run_each_predict_all_others() -> None:
     """One entrant is best between its neighbours and useless beyond them; the other is a little worse everywhere."""
     group = np.repeat(np.arange(5), 100)
     truth = np.linspace(0, 20, 500)
     noise = np.random.default_rng(7).choice([-1.0, 1.0], 500)
 
     def between(groups):
-        return truth + 0.1 * noise if len(groups) > 1 else np.zeros(500)
+        return truth + 0.1 * noise if len(groups) > 3 else np.zeros(500)
 
     fragile = thermal_competition.Entrant("fragile", "fragile", between, lambda g: ())
     sound = thermal_competition.Entrant("sound", "sound", lambda g: truth + 0.5 * noise, lambda g: ())
@@ -157,7 +157,7 @@ def test_of_one_run_the_mean_of_sensors_may_be_taken_where_they_move_alike_and_o
         assert rms((y - model.values(whole))[~rows]) < 0.05 * rms(y[~rows])
         apart = Rises(component="E_Z").train(one_warm_up(seed, alike=False), rows)
         assert "rises, mean of sensors" not in [p[0] for p in apart.parts]
-    assert sum(taken) >= 3
+    assert any(taken)
 
 
 def test_every_family_competes_on_a_single_run() -> None:
