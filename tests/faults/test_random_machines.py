@@ -110,19 +110,21 @@ def sequence(seed: int, made: Machine) -> list[Part]:
     r = np.random.default_rng(seed)
     parts = [Part("table", 0, *_still(made, 200))]
     for _ in range(PARTS):
-        cycles = int(r.integers(1, 150))
+        begins = str(r.choice(["", "", "reset"]))
+        cycles = int(r.integers(40 if begins else 1, 150))
         readings = np.tile(made.calm, (cycles, 1))
         for k, channel in enumerate(made.table.inputs):
             if channel.kind == "position":
                 low, high = made.travel[channel.axis]
                 start = r.uniform(low, high) if r.random() < 0.3 else readings[0, k]
                 readings[:, k] = start + np.cumsum(r.choice([-0.3, 0.0, 0.2], cycles // 20 + 1).repeat(20)[:cycles])
-            _spoil(r, readings[:, k])
+            if channel.kind == "position" or not begins:  # sensors are right at a reset: what they say then is believed
+                _spoil(r, readings[:, k])
         mode = np.full(cycles, ON, np.uint8)
         at = int(r.integers(cycles))
         mode[at:] = r.choice([ON, ON, HOLD, OFF])
         fresh = (r.random(readings.shape) < r.choice([1.0, 1.0, 0.5, 0.02])).astype(np.uint8)
-        parts.append(Part(str(r.choice(["", "", "reset"])), 0, readings, fresh, mode))
+        parts.append(Part(begins, 0, readings, fresh, mode))
     return [*parts, Part("", 0, *_still(made, CALM))]
 
 
