@@ -229,20 +229,21 @@ def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
 
 def _figures_below(layout: Layout, p: Proposal) -> np.ndarray:
     """Rows of figures over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above."""
-    out = np.zeros(len(layout.columns[0].cells), dtype=bool)
+    rows = len(layout.columns[0].cells)
+    out, begun, texts = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool), np.zeros(rows)
     for c in layout.columns:
-        words = {i: str(cell) for i, cell in enumerate(c.cells) if cell not in (None, "") and np.isnan(c.values[i])}
-        figures = np.flatnonzero(np.isfinite(c.values))
-        after = figures[-1] if c.numeric else len(c.cells)  # a word below the last number is no run
-        named = [i for i, text in words.items() if wide.statistic(text) or (i > after and re.search(r"[^\W\d]", text))]
-        out[named] |= len(named) < 0.2 * len(c.cells)
-    texts = [
-        [is_word(cell) and v != v for cell, v in zip(c.cells, c.values, strict=True)]
-        for c in layout.columns
-        if c.numeric
-    ]
-    if len(texts) > 1:  # lines of facts above the numbers, as wide as they are
-        out |= 2 * np.sum(texts, axis=0) >= len(texts)
+        figure = np.isfinite(c.values)
+        words = {int(i): str(c.cells[i]) for i in np.flatnonzero(~figure) if c.cells[i] not in (None, "")}
+        after = np.flatnonzero(figure)[-1] if c.numeric else rows  # a word below the last number is no run
+        for_all = [i for i, t in words.items() if wide.statistic(t) or (i > after and re.search(r"[^\W\d]", t))]
+        named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a remark
+        out[named] |= len(named) < 0.2 * rows
+        texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
+        begun |= figure
+        begun[list(words)] = True
+    numeric = sum(c.numeric for c in layout.columns)
+    if numeric > 1:  # lines of facts above the numbers, as wide as they are
+        out |= 2 * texts >= numeric
     if out.any():
         first = " ".join(label(c.cells[int(np.argmax(out))]) for c in layout.columns).strip()
         p.notes.append(

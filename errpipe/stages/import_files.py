@@ -107,7 +107,7 @@ def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Seque
         "rows": proposal.rows,
         "says": [
             f"{Path(folder) / manifest_folder.MANIFEST}: {proposal.rows} rows, {len(proposal.entries)} columns",
-            f"next: errpipe init --template NAME DIR --recording {folder}, or errpipe check {folder}",
+            f"next: errpipe init --template NAME DIR --recording {folder}",
         ],
     }
 

@@ -147,6 +147,21 @@ def test_a_date_beside_a_clock(tmp_path: Path, form: str) -> None:
     assert recording.manifest.columns[column].epoch == "2026-03-31T08:00:00"
 
 
+def test_a_remark_or_a_sensor_that_ends_costs_no_row(tmp_path: Path) -> None:
+    """`max` in a remark is no figure over the runs; words in place of the last temperatures are empty cells."""
+    end = (ROWS[-1][0], ROWS[-1][1], ROWS[-1][2])
+    text = long(
+        "Run;Dir;Target mm;Error um;T air;Remark",
+        lambda r, x, s, d: (
+            f"{r};{mark(s)};{x};{d};{'n.c.' if (r, x, s) == end else 20.5};{'max speed' if x == TARGETS[2] else ''}"
+        ),
+    )
+    (tmp_path / "f.csv").write_text(text)
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    holds_the_truth(recording)
+    assert len(recording) == len(ROWS)
+
+
 ASKED = {
     "a unit that is none of an error": (long("x mm,error (ppm)", lambda r, x, s, d: f"{x},{d}"), "'ppm' is no known unit"),
     "an error in volts": (long("x mm,error [V]", lambda r, x, s, d: f"{x},{d}"), "'V' is no known unit"),
