@@ -75,7 +75,8 @@ def _check_pipeline(path: Path, data: bool) -> str:
     from errpipe.cli._arguments import load_pipeline_file
     from errpipe.cli.output import stage_module
 
-    problems = stage_module("check").problems(load_pipeline_file(path, []), data)
+    check, pipeline = stage_module("check"), load_pipeline_file(path, [])
+    problems = sorted({*check.problems(pipeline, data), *check.unjudged(pipeline)})
     if problems:
         raise ConfigError(problems)
     return "pipeline"

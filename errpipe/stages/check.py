@@ -38,7 +38,7 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
             recording, of_source = _source(stage, pipeline, seen, data)
             all_problems += of_source
             seen[stage.label] = recording
-            places = [*_machine(stage, data), *_judged(stage, pipeline), *_of_stage(stage, recording)]
+            places = [*_machine(stage, data), *_of_stage(stage, recording)]
         except ErrpipeError as err:
             places = [((), str(err))]
         for place, text in places:
@@ -46,6 +46,18 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
             if (problem.line, problem.column) not in absent:
                 all_problems.append(problem)
     return sorted(set(all_problems))
+
+
+def unjudged(pipeline: Any) -> list[Problem]:
+    """Stages that export what nothing judges and do not say so: the gate of a run refuses them (exit code 4)."""
+    why = "nothing before it judges its model on rows that sat out: add a `validate` stage, or say ungated: true"
+    return [
+        pipeline.document.problem(("stages", number), why)
+        for number, stage in enumerate(pipeline.stages)
+        if "validation" in stage.takes
+        and not getattr(stage, "ungated", True)
+        and not pipeline.links.get(stage.label, {}).get("validation")
+    ]
 
 
 def _source(
@@ -186,16 +198,6 @@ def _machine(stage: Any, data: bool) -> Iterator[tuple[Place, str]]:
             components.parse(name)
         except ValueError as err:
             yield ("without", k), str(err)
-
-
-def _judged(stage: Any, pipeline: Any) -> Iterator[tuple[Place, str]]:
-    """A stage that exports what was judged needs a judgement, or must say that there is none."""
-    judged = getattr(stage, "ungated", True) or pipeline.links.get(stage.label, {}).get("validation")
-    if not judged and "validation" in stage.takes:
-        yield (
-            (),
-            "nothing before it judges its model on rows that sat out: add a `validate` stage, or say ungated: true",
-        )
 
 
 def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, str]]:

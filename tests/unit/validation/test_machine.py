@@ -152,7 +152,7 @@ def test_a_weak_test_ends_with_exit_code_4_and_writes_no_table(tmp_path, capsys)
 def test_an_identification_that_nothing_judges_is_refused(tmp_path, capsys):
     text = PIPELINE.format(protocol="point_cloud", seed=1, machine=CENTRE, validate="")
     (tmp_path / "p.yaml").write_text(text)
-    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 2
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 4
     assert "add a `validate` stage" in capsys.readouterr().err
 
 
