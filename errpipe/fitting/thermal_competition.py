@@ -246,7 +246,7 @@ def _stretches(
     A stretch that is hard for all then decides no more than any other. Seed 9821 of `trials.thermal`, 36 single days
     that predict the other days of two seasons: 11.9 um with blocks that are left out one by one, 8.0 so.
     """
-    predicted, right, taught = [], [], []
+    predicted, right, taught = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     count = len(groups)
     for first, end in ((a, b) for a in range(count) for b in range(a + 1, count + 1) if b - a < count):
         teachers = groups[first:end]
