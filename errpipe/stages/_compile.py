@@ -120,10 +120,13 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
     from errpipe.stages import _inputs, _plausible
 
     said = []
-    for axis in sorted(_inputs.turning(model) & {p.axis for p in pairs if p.profile is not None and not p.period}):
+    curved = {p.axis for p in pairs if p.axis is not None and p.profile is not None and not p.period}
+    for axis in sorted(_inputs.turning(model) & curved):
         low, high = _inputs.travel(model)[axis]
-        column = recording and (recording.name("command", axis=axis) or recording.name("position", axis=axis))
-        places = np.unique(recording.array(column)) if recording and column else np.empty(0)
+        places = np.empty(0)
+        if recording is not None:
+            column = recording.name("command", axis=axis) or recording.name("position", axis=axis)
+            places = np.unique(recording.array(column)) if column is not None else places
         usual = float(np.diff(places[(places >= low) & (places <= high)]).max(initial=0.0))
         if low + TURN - high > USUAL * usual:
             said.append(_plausible.bridged(axis, high, low + TURN))
