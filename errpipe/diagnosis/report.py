@@ -150,6 +150,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         rows=int(case.y.size),
         unreached=unreached(case, case.sigma) if proved else 0.0,
         fast=int(is_fast(case)),
+        wandering=sum(g for s, g in shaped.shapes if not s.of_inputs),
         beside=0.0 if proved else _best_shape(case, case.chosen()),
         instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
     )
