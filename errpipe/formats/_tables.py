@@ -257,7 +257,7 @@ def _parquet_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
 
 
 def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
-    with pq.ParquetFile(path) as file:
+    with pq.ParquetFile(path, pre_buffer=False) as file:
         check_columns(file.schema_arrow.names, kinds, label)
         wanted = [n for n in kinds if kinds[n] != "ignore"]
         for name in wanted:

@@ -139,7 +139,9 @@ def iter_batches(folder: Path, names: Sequence[str] | None = None, rows: int = C
     timed = any(manifest.columns[n].role == "time" for n in kept)
     past = Past()
     try:
-        table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels)
+        table = pq.ParquetFile(
+            Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False
+        )  # else it keeps all it has read
         for part in table.iter_batches(batch_size=rows, columns=kept):
             columns = {n: part[n].to_pandas() if n in labels else part[n].to_numpy(zero_copy_only=False) for n in kept}
             batch = Recording(manifest, pd.DataFrame(columns, copy=False), past=past)
