@@ -131,7 +131,8 @@ def rows_written(folder: Path) -> int:
 def iter_batches(folder: Path, names: Sequence[str] | None = None, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
     """Columns of a folder that `write` or `to_parquet` made, `rows` at a time; all columns without names.
 
-    Each batch says what the rows before it leave behind, so that states go on. Raises DataError for a damaged file.
+    Each batch says what the rows before it leave behind, so that states go on; a buffer of the file's would keep all
+    that was read. Raises DataError for a damaged file.
     """
     manifest = canonical(load_manifest(folder))
     kept = [n for n, c in manifest.columns.items() if c.role != "ignore" and (names is None or n in names)]
@@ -139,9 +140,7 @@ def iter_batches(folder: Path, names: Sequence[str] | None = None, rows: int = C
     timed = any(manifest.columns[n].role == "time" for n in kept)
     past = Past()
     try:
-        table = pq.ParquetFile(
-            Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False
-        )  # else it keeps all it has read
+        table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
         for part in table.iter_batches(batch_size=rows, columns=kept):
             columns = {n: part[n].to_pandas() if n in labels else part[n].to_numpy(zero_copy_only=False) for n in kept}
             batch = Recording(manifest, pd.DataFrame(columns, copy=False), past=past)
