@@ -193,7 +193,9 @@ def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]
     return "tie" if chance.get(name, 0.0) > TIE_LEVEL else ""
 
 
-def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
+def linear(
+    family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray], penalty: float = 0.0
+) -> Entrant:
     """An entrant that is gains (of the first drivers of a problem) from groups."""
     from errpipe.fitting.thermal_competition import Entrant
 
@@ -206,7 +208,7 @@ def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tupl
     def parts(groups: tuple[int, ...]) -> Any:
         return tuple((name, float(g), node) for g, node in zip(known(groups), problem.drivers, strict=False) if g)
 
-    return Entrant(family, name, predict, parts)
+    return Entrant(family, name, predict, parts, penalty=penalty)
 
 
 def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> ThermalModel:

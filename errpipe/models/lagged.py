@@ -38,12 +38,12 @@ class Lagged(ThermalFamily):
 
         def lasso(number: int) -> Entrant:
             name = f"lagged, lasso {LASSO[number]:g}"
-            return linear(f"{family}, lasso", name, problem, lambda groups: path(groups)[number])
+            return linear(f"{family}, lasso", name, problem, lambda groups: path(groups)[number], LASSO[number])
 
         def ridge(strength: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.ridge(*problem.stacked(groups, width), strength)
 
-            return linear(f"{family}, ridge", f"lagged, ridge {strength:g}", problem, gains)
+            return linear(f"{family}, ridge", f"lagged, ridge {strength:g}", problem, gains, strength)
 
         return [*map(lasso, range(len(LASSO))), *map(ridge, RIDGE)]

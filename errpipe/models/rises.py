@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -35,7 +36,7 @@ class Rises(ThermalFamily):
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.ridge(*problem.stacked(groups, width), strength)
 
-            return linear(family, f"rises, ridge {strength:g}", problem, gains)
+            return linear(family, f"rises, ridge {strength:g}", problem, gains, strength)
 
         def common(freedom: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
@@ -47,5 +48,5 @@ class Rises(ThermalFamily):
             return t.mean_of_sensors(*problem.stacked(groups, width)[:2])
 
         name = f"{family}, mean of sensors"
-        alone = [linear(name, name, problem, mean)] if problem.one_run else []
+        alone = [replace(linear(name, name, problem, mean), plain=True)] if problem.one_run else []
         return [*map(ridge, STRENGTHS), *map(common, FREEDOMS), *alone]
