@@ -121,11 +121,15 @@ def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
 
     Events show as heavy-tailed innovations, a rhythm as a bump in the spectrum, by half octaves from two periods on.
     """
-    centred = autoregression(left, run).innovations
-    centred = centred - centred.mean()
-    kurtosis = float(np.mean(centred**4)) / (float(np.mean(centred**2)) ** 2 + 1e-300)
     power = np.abs(np.fft.rfft((left - left.mean()) * np.hanning(left.size)))[2:] ** 2
     edges = np.unique(np.geomspace(1, power.size, int(2 * np.log2(max(power.size, 2))) + 2).astype(int) - 1)
     level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
     rise = level[1:] / (np.minimum.accumulate(level)[:-1] + 1e-300)
-    return kurtosis < EVENTS and float(np.max(rise, initial=0.0)) < BUMP
+    return not comes_in_events(left, run) and float(np.max(rise, initial=0.0)) < BUMP
+
+
+def comes_in_events(left: np.ndarray, run: np.ndarray) -> bool:
+    """Are the innovations of a residual (rows,) heavier in their tails than noise of one kind has them?"""
+    innovations = autoregression(left, run).innovations
+    centred = innovations - innovations.mean()
+    return float(np.mean(centred**4)) >= EVENTS * (float(np.mean(centred**2)) ** 2 + 1e-300)

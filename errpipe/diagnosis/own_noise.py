@@ -115,13 +115,15 @@ def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, in
 def only_noise(case: Case) -> bool:
     """Is it likelier that nothing is missing, in noise that is a linear process, than what the names say?
 
-    A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding.
+    A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding. What comes in events,
+    such as friction that turns with the motion, is no linear process, however well one follows it from row to row.
     """
-    chosen = case.chosen()
+    chosen, bare = case.chosen(), residual(case, [])
+    if not chosen or coloured.comes_in_events(bare, case.run):
+        return False
     used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
-    gain = linear_gain(case, residual(case, []), residual(case), used[0] - used[1] + nonlinear)
-    return bool(chosen) and gain < 0.0
+    return linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear) < 0.0
 
 
 def linear_gain(case: Case, before: np.ndarray, after: np.ndarray, freedom: float) -> float:
