@@ -61,12 +61,18 @@ def read_model(path: Path) -> ErrorModel:
     from pydantic import ValidationError
 
     from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Column
 
+    place: tuple[str, ...] = ()
     try:
-        return ErrorModel.model_validate(jsonfile.read(path))
+        model = ErrorModel.model_validate(jsonfile.read(path))
+        for name, facts in model.columns.items():
+            place = ("columns", name)
+            Column.model_validate(facts)
+        return model
     except ValidationError as err:
         first = err.errors()[0]
-        where = ".".join(map(str, first["loc"]))
+        where = ".".join(map(str, (*place, *first["loc"])))
         raise VerifyError(f"{path}: not an error model: {where}: {first['msg']}") from None
 
 

@@ -180,3 +180,13 @@ def test_a_model_whose_term_has_no_name_is_a_message() -> None:
 
     with pytest.raises(ValidationError, match="has its name under `term`"):
         FittedTerm.model_validate({"term": {"axis": "X"}, "parameters": []})
+
+
+def test_a_model_whose_column_has_an_unknown_key_is_a_message(tmp_path: Path) -> None:
+    from errpipe.errors import VerifyError
+    from errpipe.stages._artefacts import read_model
+
+    path = tmp_path / "error_model.json"
+    path.write_text('{"error_model": 1, "columns": {"x": {"role": "position", "!xis": "X"}}, "components": []}')
+    with pytest.raises(VerifyError, match=r"not an error model: columns\.x\.!xis: Extra inputs"):
+        read_model(path)
