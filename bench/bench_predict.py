@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.figure import Figure, main
 
-ROWS = int(os.environ.get("BENCH_PREDICT_ROWS", "5000000"))
+ROWS = int(os.environ.get("BENCH_PREDICT_ROWS", "20000000"))  # the start of Numba counts for a tenth
 RUNS, SENSORS, REPEATS = 50, 4, 2
 AIM, MEMORY_AIM = 2.0, 1.0  # times bare reading and writing; GB
 BARE = """

@@ -361,7 +361,7 @@ class Recording:
         return tuple(str(self.manifest.columns[n].component) for n in self.names("error"))
 
     def take(self, rows: Any) -> Recording:
-        """The recording with only the rows of a boolean mask or an index array."""
+        """The recording with only the rows of a boolean mask, an index array or a slice (which copies nothing)."""
         frame = self.frame[rows] if getattr(rows, "dtype", None) == "bool" else self.frame.iloc[rows]
         return Recording(self.manifest, frame.reset_index(drop=True), self.between)
 
