@@ -321,6 +321,11 @@ class Recording:
         """The columns that were asked for: fits ask ten thousand times, and pandas is slow to answer."""
         return {}
 
+    @cached_property
+    def derived(self) -> dict[Any, np.ndarray]:
+        """Arrays of a value per row that follow from the rows, kept with them; nobody writes into them."""
+        return {}
+
     def _array(self, name: str) -> np.ndarray:
         if name not in self.frame.columns:
             near = did_you_mean(name, self.frame.columns)

@@ -35,8 +35,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
                 driver, drive(driver.of, recording), recording, lambda s, t, u, start: responses.first_value(s, u)
             )
         case d.Lag():
-            source = drive(driver.of, recording)
-            return _late(driver, source, recording)
+            return _late(driver, _at_input(driver, recording), recording)
         case d.Product():
             return np.prod([drive(of, recording) for of in driver.of], axis=0)
         case d.Power():
@@ -60,6 +59,15 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
 
 
 PAUSE = 4.0  # times the usual step between rows, from which a series of parts has paused
+
+
+def _at_input(driver: d.Lag, recording: Recording) -> np.ndarray:
+    """What a lag is of: kept with the rows, for a search asks for it at every time constant that it tries."""
+    if recording.past is not None:  # states go on from batch to batch
+        return drive(driver.of, recording)
+    if driver.of not in recording.derived:
+        recording.derived[driver.of] = drive(driver.of, recording)
+    return recording.derived[driver.of]
 
 
 def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray:

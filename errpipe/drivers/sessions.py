@@ -15,6 +15,12 @@ def sessions(recording: Recording) -> np.ndarray:
     A new session starts where the run changes and time goes back, is missing, or jumps by more than
     `LONGEST_PAUSE`; without a time column every run is its own.
     """
+    if "sessions" not in recording.derived:
+        recording.derived["sessions"] = _sessions(recording)
+    return recording.derived["sessions"]
+
+
+def _sessions(recording: Recording) -> np.ndarray:
     run = recording.run_codes()
     if len(run) == 0 or recording.name("time") is None:
         return run
