@@ -65,6 +65,11 @@ class CleaningReport(Frozen):
 
 def clean(recording: Recording, rules: Sequence[Rule] = DEFAULT) -> tuple[Recording, CleaningReport]:
     """Apply rules one after the other. Raises DataError where one would remove more than its stated share."""
+    return cleaned_rows(recording, rules)[:2]
+
+
+def cleaned_rows(recording: Recording, rules: Sequence[Rule]) -> tuple[Recording, CleaningReport, np.ndarray]:
+    """`clean`, and of which row of the recording that came in each row is, (rows,)."""
     origin = np.arange(len(recording))
     rows_before = len(recording)
     reports = []
@@ -81,7 +86,7 @@ def clean(recording: Recording, rules: Sequence[Rule] = DEFAULT) -> tuple[Record
             kept[np.concatenate(removed)] = False
             recording, origin = recording.take(kept), origin[kept]
     report = CleaningReport(rows_before=rows_before, rows_after=len(recording), rules=tuple(reports))
-    return recording, report
+    return recording, report, origin
 
 
 def _done(action: Action, origin: np.ndarray) -> Done:

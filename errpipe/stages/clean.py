@@ -26,8 +26,8 @@ class Clean(Stage):
     rows_in_memory: int = Field(
         1_000_000,
         ge=1000,
-        description="A longer recording, of which no run is longer, is cleaned some whole runs at a time: the shares "
-        "that rules may remove are then those of these rows.",
+        description="A longer recording is cleaned some whole runs at a time, and a longer run piece by piece: the "
+        "shares that rules may remove, and what they take over a whole run, are then those of the piece.",
         json_schema_extra={"unit": "1"},
     )
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
@@ -52,13 +52,21 @@ class Clean(Stage):
 
     def _in_pieces(self, folder: Path) -> bool:
         from errpipe.cleaning import _pieces
+        from errpipe.errors import DataError
         from errpipe.formats import manifest_folder
 
-        if manifest_folder.rows_written(folder) <= self.rows_in_memory:
+        rows = manifest_folder.rows_written(folder)
+        if rows <= self.rows_in_memory:
             return False
-        run = manifest_folder.load_manifest(folder).names("run")
-        longest = _pieces.longest_run(manifest_folder.iter_batches(folder, run)) if run else None
-        return longest is not None and longest <= self.rows_in_memory
+        manifest = manifest_folder.load_manifest(folder)
+        run = manifest.names("run")
+        back = _pieces.returning_run(manifest_folder.iter_batches(folder, run)) if run else None
+        if back is not None and rows * len(manifest.columns) > manifest_folder.max_cells():
+            raise DataError(
+                f"clean: run {back} comes back after another one, and {rows} rows do not fit into memory: sort the"
+                " tables by run, so that they can be cleaned piece by piece"
+            )
+        return back is None
 
     def _piece_by_piece(self, folder: Path, out: Path) -> CleaningReport:
         from errpipe.cleaning import _pieces
@@ -66,6 +74,6 @@ class Clean(Stage):
 
         manifest = manifest_folder.canonical(manifest_folder.load_manifest(folder))
         cleaning = _pieces.Cleaning(self.rules, manifest)
-        runs = _pieces.whole_runs(manifest_folder.iter_batches(folder), self.rows_in_memory // 2)
-        manifest_folder.write_pieces(cleaning.pieces(runs), cleaning.written(), cleaning.manifest, out)
+        pieces = _pieces.in_pieces(manifest_folder.iter_batches(folder), self.rows_in_memory // 2)
+        manifest_folder.write_pieces(cleaning.pieces(pieces), cleaning.written(), cleaning.manifest, out)
         return cleaning.report()
