@@ -36,6 +36,7 @@ EVEN_ROWS, EVEN_PARTS = 50, 16  # least rows and most parts of a recording in wh
 EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which they come in events,
 BUMP = 40.0  # power of half an octave over the least of slower ones from which a rhythm stands in it: of wandering gaps
 # of real repetitions 7 of 8 stay below both, of 72 novel mechanisms (both generators and the third, seeds 771 to 773) 8
+LEAST_ROWS = 8  # of a spectrum with two half octaves: fewer rows show neither events nor a rhythm
 HEAVY = 4.0  # robust standard deviations at which whitened rows are clipped: outliers must not decide the colour
 
 
@@ -93,13 +94,25 @@ class Autoregression(NamedTuple):
     innovations: np.ndarray
     evidence: float
 
+    def comes_in_events(self) -> bool:
+        """Are the innovations heavier in their tails than noise of one kind has them?"""
+        if not self.innovations.size:
+            return False
+        centred = self.innovations - self.innovations.mean()
+        return float(np.mean(centred**4)) >= EVENTS * (float(np.mean(centred**2)) ** 2 + 1e-300)
+
 
 def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
-    """Least-squares autoregression of a residual (rows,) within runs; order by BIC, all orders on the same rows."""
-    lengths = np.bincount(np.unique(run, return_inverse=True)[1])
+    """Least-squares autoregression of a residual (rows,) within runs; order by BIC, all orders on the same rows.
+
+    Runs of a single row have no neighbours: no innovations, and no evidence for or against anything.
+    """
+    lengths = np.unique(run, return_counts=True)[1]
     most = int(np.clip(np.median(lengths) // 4, 1, MOST_LAGS))
     rows = np.arange(most, left.size)
     rows = rows[run[rows] == run[rows - most]]
+    if not rows.size:
+        return Autoregression(np.zeros(0), 0.0)
     lagged = np.column_stack([left[rows - k] for k in range(1, most + 1)])
     products, seen = lagged.T @ lagged, lagged.T @ left[rows]
     products.flat[:: most + 1] *= 1.0 + 1e-10
@@ -121,15 +134,12 @@ def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
 
     Events show as heavy-tailed innovations, a rhythm as a bump in the spectrum, by half octaves from two periods on.
     """
+    if left.size < LEAST_ROWS:
+        return True
+    if autoregression(left, run).comes_in_events():
+        return False
     power = np.abs(np.fft.rfft((left - left.mean()) * np.hanning(left.size)))[2:] ** 2
     edges = np.unique(np.geomspace(1, power.size, int(2 * np.log2(max(power.size, 2))) + 2).astype(int) - 1)
     level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
     rise = level[1:] / (np.minimum.accumulate(level)[:-1] + 1e-300)
-    return not comes_in_events(left, run) and float(np.max(rise, initial=0.0)) < BUMP
-
-
-def comes_in_events(left: np.ndarray, run: np.ndarray) -> bool:
-    """Are the innovations of a residual (rows,) heavier in their tails than noise of one kind has them?"""
-    innovations = autoregression(left, run).innovations
-    centred = innovations - innovations.mean()
-    return float(np.mean(centred**4)) >= EVENTS * (float(np.mean(centred**2)) ** 2 + 1e-300)
+    return float(np.max(rise, initial=0.0)) < BUMP

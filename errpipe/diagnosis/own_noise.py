@@ -118,18 +118,22 @@ def only_noise(case: Case) -> bool:
     A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding. What comes in events,
     such as friction that turns with the motion, is no linear process, however well one follows it from row to row.
     """
-    chosen, bare = case.chosen(), residual(case, [])
-    if not chosen or coloured.comes_in_events(bare, case.run):
+    chosen = case.chosen()
+    if not chosen:
+        return False
+    bare = coloured.autoregression(residual(case, []), case.run)
+    if bare.comes_in_events():
         return False
     used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
     return linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear) < 0.0
 
 
-def linear_gain(case: Case, before: np.ndarray, after: np.ndarray, freedom: float) -> float:
+def linear_gain(case: Case, before: coloured.Autoregression, after: np.ndarray, freedom: float) -> float:
     """By how much the log evidence of noise that is a linear process grows with an explanation, less its price (BIC).
 
-    before, after: residuals (rows,); freedom: effective number of coefficients in between.
+    before: of the residual without it; after: the residual with it (rows,); freedom: effective number of coefficients
+    in between.
     """
-    grown = coloured.autoregression(after, case.run).evidence - coloured.autoregression(before, case.run).evidence
+    grown = coloured.autoregression(after, case.run).evidence - before.evidence
     return grown - 0.5 * freedom * float(np.log(case.y.size))

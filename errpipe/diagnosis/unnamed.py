@@ -6,7 +6,7 @@ import numpy as np
 
 from errpipe.diagnosis import confidence, holdout
 from errpipe.diagnosis.case import Case, residual
-from errpipe.diagnosis.coloured import USUAL, is_linear_noise
+from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise
 from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.own_noise import linear_gain
 from errpipe.domain.diagnosis import Finding, Where
@@ -61,7 +61,8 @@ def shapes_are_noise(case: Case) -> bool:
         return False
     scenes = Scene(case.search.data, case.remainder.active, case.search.noise), case.search.scene(case.chosen())
     freedom = scenes[0].freedom_used() - scenes[1].freedom_used()
-    return linear_gain(case, residual(case), with_shapes(case)[1], freedom) < 0.0
+    named = autoregression(residual(case), case.run)
+    return linear_gain(case, named, with_shapes(case)[1], freedom) < 0.0
 
 
 def wanders(case: Case) -> bool:

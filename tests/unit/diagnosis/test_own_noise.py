@@ -122,3 +122,13 @@ def test_a_wave_of_noise_whose_spectrum_is_high_there_is_no_finding():
         (response,) = diagnose(recording(columns, kinds))[0].responses
         assert [f.effect for f in response.findings if f.effect != "recalibration"] == wanted
         assert 0.0 < response.significance.limit95 < np.inf  # of the whole search, also where names were taken back
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4, 5, 7, 12])
+@pytest.mark.parametrize("single", [False, True])
+def test_tiny_recordings_and_runs_of_a_single_row_hold_no_events(rows, single):
+    left = np.random.default_rng(rows).standard_normal(rows)
+    run = np.arange(rows) if single else np.zeros(rows, dtype=int)
+    made = coloured.autoregression(left, run)
+    assert np.isfinite(made.evidence) and made.innovations.size == (0 if single else max(rows - max(rows // 4, 1), 0))
+    assert coloured.is_linear_noise(left, run)
