@@ -1,7 +1,7 @@
 """What a simulation lacks as equations of its own: a plain numpy module to be added to the simulation's deviations.
 
-Each finding is a sum of profile(position) times driver(state) (`drivers.lowered`). It is flattened into statements, one
-operation each, which are printed as Python here and as C in `patch_fmu`.
+Each finding is a sum of profile(position) times driver(state) (`drivers.lowered`), and of what rings or comes late
+(`drivers.simulated`). It is flattened into statements, one operation each, printed as Python here and as C in `patch_fmu`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive, runs_on
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.simulated import Late, Ringing
 
 CURVE_ERROR = 1e-4  # of a profile's largest value, that linear interpolation between its points may leave
 MAX_POINTS = 65536  # of a profile: 2048 waves of 32 points
@@ -29,7 +30,7 @@ class Piece:
     component: str
     unit: str
     says: str
-    pairs: tuple[Lowered, ...]
+    pairs: tuple[Lowered | Ringing | Late, ...]
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -75,20 +76,30 @@ class Program:
         return self._numbers[statement]
 
     def _piece(self, piece: Piece) -> int:
-        parts = [self._pair(pair) for pair in piece.pairs]
-        total = (
-            parts[0] if len(parts) == 1 else self.add("affine", tuple(parts), offset=0.0, weights=(1.0,) * len(parts))
-        )
+        parts = [self._pair(p) if isinstance(p, Lowered) else self._simulated(p) for p in piece.pairs]
+        total = parts[0] if len(parts) == 1 else self._sum(tuple(parts), (1.0,) * len(parts))
         for name, (low, high) in piece.ranges.items():
             inside = self.add("within", (self.add("input", name=name),), low=low, high=high)
             total = self.add("product", (total, inside))
         return total
 
+    def _sum(self, of: tuple[int, ...], weights: tuple[float, ...]) -> int:
+        return self.add("affine", of, offset=0.0, weights=weights)
+
+    def _simulated(self, op: Ringing | Late) -> int:
+        if isinstance(op, Ringing):
+            read = self.add("input", name=op.name)
+            rings = self.add("ringing", (read,), frequency=op.frequency, damping=op.damping, pause=op.pause)
+            return self._sum((rings,), (op.gain,))
+        name, factor = op.column(self.recording)
+        read = self.add("input", name=name)
+        return self._sum((self.add("late", (read,), delay=op.delay), read), (op.gain * factor, -op.gain * factor))
+
     def _pair(self, pair: Lowered) -> int:
         driver = self.walk(pair.driver)
         if pair.axis is None or pair.profile is None:
             factor = 1.0 if pair.profile is None else float(np.asarray(pair.profile(np.zeros(1)))[0])
-            return self.add("affine", (driver,), offset=0.0, weights=(factor,))
+            return self._sum((driver,), (factor,))
         place = self.add("input", name=position_name(self.recording, pair.axis))
         profile = self._profile(pair.profile, position(self.recording, pair.axis), place, pair.period)
         return profile if pair.driver == d.ONE else self.add("product", (profile, driver))
@@ -146,6 +157,9 @@ def value(piece: Piece, recording: Recording) -> np.ndarray:
     """A piece on every row of a recording, shape (rows,)."""
     total = np.zeros(len(recording))
     for pair in piece.pairs:
+        if not isinstance(pair, Lowered):
+            total += pair.value(recording)
+            continue
         at = np.zeros(len(recording)) if pair.axis is None else position(recording, pair.axis)
         total += (1.0 if pair.profile is None else pair.profile(at)) * drive(pair.driver, recording)
     for name, (low, high) in piece.ranges.items():
@@ -233,6 +247,37 @@ def approach(session, x, side, length):
         else:
             state = side[k] - (side[k] - state) * np.exp(-abs(x[k] - x[k - 1]) / length)
         y[k] = state
+    return y
+''',
+    "ringing": '''
+def ringing(session, t, u, frequency, damping, pause):
+    """q'' + 2 damping w q' + w^2 q = w^2 u, exact for u straight between rows; at rest first and after a pause."""
+    w = 2 * np.pi * frequency
+    decay, turn = damping * w, w * np.sqrt(1 - damping**2)
+    y, q, rate = np.empty(len(u)), 0.0, 0.0
+    for k in range(len(u)):
+        dt = t[k] - t[k - 1] if k else 0.0
+        if k == 0 or session[k] != session[k - 1] or dt > pause:
+            q, rate = u[k], 0.0
+        elif dt > 0:
+            slope = (u[k] - u[k - 1]) / dt
+            behind = 2 * damping / w * slope
+            z, v = q - u[k - 1] + behind, rate - slope
+            fade, c, s = np.exp(-decay * dt), np.cos(turn * dt), np.sin(turn * dt) / turn
+            q = fade * (z * c + (v + decay * z) * s) + u[k] - behind
+            rate = fade * (v * c - (decay * v + w * w * z) * s) + slope
+        y[k] = q
+    return y
+''',
+    "late": '''
+def late(session, t, u, delay):
+    """u a time `delay` ago, straight between rows; before a session begins its first value."""
+    y = np.full(len(u), np.nan)
+    for s in np.unique(session):
+        known = (session == s) & np.isfinite(u)
+        if known.any():
+            at, first = np.unique(t[known], return_index=True)
+            y[known] = np.interp(t[known] - delay, at, u[known][first])
     return y
 ''',
 }
@@ -333,4 +378,6 @@ def _python(s: Statement) -> str:
             rest = f"{s['up']!r}, {s['down']!r}, {s['start'] == 'input'}, {s['straight']}"
             return f"lag(session, t, {of[0]}, {rest})"
     rest = "".join(f", {value!r}" for _, value in s.constants)
+    if s.op in ("ringing", "late"):
+        return f"{s.op}(session, t, {of[0]}{rest})"
     return f"{s.op}(session, {', '.join(of)}{rest})"

@@ -25,7 +25,9 @@ from errpipe.simulation.patch import Piece, Program, Statement
 
 NAME = "patch"
 STEPWISE = ("direction", "coolant", "spindle_speed", "feed", "load", "overhang", "depth_of_cut")  # held between rows
-STATE_WIDTH = {"lag": 1, "first": 1, "switch": 1, "side": 1, "direction": 2, "approach": 2}
+HISTORY = 1100  # values that a delay remembers, a thousandth of it apart or more (with `HISTORY` in the template)
+STATE_WIDTH = {"lag": 1, "first": 1, "switch": 1, "side": 1, "direction": 2, "approach": 2, "ringing": 3}
+STATE_WIDTH["late"] = 3 + 2 * HISTORY
 STEPS_PER_ROW = 20.0  # the FMU's own step; outputs are behind their inputs by one of it
 LONGEST_COMPILE = 120.0  # s
 
@@ -144,6 +146,9 @@ def _c(n: int, s: Statement, inputs: tuple[str, ...], state: int) -> str:
         case "lag":
             start = int(s["start"] == "input")
             return f"lagged(m, {state}, {of[0]}, {number['up']}, {number['down']}, {start}, dt)"
+        case "ringing" | "late":
+            rest = "".join(f", {number[key]}" for key, _ in s.constants)
+            return f"{s.op}_of(m, {state}, {of[0]}{rest}, dt)"
     function = {"first": "first_of", "switch": "switched", "side": "side_of"}
     name = function.get(s.op) or {"direction": "direction_of", "approach": "approached"}[s.op]
     rest = "".join(f", {number[key]}" for key, _ in s.constants)

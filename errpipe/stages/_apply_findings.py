@@ -26,7 +26,7 @@ LEAST_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of t
 SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
 OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the patch of the machine's simulation"
 IN_SOME_RUNS = "it acted in some runs only: no equation says in which runs to come"
-NO_EQUATION = "its term cannot be written as profiles times drivers"
+NO_EQUATION = "its term cannot be written as an equation of what a simulation knows"
 
 Progress = Callable[[float, str], None]
 

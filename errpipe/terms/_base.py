@@ -21,6 +21,7 @@ from pydantic import Field
 
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.simulated import Late, Ringing
 
 
 class Search(Protocol):
@@ -162,8 +163,8 @@ class Term(Frozen, ABC):
         """The compiled form, or None where a controller cannot or must not compensate this effect."""
         return None
 
-    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
-        """The value as profiles times drivers, for a simulation: also of what no controller may compensate.
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered | Ringing | Late, ...] | None:
+        """The value as a sum of what a simulation computes: also of what no controller may compensate.
 
         None where it cannot be written so.
         """

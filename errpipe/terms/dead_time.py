@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import is_rotary, position, position_name
-from errpipe.drivers.sessions import sessions
+from errpipe.drivers.motion import position_name
+from errpipe.drivers.simulated import Late
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
 from errpipe.terms._place import axes_acting, is_radial
@@ -74,7 +74,7 @@ class DeadTime(Term):
 
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
-            if not signals.values or not np.isfinite(term._signal(recording)).all():
+            if not signals.values or not np.isfinite(term._late(0.0).signal(recording)).all():
                 continue
             trial = np.r_[-10.0:MOST:0.5] * step
             rough = min(trial[trial != 0], key=lambda d: term._left(recording, signals, float(d)))
@@ -90,26 +90,20 @@ class DeadTime(Term):
     def _left(self, recording: Recording, signals: Signals, delay: float) -> float:
         """Sum of squares that this delay leaves beside a datum and a gain of the signal."""
         rest = signals.whole() - self.basis(recording, delay)[signals.rows, 0]
-        known = self._signal(recording)[signals.rows]
+        known = self._late(delay).signal(recording)[signals.rows]
         block = np.column_stack([np.ones(rest.size), known / max(float(np.abs(known).max()), 1e-300)])
         rest = rest - block @ np.linalg.lstsq(block, rest, rcond=None)[0]
         return float(rest @ rest)
 
-    def _signal(self, recording: Recording) -> np.ndarray:
-        if self.axis:
-            unit = np.pi / 180e-6 if is_rotary(recording, self.axis) else 1e3  # urad of deg, um of mm
-            return position(recording, self.axis) * unit
-        return recording.array(str(self.column))
+    def _late(self, delay: float, gain: float = 1.0) -> Late:
+        return Late(delay, self.column, self.axis, gain)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        t, f, session = recording.time(), self._signal(recording), sessions(recording)
-        late = np.full(f.shape, np.nan)
-        for s in np.unique(session):
-            inside = np.flatnonzero((session == s) & np.isfinite(f))
-            if inside.size > 1:
-                at, first = np.unique(t[inside], return_index=True)
-                late[inside] = np.interp(t[inside] - nonlinear[0], at, f[inside][first])
-        return (late - f)[:, None]
+        return self._late(*nonlinear).value(recording)[:, None]
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Late, ...] | None:
+        (delay,) = self.nonlinear_values(parameters)
+        return (self._late(delay, parameters["share"]),) if delay > 0 else None  # no simulation knows what comes
 
     def log_prior_odds(self) -> float:
         """Its delay is located without a grid, so that this holds its price; axes mostly lag in proportion to speed."""

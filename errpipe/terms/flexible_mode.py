@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
-from errpipe.drivers.sessions import sessions
-from errpipe.kernels import responses
+from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.simulated import Ringing
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
+from errpipe.terms._equations import times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Listed, Resonances, Signals, resolved_times
@@ -145,15 +147,23 @@ class FlexibleMode(Term):
 
     def _state(self, recording: Recording, frequency: float, damping: float) -> np.ndarray:
         """Deflection and speed of the mode, shape (rows, 2)."""
-        u = recording.array(self.column)
-        pause = 0.5 / frequency
-        return responses.vibration(sessions(recording), recording.time(), u, frequency, damping, pause)
+        return Ringing(self.column, frequency, damping).state(recording)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         q = self._state(recording, *nonlinear)[:, 0]
         if self.ringing:
             q = q - recording.array(self.column)
-        return ((1e-3 if self.on_force else -1e-3) * q)[:, None]
+        return (self._sign * q)[:, None]
+
+    @property
+    def _sign(self) -> float:
+        return 1e-3 if self.on_force else -1e-3
+
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered | Ringing, ...]:
+        frequency, damping = self.nonlinear_values(parameters)
+        gain = self._sign * parameters["mass" if self.on_force else "compliance"]
+        rings = Ringing(self.column, frequency, damping, gain)
+        return (rings, Lowered(times(Input(name=self.column), -gain))) if self.ringing else (rings,)
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield self._state(recording, *nonlinear)[:, 1], 0.3  # where it is measured it may be early or late

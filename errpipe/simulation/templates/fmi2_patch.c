@@ -85,6 +85,52 @@ static double approached(Model *m, int k, double x, double side, double length) 
     return *z;
 }
 
+/* q'' + 2 damping w q' + w^2 q = w^2 u, exact for an input that runs straight over the step; at rest after a pause */
+static double ringing_of(Model *m, int k, double u, double frequency, double damping, double pause, double dt) {
+    double *q = &m->state[k], *rate = &m->state[k + 1], *before = &m->state[k + 2];
+    double w = 6.283185307179586 * frequency, decay = damping * w, turn = w * sqrt(1.0 - damping * damping);
+    if (!m->started || dt > pause) { *q = u; *rate = 0.0; }
+    else if (dt > 0.0) {
+        double slope = (u - *before) / dt, behind = 2.0 * damping / w * slope;
+        double z = *q - *before + behind, v = *rate - slope;
+        double fade = exp(-decay * dt), c = cos(turn * dt), s = sin(turn * dt) / turn;
+        *q = fade * (z * c + (v + decay * z) * s) + u - behind;
+        *rate = fade * (v * c - (decay * v + w * w * z) * s) + slope;
+    }
+    *before = u;
+    return *q;
+}
+
+/* the input a time `delay` ago, from a ring of values at least a thousandth of it apart, and the one of now */
+#define HISTORY 1100
+static double late_of(Model *m, int k, double u, double delay, double dt) {
+    double *now = &m->state[k], *newest = &m->state[k + 1], *held = &m->state[k + 2];
+    double *at = &m->state[k + 3], *of = at + HISTORY, later, value, then;
+    int j, n;
+    if (!m->started) { *now = *newest = at[0] = 0.0; *held = 1.0; of[0] = u; }
+    *now += dt;
+    then = *now - delay;
+    later = *now;
+    value = u;
+    for (j = (int)*newest, n = (int)*held; n > 0; n--, j = (j + HISTORY - 1) % HISTORY) {
+        if (at[j] <= then) {
+            if (later > at[j]) value = of[j] + (value - of[j]) * (then - at[j]) / (later - at[j]);
+            break;
+        }
+        later = at[j];
+        value = of[j];
+    }
+    j = (int)*newest;
+    if (*now - at[j] >= 1e-3 * delay) {
+        j = (j + 1) % HISTORY;
+        at[j] = *now;
+        of[j] = u;
+        *newest = j;
+        if (*held < HISTORY) *held += 1.0;
+    }
+    return value;
+}
+
 static double power_of(double u, double exponent) { return (u < 0.0 ? -1.0 : u > 0.0) * pow(fabs(u), exponent); }
 static double clipped(double u, double low, double high) { return u < low ? low : u > high ? high : u; }
 

@@ -1,0 +1,70 @@
+"""What a simulation can add and no controller computes: a structure that rings, a signal that comes late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import is_rotary, position, position_name
+from errpipe.drivers.sessions import sessions
+from errpipe.kernels import responses
+
+REST = 0.5  # own periods without a row, after which a structure is at rest again
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """gain * q, q'' + 2 damping w q' + w^2 q = w^2 u, w = 2 pi frequency (Hz), u the column `name`."""
+
+    name: str
+    frequency: float
+    damping: float
+    gain: float = 1.0
+
+    @property
+    def pause(self) -> float:
+        """Time between two rows from which it starts from rest, s."""
+        return REST / self.frequency
+
+    def state(self, recording: Recording) -> np.ndarray:
+        """q and q' / w, shape (rows, 2)."""
+        u, t, session = recording.array(self.name), recording.time(), sessions(recording)
+        return responses.vibration(session, t, u, self.frequency, self.damping, self.pause)
+
+    def value(self, recording: Recording) -> np.ndarray:
+        """On every row, shape (rows,)."""
+        return self.gain * self.state(recording)[:, 0]
+
+
+@dataclass(frozen=True)
+class Late:
+    """gain * (u(t - delay) - u(t)), u the column `name` or the position of `axis` in um (urad); delay in s."""
+
+    delay: float
+    name: str | None = None
+    axis: str | None = None
+    gain: float = 1.0
+
+    def column(self, recording: Recording) -> tuple[str, float]:
+        """Name of the column that comes late, and what it is multiplied by to be um (urad)."""
+        if self.axis is None:
+            return str(self.name), 1.0
+        return position_name(recording, self.axis), np.pi / 180e-6 if is_rotary(recording, self.axis) else 1e3
+
+    def signal(self, recording: Recording) -> np.ndarray:
+        """u on every row, shape (rows,)."""
+        _, factor = self.column(recording)
+        return recording.array(str(self.name)) if self.axis is None else position(recording, self.axis) * factor
+
+    def value(self, recording: Recording) -> np.ndarray:
+        """On every row, shape (rows,); straight between rows, held before the first of a session; NaN where u is."""
+        t, session, u = recording.time(), sessions(recording), self.signal(recording)
+        before = np.full(u.shape, np.nan)
+        for s in np.unique(session):
+            inside = np.flatnonzero((session == s) & np.isfinite(u))
+            if inside.size > 1:
+                at, first = np.unique(t[inside], return_index=True)
+                before[inside] = np.interp(t[inside] - self.delay, at, u[inside][first])
+        return self.gain * (before - u)
