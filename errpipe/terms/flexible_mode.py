@@ -13,8 +13,8 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.simulated import Ringing
 from errpipe.terms._base import NEVER, Example, Parameter, Term
-from errpipe.terms._example import rows, worked
 from errpipe.terms._equations import times
+from errpipe.terms._example import rows, worked
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Listed, Resonances, Signals, resolved_times
