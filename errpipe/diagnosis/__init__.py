@@ -26,6 +26,7 @@ import numpy as np
 
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import in_order_of_time
 from errpipe.terms import Term
 
 
@@ -63,7 +64,7 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
 
     progress(0.0, "reading the recording")
     title = recording.manifest.title
-    recording, source = derived.with_motion(recording)
+    recording, source = derived.with_motion(in_order_of_time(recording))
     short = thinning.thinned(recording)
     recording = short.recording
     pairs, notes = prepare.pairs(recording)

@@ -8,37 +8,43 @@ the factor k that it takes there, all findings of a response together, beside a 
 Ordinary least squares; the variance of k is the cluster-robust one (Liang and Zeger 1986) over whole sessions where
 there are at least `MIN_CLUSTERS`, else over blocks of neighbouring rows, so that correlated rows are not counted as
 independent. `changed` is a t test of k = 1 that knows the earlier interval too, at 5 % over all findings (Bonferroni).
+An effect of several coefficients (sine and cosine of a wave) may have moved instead: a Wald test of all of them beside
+their common factor.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import fdtrc
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.applied import GAIN, block_of, causal, session_datums, terms_of
 from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
 from errpipe.domain.recording import Recording
-from errpipe.drivers.sessions import sessions
+from errpipe.drivers.sessions import in_order_of_time, sessions
 from errpipe.errors import DataError
 from errpipe.fitting.quantiles import student_quantile, student_tail
 
 LEVEL = 0.05  # chance that any of the unchanged effects is called changed
 MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions estimate the variance between them badly
+MOVED = 0.3  # rms of what goes with an effect's own columns beside its factor, over its rms then (17 degrees of a wave)
+MORE_LEFT = 1.5  # rms beside all factors over that of the earlier recording, from which it is said
 UNDECIDED = 0.5  # half width of the interval of k from which the state is `undecided`
 NEVER_ACTS = "what drives it never moves in this recording"
 
-State = Literal["unchanged", "larger", "smaller", "gone", "reversed", "undecided", "not judged"]
-CHANGED: tuple[State, ...] = ("larger", "smaller", "gone", "reversed")
+State = Literal["unchanged", "larger", "smaller", "gone", "reversed", "moved", "undecided", "not judged"]
+CHANGED: tuple[State, ...] = ("larger", "smaller", "gone", "reversed", "moved")
 
 
 @dataclass(frozen=True)
 class Held:
     """One earlier finding now. k: size now over size then, with its 95 % interval; p: of the test of k = 1.
 
-    parameters: name, unit, value then and its interval, value now (k times then) and its interval.
+    parameters: name, unit, value then and its interval, value now (k times then) and its interval; none where it moved.
+    left, left_then: rms beside all factors of the response, in its unit, and that of the earlier recording.
     """
 
     component: str
@@ -49,6 +55,9 @@ class Held:
     ci95: tuple[float, float] | None = None
     p: float | None = None
     parameters: tuple[dict[str, Any], ...] = ()
+    left: float | None = None
+    left_then: float | None = None
+    unit: str = ""
 
     @property
     def changed(self) -> bool:
@@ -65,6 +74,8 @@ class Held:
             "ci95": self.ci95,
             "p": self.p,
             "parameters": list(self.parameters),
+            "rms_left_um": self.left,
+            "rms_left_then_um": self.left_then,
             "says": self.says,
         }
 
@@ -78,7 +89,7 @@ def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
     count = sum(map(len, named.values()))
     if not count:
         raise DataError("against: the earlier diagnosis names no effect: there is nothing to look for")
-    read = causal(recording)
+    read = causal(in_order_of_time(recording))
     out: list[Held] = []
     for r in earlier.responses:
         if named[r.component]:
@@ -119,9 +130,36 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
         session = sessions(read)[rows]
         whole = np.column_stack([design, session_datums(design, mismatch[rows], session)])
         k_now, sd, degrees = clustered(whole, mismatch[rows], session)
+        left = float(np.sqrt(np.mean((mismatch[rows] - whole @ k_now) ** 2)))
         for j, k in enumerate(columns):
-            done[k] = _judged(r, findings[k], float(k_now[j]), float(sd[j]), degrees, level)
+            own = block_of(findings[k], read, r.unit).columns(read)[rows]
+            beside = moved_by(own, whole, mismatch[rows], session, level)
+            moved = beside > MOVED * float(np.std(columns[k][rows]))
+            held = _judged(r, findings[k], float(k_now[j]), float(sd[j]), degrees, level)
+            held = replace(held, state="moved", parameters=()) if moved else held
+            done[k] = replace(held, left=left, left_then=r.rms_after_um, unit=r.unit)
+            done[k] = replace(done[k], says=_says(done[k]))
     return [done[k] for k in range(len(findings))]
+
+
+def moved_by(own: np.ndarray, whole: np.ndarray, y: np.ndarray, session: np.ndarray, level: float) -> float:
+    """rms of what goes with an effect's own columns (rows, k) beside a design that holds their sum; 0 where by chance.
+
+    Wald test of all of them, with the cluster-robust variance.
+    """
+    scaled = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+    u, s, _ = np.linalg.svd(scaled - whole @ np.linalg.lstsq(whole, scaled, rcond=None)[0], full_matrices=False)
+    u = u[:, s > 1e-6]
+    count = u.shape[1]
+    if own.shape[1] < 2 or not count:
+        return 0.0
+    b, spread, degrees = sandwich(np.column_stack([u, whole]), y, session)
+    free = degrees - count + 1
+    if free < 1:
+        return 0.0
+    wald = float(b[:count] @ np.linalg.pinv(spread[:count, :count]) @ b[:count])
+    p = float(fdtrc(count, free, wald / count * free / degrees))
+    return float(np.std(u @ b[:count])) if p < level else 0.0
 
 
 def contribution(f: Finding, read: Recording, unit: str) -> np.ndarray:
@@ -141,18 +179,25 @@ def contribution(f: Finding, read: Recording, unit: str) -> np.ndarray:
 
 def clustered(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     """Least squares: coefficients, their cluster-robust standard deviations, degrees of freedom of the t test."""
+    b, spread, degrees = sandwich(design, y, session)
+    return b, np.sqrt(np.maximum(np.diag(spread), 0.0)), degrees
+
+
+def sandwich(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Least squares: coefficients, their cluster-robust covariance (k, k), degrees of freedom."""
     codes, cluster = np.unique(session, return_inverse=True)
     if codes.size < MIN_CLUSTERS:
         cluster = np.arange(y.size) * min(BLOCKS, max(y.size // 4, 2)) // y.size
     count = int(cluster.max()) + 1
     size = np.linalg.norm(design, axis=0)
-    scaled = design / np.where(size > 0, size, 1.0)
+    size = np.where(size > 0, size, 1.0)
+    scaled = design / size
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
     b = inverse @ scaled.T @ y
     scores = np.zeros((count, design.shape[1]))
     np.add.at(scores, cluster, scaled * (y - scaled @ b)[:, None])
     spread = inverse @ scores.T @ scores @ inverse * count / (count - 1) * (y.size - 1) / (y.size - design.shape[1])
-    return b / size, np.sqrt(np.maximum(np.diag(spread), 0.0)) / size, count - 1
+    return b / size, spread / np.outer(size, size), count - 1
 
 
 def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int, level: float) -> Held:
@@ -179,8 +224,7 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
         for q in f.parameters
         if q.name not in inner
     )
-    held = Held(r.component, f.effect, state, "", k, (k - reach, k + reach), p, sizes)
-    return Held(**{**held.__dict__, "says": _says(held)})
+    return Held(r.component, f.effect, state, "", k, (k - reach, k + reach), p, sizes)
 
 
 def earlier_spread(f: Finding) -> float:
@@ -199,6 +243,7 @@ WORDS: dict[str, str] = {
     "smaller": "still there, smaller than it was",
     "gone": "gone",
     "reversed": "turned round",
+    "moved": "still there, but not where it was (another phase or shape)",
     "undecided": "this recording cannot tell",
 }
 
@@ -207,11 +252,22 @@ def _says(h: Held) -> str:
     name = h.effect.replace("_", " ")
     text = f"{h.component}: {name}: {WORDS[h.state]}"
     if h.parameters:
-        q = h.parameters[0]
+        q = next((q for q in h.parameters if q["name"] == "amplitude"), h.parameters[0])  # of a wave, no coefficient
         low, high = q["now_ci95"]
         text += f" ({q['name']} {q['then']:.3g} -> {q['now']:.3g} {q['unit']}, 95 % {low:.3g} to {high:.3g}"
         text += f"; test of no change p = {h.p:.2g})"
     return text
+
+
+def more_left(held: list[Held]) -> list[str]:
+    """A sentence for each response of which more is left beside the earlier findings than there was."""
+    left = {h.component: h for h in held if h.left is not None and h.left_then is not None}
+    return [
+        f"{c}: beside them {h.left:.3g} {h.unit} rms is left, {h.left_then:.3g} in the earlier recording: diagnose "
+        "this one anew"
+        for c, h in left.items()
+        if (h.left or 0.0) > MORE_LEFT * (h.left_then or 0.0)
+    ]
 
 
 def _not_judged(r: ResponseDiagnosis, f: Finding, why: str) -> Held:

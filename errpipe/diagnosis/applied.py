@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from scipy.optimize import least_squares
 
 from errpipe.diagnosis import units
+from errpipe.diagnosis.derived import with_motion
 from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import hold, sessions
@@ -29,6 +30,7 @@ PLAIN = 0.02  # largest residual, as share of a simulated signal's rms, at which
 MOST_STEPS = 12  # Gauss-Newton steps for non-linear parameters, which start at their best value
 UNNAMED = "no effect carries it: an equation that would come back is not known"
 NO_TERM = "its form is one of the search alone: no term of an error model says the same"
+WORSE = "without what could not be put in, the simulation would be worse with it"
 DRIVING = ("temperature", "pressure", "humidity", "force", "spindle_speed", "feed", "coolant", "load", "velocity")
 
 
@@ -83,7 +85,11 @@ def corrected(
 
 
 def causal(recording: Recording) -> Recording:
-    """The recording with gaps of driving columns held from the last reading (at a session's start from the first)."""
+    """The recording with the motion that positions imply, and gaps of driving columns held from the last reading.
+
+    At a session's start they are held back from the first reading.
+    """
+    recording, _ = with_motion(recording)
     session, columns = sessions(recording), {}
     for role in DRIVING:
         for name in recording.names(role):
@@ -194,6 +200,9 @@ def _response(read: Recording, recording: Recording, r: ResponseDiagnosis, least
     parts, gain, offset = _Solve(read, r.unit, simulated, mismatch, blocks, gains, held).run()
     added = np.sum([p.contribution for p in parts], axis=0) + (gain - 1.0) * simulated + offset
     better, residual = simulated + added, mismatch - added
+    if np.nanstd(residual) > np.nanstd(mismatch):
+        refused += [(p.finding.effect, WORSE) for p in parts]
+        return Corrected(r.component, r.unit, twin, (), tuple(refused), simulated, mismatch, mismatch)
     return Corrected(r.component, r.unit, twin, tuple(parts), tuple(refused), better, mismatch, residual, gain, offset)
 
 

@@ -126,7 +126,18 @@ def only_noise(case: Case) -> bool:
         return False
     used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
-    return linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear) < 0.0
+    gain = linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear)
+    return gain < 0.0 and linear_gain(case, bare, *_textbook_alone(case, nonlinear)) < 0.0
+
+
+def _textbook_alone(case: Case, nonlinear: int) -> tuple[np.ndarray, int]:
+    """Residual of the textbook forms without departures from them, (rows,), and how many parameters they take."""
+    blocks = [
+        case.library.block(i, case.recording, case.pair.rows)[:, : case.library.cores[i]] for i, _ in case.chosen()
+    ]
+    columns = np.column_stack([case.recal, *blocks])
+    count = columns.shape[1] - case.recal.shape[1] + nonlinear
+    return case.y - columns @ np.linalg.lstsq(columns, case.y, rcond=None)[0], count
 
 
 def linear_gain(case: Case, before: coloured.Autoregression, after: np.ndarray, freedom: float) -> float:

@@ -29,6 +29,23 @@ def _sessions(recording: Recording) -> np.ndarray:
     return np.r_[0, np.cumsum((run[1:] != run[:-1]) & ~goes_on)].astype(np.int64)
 
 
+def in_order_of_time(recording: Recording) -> Recording:
+    """The recording with its runs in the order of their times; as it is where they overlap or hold no times.
+
+    States, wear and length cut go on from run to run, in whatever order a table lists them.
+    """
+    if recording.name("time") is None or len(recording) == 0:
+        return recording
+    t, run = recording.time(), recording.run_codes()
+    first = np.r_[0, np.flatnonzero(np.diff(run)) + 1]
+    last = np.r_[first[1:], t.size] - 1
+    order = np.argsort(t[first], kind="stable")
+    apart = np.isfinite(t).all() and np.all(t[first[order][1:]] > t[last[order][:-1]])
+    if not apart or np.all(np.diff(order) > 0):
+        return recording
+    return recording.take(np.concatenate([np.arange(first[k], last[k] + 1) for k in order]))
+
+
 def hold(run: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Last finite value of each run, shape (rows,); NaN before the first."""
     index = np.where(np.isnan(values), -1, np.arange(values.size))

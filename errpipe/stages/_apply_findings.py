@@ -47,8 +47,10 @@ def apply_findings(
     from errpipe import jsonfile
     from errpipe.diagnosis import applied, diagnose
     from errpipe.domain.recording import Recording
+    from errpipe.drivers.sessions import in_order_of_time
     from errpipe.formats import manifest_folder
 
+    recording = in_order_of_time(recording)
     results = applied.corrected(recording, found, LEAST_CONFIDENCE, held)
     frame = recording.frame.assign(**{c.column: c.simulated for c in results})
     corrected = Recording(recording.manifest, frame, recording.between)

@@ -57,7 +57,7 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     from pydantic import ValidationError
 
     from errpipe import jsonfile
-    from errpipe.diagnosis.against import against as judge
+    from errpipe.diagnosis import against as earlier_findings
     from errpipe.domain.diagnosis import Diagnosis
     from errpipe.errors import DataError, UsageError, VerifyError
     from errpipe.formats import manifest_folder
@@ -72,13 +72,13 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
         raise VerifyError(f"{findings}: not a diagnosis: {where}: {first['msg']}") from None
     try:
         read, _, _ = with_simulation(manifest_folder.read(Path(recording)), simulation)
-        held = judge(read, earlier)
+        held = earlier_findings.against(read, earlier)
     except DataError as err:
         raise UsageError(str(err)) from None
     document = {"against": 1, "findings": [h.plain() for h in held]}
     jsonfile.write(Path(out) / "against.json", document)
     changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
-    return {"says": [h.says for h in held], "changed": changed, **document}
+    return {"says": [*(h.says for h in held), *earlier_findings.more_left(held)], "changed": changed, **document}
 
 
 def judged(

@@ -24,6 +24,7 @@ class CoolantEffect(Term):
 
     Equation   tau dy/dt + y = flow * (T_coolant - T_other);  deviation = gain * y   [um] = [um/K] * [K]
                without temperatures: tau dy/dt + y = flow;    deviation = shift * y  [um]
+               with `at_once` y is the right-hand side itself
     Assumes    one time constant
     Typical    2..20 um, tau 60..900 s
     Moves      with the coolant switch, soon after it
@@ -34,6 +35,7 @@ class CoolantEffect(Term):
     flow: str = Field(description="Column that is 1 while coolant flows.")
     sensor: str | None = Field(None, description="Column of the coolant's temperature.")
     other: str | None = Field(None, description="Column of the temperature it is compared with.")
+    at_once: bool = Field(False, description="Without a time constant, which is shorter than rows are apart.")
     reports_as = "coolant_effect"
     family = "thermal"
     simulated_log_odds = -2.0
@@ -44,7 +46,7 @@ class CoolantEffect(Term):
         return (Parameter("shift", "um", (2.0, 20.0), (-200.0, 200.0), "shift while it flows"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant"),)
+        return () if self.at_once else (Parameter("tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return tuple(n for n in (self.flow, self.sensor, self.other) if n)
@@ -64,27 +66,37 @@ class CoolantEffect(Term):
                     if other != sensor:
                         yield cls(flow=flow, sensor=sensor, other=other)
 
-    def _driver(self, tau: float) -> Lag:
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[CoolantEffect]:
+        for term in cls.bind(recording, component):
+            yield term
+            yield term.model_copy(update={"at_once": True})
+
+    def _source(self) -> Driver:
         source: Driver = Input(name=self.flow)
         if self.sensor and self.other:
             cold = Affine(weights=(1.0, -1.0), of=(Input(name=self.sensor), Input(name=self.other)))
-            source = Product(of=(source, cold))
-        elif self.sensor:
-            source = Product(of=(source, Affine(offset=-20.0, weights=(1.0,), of=(Input(name=self.sensor),))))
-        return Lag(of=source, tau_up=tau, tau_down=tau, start="zero")
+            return Product(of=(source, cold))
+        if self.sensor:
+            return Product(of=(source, Affine(offset=-20.0, weights=(1.0,), of=(Input(name=self.sensor),))))
+        return source
+
+    def _driver(self, *tau: float) -> Driver:
+        return Lag(of=self._source(), tau_up=tau[0], tau_down=tau[0], start="zero") if tau else self._source()
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(nonlinear[0]), recording)[:, None]
+        return drive(self._driver(*nonlinear), recording)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        yield from start_states(recording, nonlinear[0], 0.2, 0.2)
-        for factor in (0.3, 3.0):
-            yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
+        for tau in nonlinear:
+            yield from start_states(recording, tau, 0.2, 0.2)
+            for factor in (0.3, 3.0):
+                yield self.basis(recording, tau * factor)[:, 0], 0.25
         if self.sensor:
             yield self.model_copy(update={"sensor": None, "other": None}).basis(recording, *nonlinear)[:, 0], 0.25
-        yield from ((column, 0.25) for column in self._cooled_growth(nonlinear[0], recording))
+        yield from ((column, 0.25) for column in self._cooled_growth(recording, *nonlinear))
 
-    def _cooled_growth(self, tau: float, recording: Recording) -> Iterator[np.ndarray]:
+    def _cooled_growth(self, recording: Recording, *tau: float) -> Iterator[np.ndarray]:
         """Cooling of a warm spindle, in proportion to its temperature rise."""
         on = recording.array(self.flow)
         for name in recording.names("spindle_speed"):
@@ -92,9 +104,9 @@ class CoolantEffect(Term):
             warming = drive(Lag(of=Input(name=name), tau_up=1500.0, tau_down=1500.0, start="zero"), recording)
             if speed.max() > 0:
                 cooled = on * warming / speed.max()
-                yield responses.lag(sessions(recording), recording.time(), cooled, tau, tau, False)
+                t = recording.time()
+                yield responses.lag(sessions(recording), t, cooled, tau[0], tau[0], False) if tau else cooled
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        (tau,) = self.nonlinear_values(parameters)
         gain = parameters["gain" if self.sensor else "shift"]
-        return (Lowered(scaled(self._driver(tau), gain)),)
+        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), gain)),)

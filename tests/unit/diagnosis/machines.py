@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
@@ -135,3 +137,9 @@ def mornings(seed: int = 0, hidden=None, days: int = 10, noise: float = 0.3, pau
         "E_Z_sim": {"role": "simulated", "component": "E_Z", "unit": "um"},
     }
     return recording(columns, kinds)
+
+
+def bare(made: Recording) -> Recording:
+    """A recording without its columns of speed and acceleration."""
+    kinds = {n: c for n, c in made.manifest.columns.items() if n not in ("v", "a")}
+    return replace(made, manifest=made.manifest.model_copy(update={"columns": kinds}), frame=made.frame[list(kinds)])

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose
-from errpipe.diagnosis.against import against, clustered
+from errpipe.diagnosis.against import against, clustered, more_left, moved_by
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.errors import DataError
 from errpipe.simulation import folder
-from tests.unit.diagnosis.machines import axis, trace
+from tests.unit.diagnosis.machines import axis, bare, trace
 
 
 def machine(seed: int, lost: float = 8.0, warm: float = 9e-3, noise: float = 0.5):
@@ -65,6 +65,44 @@ def test_sizes_are_those_of_the_later_machine_within_their_intervals(earlier) ->
     (size,) = held["backlash"].parameters
     assert size["name"] == "lost_motion" and size["now_ci95"][0] < 10.0 < size["now_ci95"][1]
     assert size["now_ci95"][1] - size["now_ci95"][0] < 1.0
+
+
+def test_more_that_is_left_is_said(earlier) -> None:
+    later = machine(10)
+    assert more_left(against(later, earlier)) == []
+    later.frame["EXX"] += 5 * np.sin(later.frame["x"] / 20)
+    (said,) = more_left(against(later, earlier))
+    assert "um rms is left" in said and "anew" in said
+
+
+def test_a_wave_that_moved_has_not_gone() -> None:
+    """A quarter of a turn leaves nothing of its old form; noise that goes together moves it in at most 5 of 100."""
+    x = np.arange(2000) / 12.0
+    own, session = np.column_stack([np.sin(x), np.cos(x)]), np.zeros(2000, dtype=int)
+    whole = np.column_stack([12 * own[:, 0], np.ones(2000)])
+    alarms = 0
+    for seed in range(100):
+        noise = np.convolve(np.random.default_rng(seed).standard_normal(2019), 0.8 ** np.arange(20), mode="valid")
+        alarms += moved_by(own, whole, 12 * np.sin(x) + noise, session, 0.05) > 0
+        if seed < 5:
+            assert moved_by(own, whole, 12 * np.cos(x) + noise, session, 0.05) == pytest.approx(8.5, rel=0.1)
+    assert alarms <= 10
+    assert moved_by(own[:, :1], whole, 12 * np.sin(x), session, 0.05) == 0.0
+
+
+@pytest.mark.slow
+def test_where_positions_alone_are_recorded() -> None:
+    """Speeds that the first recording implied are implied by the later one, too."""
+    wave = lambda turn: lambda c: 30 * np.sign(c["v"]) + 12 * np.sin(2 * np.pi * c["x"] / 24 + turn)  # noqa: E731
+    found, _ = diagnose(bare(trace(1, hidden=wave(0.0))))
+    assert states(bare(trace(2, hidden=wave(0.0))), found) == {
+        "coulomb_friction": "unchanged",
+        "torque_ripple": "unchanged",
+    }
+    assert states(bare(trace(3, hidden=wave(1.5))), found) == {
+        "coulomb_friction": "unchanged",
+        "torque_ripple": "moved",
+    }
 
 
 def test_what_a_recording_cannot_tell_is_not_called_changed(earlier) -> None:

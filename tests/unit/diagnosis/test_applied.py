@@ -15,12 +15,13 @@ from scipy.signal import TransferFunction, lsim
 
 from errpipe.diagnosis import diagnose
 from errpipe.diagnosis.applied import corrected, session_datums
+from errpipe.diagnosis.derived import with_motion
 from errpipe.drivers.sessions import sessions
 from errpipe.fitting.spec import ModelSpec
 from errpipe.formats import manifest_folder
 from errpipe.stages._apply_findings import apply_findings
 from errpipe.yamlfile import load
-from tests.unit.diagnosis.machines import axis, mornings, spindle, trace
+from tests.unit.diagnosis.machines import axis, bare, mornings, spindle, trace
 
 
 def late(t: np.ndarray, u: np.ndarray, tau: float) -> np.ndarray:
@@ -52,6 +53,7 @@ CASES = {
     "a wave": lambda: axis(3, hidden=lambda c: 2.5 * np.sin(2 * np.pi * c["x"] / 10)),
     "a late spindle": lambda: spindle(1, hidden=lambda c: 8 * late(c["t"], c["rpm"] / 12000, 900.0)),
     "friction, no term of a controller": lambda: trace(1, hidden=lambda c: 30 * np.sign(c["v"])),
+    "friction of an axis whose places alone are known": lambda: bare(trace(1, hidden=lambda c: 30 * np.sign(c["v"]))),
     "a force that comes late": lambda: shaken(late=0.03),
     "a machine that rings": lambda: shaken(hertz=9.0),
     "a gain beside lost motion": lambda: axis(6, gains=(1.2, 1.0), hidden=lambda c: -4 * c["dir"]),
@@ -66,7 +68,7 @@ def module(path: Path):
     return found
 
 
-SLOW = ("a force that comes late", "a machine that rings")
+SLOW = ("friction of an axis whose places alone are known", "a force that comes late", "a machine that rings")
 PARAMS = [pytest.param(c, id=c.replace(" ", "-"), marks=[pytest.mark.slow] if c in SLOW else []) for c in CASES]
 
 
@@ -93,7 +95,8 @@ def test_the_python_patch_says_the_same_as_the_corrected_recording(done) -> None
     (response,) = document["responses"]
     component, twin = response["component"], response["simulated"]
     patch = module(out / "patch.py")
-    columns = {name: recording.frame[name].to_numpy() for name in recording.frame}
+    read = with_motion(recording)[0]
+    columns = {name: read.frame[name].to_numpy() for name in read.frame}
     got = patch.corrected({component: recording.array(twin)}, columns, recording.time(), sessions(recording))[component]
     whole = manifest_folder.read(out)
     assert_allclose(got, whole.array(twin), atol=1e-3 * np.std(whole.array(twin) - recording.array(twin)))
