@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -68,8 +69,18 @@ LIBRARIES = {
 PLUG_INS = ("terms", "formats", "targets", "cleaning", "models")
 
 
-def imports(source: str, module: str) -> Iterator[tuple[int, str]]:
+def called(call: ast.Call) -> str:
+    """The last name of what is called: `import_module` of `importlib.import_module(...)`."""
+    return getattr(call.func, "attr", getattr(call.func, "id", ""))
+
+
+@cache
+def imports(source: str, module: str) -> tuple[tuple[int, str], ...]:
     """(line, absolute name) of everything that a module imports; `from a import b` counts as a.b."""
+    return tuple(_imports(source, module))
+
+
+def _imports(source: str, module: str) -> Iterator[tuple[int, str]]:
     package = module.split(".")
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -79,7 +90,7 @@ def imports(source: str, module: str) -> Iterator[tuple[int, str]]:
             base = package[: len(package) - node.level] if node.level else []
             start = ".".join([*base, *(node.module or "").split(".")]).strip(".")
             yield from ((node.lineno, f"{start}.{alias.name}") for alias in node.names)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("__import__", "import_module"):
+        elif isinstance(node, ast.Call) and called(node) in ("__import__", "import_module"):
             yield from ((node.lineno, arg.value) for arg in node.args[:1] if isinstance(arg, ast.Constant))
 
 

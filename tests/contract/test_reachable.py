@@ -11,6 +11,8 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
+import pytest
+
 import errpipe
 
 TOP = Path(errpipe.__file__).parent
@@ -29,12 +31,11 @@ KNOWN_MODULES = {
 }
 
 
-def unreached(sources: Mapping[str, str], templates: str = "") -> set[str]:
-    """Names of top-level definitions that no other code of these sources names."""
+def unreached(trees: Mapping[str, ast.Module], templates: str = "") -> set[str]:
+    """Names of top-level definitions that no other code of these files names."""
     words: Counter[str] = Counter(re.findall(r"\w+", templates))
     defined: set[str] = set()
-    for source in sources.values():
-        tree = ast.parse(source)
+    for tree in trees.values():
         for node in ast.walk(tree):
             if isinstance(node, ast.Name):
                 words[node.id] += 1
@@ -53,29 +54,29 @@ def unreached(sources: Mapping[str, str], templates: str = "") -> set[str]:
     return {name for name in defined if not words[name] and not name.startswith("__")}
 
 
-def sources() -> dict[str, str]:
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
     """Every module of errpipe by its path."""
-    return {str(p.relative_to(TOP)): p.read_text(encoding="utf-8") for p in sorted(TOP.rglob("*.py"))}
+    return {str(p.relative_to(TOP)): ast.parse(p.read_text(encoding="utf-8")) for p in sorted(TOP.rglob("*.py"))}
 
 
-def test_every_definition_is_reached() -> None:
+def test_every_definition_is_reached(trees: dict[str, ast.Module]) -> None:
     templates = "\n".join(p.read_text(encoding="utf-8") for p in TOP.rglob("*.j2"))
-    found = unreached(sources(), templates)
+    found = unreached(trees, templates)
     assert found == set(KNOWN), (
         f"reached by nothing: {sorted(found - set(KNOWN))}; not needed: {sorted(set(KNOWN) - found)}"
     )
 
 
 def test_a_definition_that_nothing_names_is_seen() -> None:
-    assert unreached({"a.py": "def used(): pass\ndef lost(): pass\n", "b.py": "from a import used\nused()\n"}) == {
-        "lost"
-    }
+    sources = {"a.py": "def used(): pass\ndef lost(): pass\n", "b.py": "from a import used\nused()\n"}
+    assert unreached({name: ast.parse(source) for name, source in sources.items()}) == {"lost"}
 
 
-def test_every_module_is_imported() -> None:
+def test_every_module_is_imported(trees: dict[str, ast.Module]) -> None:
     imported: set[str] = set()
-    for source in sources().values():
-        for node in ast.walk(ast.parse(source)):
+    for tree in trees.values():
+        for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom):
                 imported |= {(node.module or "").split(".")[-1], *(alias.name for alias in node.names)}
             elif isinstance(node, ast.Import):
