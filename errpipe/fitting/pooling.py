@@ -64,30 +64,25 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
 
 
 def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Squared Mahalanobis distance of every two machines, (n, n); chi-square where they are alike.
+    """Squared Mahalanobis distance of every two machines, n (n - 1) / 2; chi-square where they are alike.
 
     estimates: (n, p); covariances: (n, p, p).
     """
-    out = np.zeros((len(estimates), len(estimates)))
+    out = []
     for i in range(len(estimates) - 1):
         gaps = estimates[i + 1 :] - estimates[i]
         precisions = np.linalg.pinv(covariances[i + 1 :] + covariances[i], hermitian=True)
-        out[i, i + 1 :] = out[i + 1 :, i] = np.einsum("ij,ijk,ik->i", gaps, precisions, gaps)
-    return out
+        out.append(np.einsum("ij,ijk,ik->i", gaps, precisions, gaps))
+    return np.concatenate(out)
 
 
 def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
     """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+
     if len(estimates) < 2:
         return []
     limit = chi2_quantile(1.0 - level, estimates[0].size)
-    apart = distances(np.array(estimates), np.array(covariances))
-    np.fill_diagonal(apart, np.inf)
-    groups = [[k] for k in range(len(estimates))]
-    while apart.min() <= limit:
-        i, j = sorted(np.unravel_index(int(apart.argmin()), apart.shape))
-        groups[i] += groups[j]
-        groups[j] = []
-        apart[i] = apart[:, i] = np.maximum(apart[i], apart[j])
-        apart[j] = apart[:, j] = np.inf
-    return sorted((sorted(g) for g in groups if len(g) > 1), key=lambda g: (-len(g), g))
+    labels = fcluster(linkage(distances(np.array(estimates), np.array(covariances)), "complete"), limit, "distance")
+    groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
+    return sorted((g for g in groups if len(g) > 1), key=lambda g: (-len(g), g))
