@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -191,9 +189,6 @@ addf motion-command-handler servo-thread
 addf motion-controller servo-thread
 addf lowpass.0 servo-thread
 addf lowpass.1 servo-thread
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
-net tool-prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
-net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
 """
 
 RECORDER = """loadrt scale names=nm-x,nm-y,nm-z
@@ -243,17 +238,8 @@ def connections(way: str, made: t.CompensationTable) -> str:
 
 def ini(way: str, screws: tuple[str, ...]) -> str:
     """The controller's own file; with the screw files where they are to be used."""
-    own = SHIFT if way == "shift" else JOINTS
-    parts = [
-        "[EMC]\nVERSION = 1.1\nMACHINE = closed-loop\nDEBUG = 0\n[DISPLAY]\nDISPLAY = ./ui.py\n"
-        "[TASK]\nTASK = milltask\nCYCLE_TIME = 0.001\n[RS274NGC]\nPARAMETER_FILE = sim.var\n"
-        "[EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 4.0\nBASE_PERIOD = 0\nSERVO_PERIOD = 1000000\n"
-        "[EMCIO]\nEMCIO = io\nCYCLE_TIME = 0.1\nTOOL_TABLE = sim.tbl\n"
-        f"[HAL]\nHALFILE = core.hal\nHALFILE = {own}\nHALFILE = connect.hal\n"
-        "[TRAJ]\nCOORDINATES = X Y Z\nLINEAR_UNITS = mm\nANGULAR_UNITS = degree\nDEFAULT_LINEAR_VELOCITY = 500\n"
-        "MAX_LINEAR_VELOCITY = 1500\nDEFAULT_LINEAR_ACCELERATION = 10000\nNO_FORCE_HOMING = 1\n"
-        "[KINS]\nKINEMATICS = trivkins coordinates=XYZ\nJOINTS = 3\n"
-    ]
+    traj = "DEFAULT_LINEAR_VELOCITY = 500\nMAX_LINEAR_VELOCITY = 1500\nDEFAULT_LINEAR_ACCELERATION = 10000\n"
+    parts = [session.ini(AXES, SHIFT if way == "shift" else JOINTS, traj)]
     for n, axis in enumerate(AXES):
         low, high = TRAVEL[axis]
         limits = f"MIN_LIMIT = {low - 1}\nMAX_LIMIT = {high + 1}\nMAX_VELOCITY = 1000\nMAX_ACCELERATION = 10000\n"
@@ -289,40 +275,25 @@ def run(
     screws = LinuxcncScrew.write(made) if way == "screw" else {}
     files = {
         "sim.ini": ini(way, tuple(screws)),
-        "sim.tbl": "",
-        "core.hal": CORE,
+        "core.hal": CORE + session.IO,
         "connect.hal": connections(way, made),
         "program.ngc": program or lattice(),
         **LinuxcncHal.write(made),
         **screws,
     }
-    plan = {
-        "settle_s": 0.5,
-        "program_s": 120,
-        "least_s": least_s,
-        "read": read,
-        "stops": stops,
-        "stop_pins": ["joint.0.motor-pos-cmd" if way == "shift" else "errpipe.command-x"],
-        "go_on": way == "shift",
-        "heat": {"lowpass.0.load": 0, "lowpass.1.load": 0, "lowpass.0.in": SCREW_HOT, "lowpass.1.in": SPINDLE_HOT},
-        "cool": {"lowpass.0.in": COLD, "lowpass.1.in": COLD},
-    }
-    for name, text in (files | {"plan.json": json.dumps(plan)}).items():
-        (folder / name).write_text(text)
-    shutil.copy(Path(__file__).with_name("ui.py"), folder / "ui.py")
-    (folder / "ui.py").chmod(0o755)
-    env = session.environment(folder)
-    session.end(env, folder)
-    try:
-        session.quiet(["linuxcnc", "-r", "sim.ini"], env, folder, 120 + 2 * least_s)
-    finally:
-        session.end(env, folder)
-    assert (folder / "facts.json").is_file(), session.said(folder)
-    return _read(folder)
-
-
-def _read(folder: Path) -> Record:
-    rows = np.loadtxt(folder / "record.txt", comments="overrun")
+    session.write(
+        folder,
+        files,
+        program_s=120,
+        least_s=least_s,
+        read=read,
+        stops=stops,
+        stop_pins=["joint.0.motor-pos-cmd" if way == "shift" else "errpipe.command-x"],
+        go_on=way == "shift",
+        heat={"lowpass.0.load": 0, "lowpass.1.load": 0, "lowpass.0.in": SCREW_HOT, "lowpass.1.in": SPINDLE_HOT},
+        cool={"lowpass.0.in": COLD, "lowpass.1.in": COLD},
+    )
+    facts, rows = session.run(folder, 120 + 2 * least_s)
     command = rows[:, 1:4]
     return Record(
         number=rows[:, 0].astype(int),
@@ -332,5 +303,5 @@ def _read(folder: Path) -> Record:
         spindle=rows[:, 8],
         heartbeat=rows[:, 9].astype(int),
         status=rows[:, 10].astype(int),
-        facts=json.loads((folder / "facts.json").read_text()),
+        facts=facts,
     )

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import os
 import re
 import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
@@ -119,8 +122,9 @@ def values(folder: Path) -> list[str]:
     return re.findall(r"^(TRUE|FALSE|0x[0-9A-Fa-f]+|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)$", said(folder), re.M)
 
 
-def install(component: Path) -> Path:
-    """Compile a component and put it where LinuxCNC looks; returns the module, to be removed by the caller."""
+@contextlib.contextmanager
+def installed(component: Path) -> Iterator[None]:
+    """Compile a component and put it where LinuxCNC looks, for the time of a `with`."""
     env = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(component.parent), "LANG": "C.UTF-8"}
     subprocess.run(
         ["halcompile", "--install", component.name],
@@ -130,7 +134,79 @@ def install(component: Path) -> Path:
         capture_output=True,
         timeout=120,
     )
-    return MODULES / f"{component.stem}.so"
+    try:
+        yield
+    finally:
+        (MODULES / f"{component.stem}.so").unlink(missing_ok=True)
+
+
+# What every core.hal says of the hand and the tools.
+IO = """net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
+net tool-prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
+net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
+"""
+
+
+def ini(axes: str, exported: str, traj: str, base_ns: int = 0, display: str = "") -> str:
+    """The controller's own file up to its axes. exported: the HAL file that errpipe wrote; traj: largest speeds."""
+    return f"""[EMC]
+VERSION = 1.1
+MACHINE = simulated
+DEBUG = 0
+[DISPLAY]
+DISPLAY = ./ui.py
+{display}[TASK]
+TASK = milltask
+CYCLE_TIME = 0.001
+[RS274NGC]
+PARAMETER_FILE = sim.var
+[EMCMOT]
+EMCMOT = motmod
+COMM_TIMEOUT = 4.0
+BASE_PERIOD = {base_ns}
+SERVO_PERIOD = 1000000
+[EMCIO]
+EMCIO = io
+CYCLE_TIME = 0.1
+TOOL_TABLE = sim.tbl
+[HAL]
+HALFILE = core.hal
+HALFILE = {exported}
+HALFILE = connect.hal
+[TRAJ]
+COORDINATES = {" ".join(axes)}
+LINEAR_UNITS = mm
+ANGULAR_UNITS = degree
+NO_FORCE_HOMING = 1
+{traj}[KINS]
+KINEMATICS = trivkins coordinates={axes}
+JOINTS = {len(axes)}
+"""
+
+
+def write(folder: Path, files: Mapping[str, str], **plan: Any) -> None:
+    """All files of a session; plan: what `ui.py` does otherwise than it usually does."""
+    usual = {"settle_s": 0.5, "least_s": 0.0, "read": [], "heat": {}, "cool": {}}
+    for name, text in {"sim.tbl": "", **files, "plan.json": json.dumps(usual | plan)}.items():
+        (folder / name).write_text(text)
+    shutil.copy(Path(__file__).with_name("ui.py"), folder / "ui.py")
+    (folder / "ui.py").chmod(0o755)
+
+
+def run(folder: Path, seconds: float) -> tuple[dict, np.ndarray]:
+    """Run the session whose files stand in a folder: its facts, and what the sampler recorded, a row a cycle.
+
+    Raises AssertionError with LinuxCNC's words where it does not come to its end.
+    """
+    (folder / "facts.json").unlink(missing_ok=True)
+    env = environment(folder)
+    end(env, folder)
+    try:
+        quiet(["linuxcnc", "-r", "sim.ini"], env, folder, seconds)
+    finally:
+        end(env, folder)
+    assert (folder / "facts.json").is_file(), said(folder)
+    return json.loads((folder / "facts.json").read_text()), np.loadtxt(folder / "record.txt", comments="overrun")
 
 
 def clocks(count: int) -> str:

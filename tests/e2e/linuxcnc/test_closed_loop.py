@@ -7,6 +7,7 @@ first-order synthesis leaves (`second_order_bound`), and what heat does between 
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import numpy as np
@@ -33,19 +34,16 @@ COUNT = 0.1  # um, of an external offset
 @pytest.fixture(scope="module")
 def linuxcnc():
     """Runs sessions with the component of a table installed; removes it in the end."""
-    with session.alone() as folder:
-        modules = []
+    with session.alone() as folder, contextlib.ExitStack() as stack:
 
         def run(name, way, made=None, **more):
             own = folder / name
             own.mkdir()
             (own / COMPONENT).write_text(LinuxcncHal.write(made or machine.table())[COMPONENT])
-            modules.append(session.install(own / COMPONENT))
+            stack.enter_context(session.installed(own / COMPONENT))
             return machine.run(own, way, made, **more)
 
         yield run
-        for module in set(modules):
-            module.unlink(missing_ok=True)
 
 
 @pytest.fixture(scope="module")

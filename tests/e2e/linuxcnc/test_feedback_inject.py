@@ -6,10 +6,7 @@ both sides at two temperatures: counter minus encoder is minus the correction, w
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,9 +58,6 @@ loadrt encoder num_chan=1
 loadrt pid num_chan=1
 loadrt errpipe
 loadrt sampler depth=30000 cfg=fsssuubb
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
-net tool-prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
-net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
 addf sim-encoder.make-pulses base-thread
 """
 CONNECT = f"""addf encoder.update-counters base-thread
@@ -104,41 +98,8 @@ net beat errpipe.heartbeat => sampler.0.pin.5
 net refused errpipe-inject.x.refused => sampler.0.pin.6
 net found errpipe-inject.x.found => sampler.0.pin.7
 """
-INI = f"""[EMC]
-VERSION = 1.1
-MACHINE = inject
-DEBUG = 0
-[DISPLAY]
-DISPLAY = ./ui.py
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[RS274NGC]
-PARAMETER_FILE = sim.var
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 4.0
-BASE_PERIOD = {BASE}
-SERVO_PERIOD = 1000000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.1
-TOOL_TABLE = sim.tbl
-[HAL]
-HALFILE = core.hal
-HALFILE = errpipe-inject.hal
-HALFILE = connect.hal
-[TRAJ]
-COORDINATES = X
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = {SPEED}
-MAX_LINEAR_VELOCITY = {SPEED}
-NO_FORCE_HOMING = 1
-[KINS]
-KINEMATICS = trivkins coordinates=X
-JOINTS = 1
-[AXIS_X]
+TRAJ = f"DEFAULT_LINEAR_VELOCITY = {SPEED}\nMAX_LINEAR_VELOCITY = {SPEED}\n"
+AXES = f"""[AXIS_X]
 MIN_LIMIT = -5
 MAX_LIMIT = 55
 MAX_VELOCITY = {SPEED}
@@ -168,40 +129,28 @@ def test_the_loop_is_brought_to_the_corrected_place(capsys):
     (inject,) = [t for t in TARGETS if "quadrature" in t.limits]
     (whole,) = [t for t in TARGETS if t.controller == "LinuxCNC" and "temperature" in t.holds]
     files = inject.write(made)
+    wiring = re.sub(r"^(setp|# |net errpipe-inject-(enable|homed)).*\n", "", files["errpipe-inject.hal"], flags=re.M)
+    component = whole.write(made)["errpipe.comp"]
+    fresh = re.findall(r"^pin in bit (fresh_\w+)", component, re.M)
+    shared = "net enable => errpipe-inject.x.enable\nnet homed => errpipe-inject.x.homed\n"
+    texts = {
+        "errpipe.comp": component,
+        "errpipe_inject.comp": files["errpipe_inject.comp"],
+        "errpipe-inject.hal": wiring,
+        "core.hal": CORE + session.IO + "addf errpipe servo-thread\n",
+        "connect.hal": CONNECT + shared + "".join(f"setp errpipe.{p.replace('_', '-')} 1\n" for p in fresh),
+        "sim.ini": session.ini("X", "errpipe-inject.hal", TRAJ, BASE) + AXES,
+        "program.ngc": program(),
+    }
+    plan = {"settle_s": 0.3, "program_s": 120, "least_s": 1.0, "joints": 1, "while_stopped": {"errpipe.in-t": HOT}}
+    plan |= {"stops": 4, "stop_pins": ["errpipe-inject.x.injected", "errpipe-inject.x.counts"]}
+    results = []
     with session.alone() as folder:
-        (folder / "errpipe.comp").write_text(whole.write(made)["errpipe.comp"])
-        (folder / "errpipe_inject.comp").write_text(files["errpipe_inject.comp"])
-        modules = [session.install(folder / name) for name in ("errpipe.comp", "errpipe_inject.comp")]
-        wiring = files["errpipe-inject.hal"]
-        wiring = re.sub(r"^(setp|# |net errpipe-inject-(enable|homed)).*\n", "", wiring, flags=re.M)
-        shared = "net enable => errpipe-inject.x.enable\nnet homed => errpipe-inject.x.homed\n"
-        plan = {"settle_s": 0.3, "program_s": 120, "least_s": 1.0, "read": [], "joints": 1}
-        plan |= {"cool": {}, "stops": 4, "stop_pins": ["errpipe-inject.x.injected", "errpipe-inject.x.counts"]}
-        plan |= {"while_stopped": {"errpipe.in-t": HOT}}
-        fresh = re.findall(r"^pin in bit (fresh_\w+)", (folder / "errpipe.comp").read_text(), re.M)
-        connect = CONNECT + shared + "".join(f"setp errpipe.{p.replace('_', '-')} 1\n" for p in fresh)
-        core = CORE + "".join(["addf errpipe servo-thread\n"])
-        texts = {"core.hal": core, "errpipe-inject.hal": wiring, "connect.hal": connect, "sim.ini": INI, "sim.tbl": ""}
-        results = []
-        shutil.copy(Path(__file__).with_name("ui.py"), folder / "ui.py")
-        (folder / "ui.py").chmod(0o755)
-        for temperature in (COLD, WARM):
-            plan["heat"] = {"errpipe.in-t": temperature}
-            texts |= {"plan.json": json.dumps(plan), "program.ngc": program()}
-            for name, text in texts.items():
-                (folder / name).write_text(text)
-            (folder / "facts.json").unlink(missing_ok=True)
-            env = session.environment(folder)
-            session.end(env, folder)
-            try:
-                session.quiet(["linuxcnc", "-r", "sim.ini"], env, folder, 180)
-            finally:
-                session.end(env, folder)
-            assert (folder / "facts.json").is_file(), session.said(folder)
-            facts = json.loads((folder / "facts.json").read_text())
-            results.append((temperature, facts, np.loadtxt(folder / "record.txt", comments="overrun")))
-        for module in modules:
-            module.unlink(missing_ok=True)
+        session.write(folder, texts)
+        with session.installed(folder / "errpipe.comp"), session.installed(folder / "errpipe_inject.comp"):
+            for temperature in (COLD, WARM):
+                session.write(folder, texts, **plan, heat={"errpipe.in-t": temperature})
+                results.append((temperature, *session.run(folder, 180)))
     for temperature, facts, rows in results:
         judge(made, temperature, facts, rows, capsys)
 

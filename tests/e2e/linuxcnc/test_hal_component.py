@@ -123,9 +123,8 @@ def place():
     """A folder of which LinuxCNC has the use, for the time of these tests; the component is installed."""
     with session.alone() as folder:
         (folder / COMPONENT).write_text(LinuxcncHal.write(table())[COMPONENT])
-        module = session.install(folder / COMPONENT)
-        yield folder
-        module.unlink()
+        with session.installed(folder / COMPONENT):
+            yield folder
 
 
 @pytest.fixture
@@ -170,9 +169,9 @@ def stream(folder, readings, text=STREAM, bits=1):
 def test_seven_thousand_cycles_equal_the_reference(folder, capsys):
     made = table()
     given = np.array([[float(f"{v:.9f}") for v in row] for row in stimulus()])
-    found, tmax, crc = stream(folder, given)
-    assert found.shape == (CYCLES, 7)
-    assert np.array_equal(found[:, 0], np.arange(found[0, 0], found[0, 0] + CYCLES)), "a cycle was lost"
+    rows, tmax, crc = stream(folder, given)
+    assert rows.shape == (CYCLES, 7)
+    assert np.array_equal(rows[:, 0], np.arange(rows[0, 0], rows[0, 0] + CYCLES)), "a cycle was lost"
     assert crc == int(ect.fingerprint(made), 16)
     evaluator = Evaluator(made)
     names = [i.name for i in made.inputs]
@@ -184,12 +183,12 @@ def test_seven_thousand_cycles_equal_the_reference(folder, capsys):
         moved = [cycle.correction[name] * 1e6 for name in ("E_X", "E_Y")]
         want.append([*moved, cycle.status, cycle.heartbeat, fault])
     want = np.array(want)
-    gap = np.abs(found[:, 1:3] - want[:, :2]).max()
+    gap = np.abs(rows[:, 1:3] - want[:, :2]).max()
     assert gap < PRINT_NM
-    assert np.array_equal(found[:, 3], want[:, 2]), "status words differ"
-    assert np.array_equal(found[:, 4], np.arange(1, CYCLES + 1)), "heartbeats"
-    assert np.array_equal(found[:, 5], want[:, 4]), "faults of the sensor"
-    assert not found[:, 6].any()
+    assert np.array_equal(rows[:, 3], want[:, 2]), "status words differ"
+    assert np.array_equal(rows[:, 4], np.arange(1, CYCLES + 1)), "heartbeats"
+    assert np.array_equal(rows[:, 5], want[:, 4]), "faults of the sensor"
+    assert not rows[:, 6].any()
     assert np.abs(want[:, :2]).max() > 11_000 and len(set(want[:, 2])) > 6  # the stimulus reaches far
     cost = bounds.cost(made)[1]
     with capsys.disabled():
@@ -199,17 +198,23 @@ def test_seven_thousand_cycles_equal_the_reference(folder, capsys):
         )
 
 
-def test_a_thread_of_another_rate_moves_nothing_and_says_so(folder):
-    (folder / "slow.hal").write_text(
-        "loadrt threads name1=servo-thread period1=1000000\nloadrt errpipe\naddf errpipe servo-thread\n"
-        "setp errpipe.in-x 123\nsetp errpipe.in-y 100\nsetp errpipe.enable 1\nstart\nloadusr -w sleep 0.3\n"
-        "getp errpipe.wrong-rate\ngetp errpipe.correction-x\ngetp errpipe.heartbeat\n"
-    )
+def halrun(folder, text: str) -> int:
+    """Exit code of a HAL file run to its end."""
+    (folder / "run.hal").write_text(text)
     env = session.environment(folder)
     try:
-        code = session.quiet(["halrun", "-f", "slow.hal"], env, folder, 20)
+        return session.quiet(["halrun", "-f", "run.hal"], env, folder, 20)
     finally:
         session.end(env, folder)
+
+
+def test_a_thread_of_another_rate_moves_nothing_and_says_so(folder):
+    code = halrun(
+        folder,
+        "loadrt threads name1=servo-thread period1=1000000\nloadrt errpipe\naddf errpipe servo-thread\n"
+        "setp errpipe.in-x 123\nsetp errpipe.in-y 100\nsetp errpipe.enable 1\nstart\nloadusr -w sleep 0.3\n"
+        "getp errpipe.wrong-rate\ngetp errpipe.correction-x\ngetp errpipe.heartbeat\n",
+    )
     wrong, moved, beats = session.values(folder)
     assert (code, wrong, float(moved)) == (0, "TRUE", 0.0) and int(beats, 0) > 10
 
@@ -217,17 +222,13 @@ def test_a_thread_of_another_rate_moves_nothing_and_says_so(folder):
 @pytest.mark.parametrize("allowed", [True, False], ids=["own", "other"])
 def test_only_the_allowed_table_moves(folder, allowed):
     only = int(ect.fingerprint(table()), 16) + (0 if allowed else 1)
-    (folder / "only.hal").write_text(
+    code = halrun(
+        folder,
         f"loadrt threads name1=servo-thread period1={PERIOD_NS}\nloadrt errpipe\naddf errpipe servo-thread\n"
         f"setp errpipe.only {only}\nsetp errpipe.in-x 123\nsetp errpipe.in-y 100\nsetp errpipe.enable 1\n"
         "setp errpipe.in-t-nut 21\nsetp errpipe.in-tool-length 0\n"
-        "start\nloadusr -w sleep 2\ngetp errpipe.refused\ngetp errpipe.correction-x\ngetp errpipe.heartbeat\n"
+        "start\nloadusr -w sleep 2\ngetp errpipe.refused\ngetp errpipe.correction-x\ngetp errpipe.heartbeat\n",
     )
-    env = session.environment(folder)
-    try:
-        code = session.quiet(["halrun", "-f", "only.hal"], env, folder, 20)
-    finally:
-        session.end(env, folder)
     assert code == 0, session.said(folder)
     refused, moved, beats = session.values(folder)
     assert code == 0 and refused == str(not allowed).upper() and int(beats, 0) > 10
@@ -242,13 +243,6 @@ def test_a_damaged_table_is_refused_by_the_controller(folder):
     wrong = f"0x{int(text[at + 2 : at + 4], 16) ^ 1:02x}"
     changed = (text[:at] + wrong + text[at + 4 :]).replace("component errpipe ", "component errpipe_damaged ")
     (folder / "errpipe_damaged.comp").write_text(changed)
-    module = session.install(folder / "errpipe_damaged.comp")
-    env = session.environment(folder)
-    try:
-        (folder / "load.hal").write_text("loadrt errpipe_damaged\n")
-        code = session.quiet(["halrun", "-f", "load.hal"], env, folder, 20)
-    finally:
-        session.end(env, folder)
-        module.unlink()
-    assert code != 0
+    with session.installed(folder / "errpipe_damaged.comp"):
+        assert halrun(folder, "loadrt errpipe_damaged\n") != 0
     assert "table refused: damaged (checksum)" in session.said(folder)

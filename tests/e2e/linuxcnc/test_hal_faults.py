@@ -64,24 +64,26 @@ def faults(first: int = 0) -> np.ndarray:
     return whole
 
 
+def recorded(made, given: np.ndarray, hal: str, bits: int) -> np.ndarray:
+    """What the component of a table gave for each cycle's input."""
+    with session.alone() as folder:
+        (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
+        with session.installed(folder / COMPONENT):
+            return stream(folder, given, hal, bits)[0]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_reference(number, capsys):
     """Then the other table: this one is taken off first (`off`), and the other comes in from 0, as both runs show."""
     made = sequences.table(number)
     given = np.array([[float(f"{v:.9f}") for v in row] for row in faults(40 * number)])
-    with session.alone() as folder:
-        (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
-        module = session.install(folder / COMPONENT)
-        try:
-            found, _, _ = stream(folder, given, STREAM, bits=4)
-        finally:
-            module.unlink()
-    assert len(found) == CYCLES and np.array_equal(np.diff(found[:, 0]), np.ones(CYCLES - 1)), "a cycle was lost"
-    corrections = 1e-3 * found[:, 1:3]
+    rows = recorded(made, given, STREAM, bits=4)
+    assert len(rows) == CYCLES and np.array_equal(np.diff(rows[:, 0]), np.ones(CYCLES - 1)), "a cycle was lost"
+    corrections = 1e-3 * rows[:, 1:3]
     want, rejected = by_reference(made, given)
     assert np.abs(corrections - want).max() < PRINT_UM
-    assert found[-1, 4] == rejected > 0
+    assert rows[-1, 4] == rejected > 0
     slew = np.array([o.slew for o in made.outputs]) * sequences.CYCLE
     steps = np.abs(np.diff(corrections, axis=0, prepend=np.zeros((1, 2))))
     size = np.abs(corrections) / np.array([o.magnitude for o in made.outputs])
@@ -148,19 +150,13 @@ def test_one_bad_sample_of_a_plain_axis_with_the_default_export(tmp_path, capsys
     only = np.full(nut.size, int(ect.fingerprint(made), 16))
     only[-OUT:] += 1  # another table is the only one that may run: this one is taken off, not dropped
     given = np.column_stack([np.full(nut.size, 1000.0), np.ones(nut.size), nut, np.ones(nut.size), only])
-    with session.alone() as folder:
-        (folder / COMPONENT).write_text(LinuxcncHal.write(made)[COMPONENT])
-        module = session.install(folder / COMPONENT)
-        try:
-            found, _, _ = stream(folder, given, PLAIN, bits=2)
-        finally:
-            module.unlink()
-    assert len(found) == nut.size and np.all(np.diff(found[:, 0]) == 1), "a cycle was lost"
-    moved = 1e-3 * found[:, 1]
+    rows = recorded(made, given, PLAIN, bits=2)
+    assert len(rows) == nut.size and np.all(np.diff(rows[:, 0]) == 1), "a cycle was lost"
+    moved = 1e-3 * rows[:, 1]
     right = moved[5999]
     step, off = np.abs(np.diff(moved, prepend=0.0)).max(), np.abs(moved[6000:-OUT] - right).max()
     with capsys.disabled():
         print(f"\nHAL, one bad sample: {step:.6f} um in 1 ms at most, {off:.4f} um beyond what is right ({right:.2f})")
-    assert abs(right) > 50.0 and found[-1, 2] > len(BAD)
+    assert abs(right) > 50.0 and rows[-1, 2] > len(BAD)
     assert step <= one_bad_reading.STEP + PRINT_UM and off < one_bad_reading.BAD_SAMPLE
     assert moved[-1] == 0.0

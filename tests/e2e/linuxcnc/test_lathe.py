@@ -6,10 +6,8 @@ in a few seconds: the table's time constants are shortened by the same factor as
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -95,48 +93,10 @@ loadrt scale names=nm
 addf streamer.0 servo-thread
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
-net tool-prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
-net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
 net z joint.1.motor-pos-cmd => joint.1.motor-pos-fb
 loadusr -w ./feed.sh
 """
-INI = """[EMC]
-VERSION = 1.1
-MACHINE = lathe
-DEBUG = 0
-[DISPLAY]
-DISPLAY = ./ui.py
-LATHE = 1
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[RS274NGC]
-PARAMETER_FILE = sim.var
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 4.0
-BASE_PERIOD = 0
-SERVO_PERIOD = 1000000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.1
-TOOL_TABLE = sim.tbl
-[HAL]
-HALFILE = core.hal
-HALFILE = errpipe-joints.hal
-HALFILE = connect.hal
-[TRAJ]
-COORDINATES = X Z
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = 50
-MAX_LINEAR_VELOCITY = 500
-NO_FORCE_HOMING = 1
-[KINS]
-KINEMATICS = trivkins coordinates=XZ
-JOINTS = 2
-"""
+TRAJ = "DEFAULT_LINEAR_VELOCITY = 50\nMAX_LINEAR_VELOCITY = 500\n"
 AXIS = "MIN_LIMIT = -300\nMAX_LIMIT = 300\nMAX_VELOCITY = 500\nMAX_ACCELERATION = 5000\n"
 
 
@@ -165,14 +125,11 @@ def write(folder: Path, table: CompensationTable, readings: np.ndarray, names: l
         f"[AXIS_{a}]\n{AXIS}[JOINT_{n}]\nTYPE = LINEAR\nHOME = 0\nHOME_SEQUENCE = 0\n{AXIS}FERROR = 0.001\n"
         for n, a in enumerate("XZ")
     )
-    plan = {"settle_s": 0.5, "program_s": 60, "least_s": 0.0, "read": [], "heat": {}, "cool": {}, "joints": 2}
     texts = {
         **files,
-        "core.hal": HAL % ("f" * len(names) + "u"),
+        "core.hal": HAL % ("f" * len(names) + "u") + session.IO,
         "connect.hal": "\n".join([*connect, ""]),
-        "sim.ini": INI + axes,
-        "sim.tbl": "",
-        "plan.json": json.dumps(plan),
+        "sim.ini": session.ini("XZ", "errpipe-joints.hal", TRAJ, display="LATHE = 1\n") + axes,
         # A cylinder turned to and fro for as long as the readings last.
         "program.ngc": "G21 G90 G8\nF6000\n" + "G1 X20 Z-40\nG1 X21 Z0\n" * 10 + f"G4 P{SECONDS}\nM2\n",
         "readings.txt": "\n".join(" ".join([*(f"{v:.4f}" for v in row), str(k)]) for k, row in enumerate(readings))
@@ -180,11 +137,8 @@ def write(folder: Path, table: CompensationTable, readings: np.ndarray, names: l
     }
     # In the background: the queue must be full before the servo thread starts, else the first readings are 0.
     texts["feed.sh"] = "#!/bin/sh\nnohup halstreamer -c 0 readings.txt >/dev/null 2>&1 &\nsleep 0.5\n"
-    for name, text in texts.items():
-        (folder / name).write_text(text)
+    session.write(folder, texts, program_s=60, joints=2)
     (folder / "feed.sh").chmod(0o755)
-    shutil.copy(Path(__file__).with_name("ui.py"), folder / "ui.py")
-    (folder / "ui.py").chmod(0o755)
 
 
 def test_a_diameter_follows_the_temperatures_of_a_day(exported, capsys):
@@ -197,17 +151,8 @@ def test_a_diameter_follows_the_temperatures_of_a_day(exported, capsys):
     readings, which, recorded = stream(recording, label, names)
     with session.alone() as folder:
         write(folder, table, readings, names)
-        module = session.install(folder / "errpipe.comp")
-        env = session.environment(folder)
-        session.end(env, folder)
-        try:
-            session.quiet(["linuxcnc", "-r", "sim.ini"], env, folder, 120)
-        finally:
-            session.end(env, folder)
-            module.unlink(missing_ok=True)
-        assert (folder / "facts.json").is_file(), session.said(folder)
-        facts = json.loads((folder / "facts.json").read_text())
-        rows = np.loadtxt(folder / "record.txt", comments="overrun")
+        with session.installed(folder / "errpipe.comp"):
+            facts, rows = session.run(folder, 120)
     assert facts["told"] == [] and facts["overruns"] == 0
     moved, count = 1e-3 * rows[:, 2], rows[:, 4].astype(int)  # um; the reading of the cycle
     first = int(np.argmax(count >= WAIT))

@@ -6,7 +6,6 @@ The table comes from the example's pipeline (push tests and beam elements); the 
 from __future__ import annotations
 
 import importlib.util
-import json
 import sys
 from pathlib import Path
 
@@ -66,17 +65,8 @@ def test_parts_turned_under_force_come_out_straight(lathe, table, capsys):
     readings = forces()
     with session.alone() as folder:
         write(folder, table, readings)
-        module = session.install(folder / "errpipe.comp")
-        env = session.environment(folder)
-        session.end(env, folder)
-        try:
-            session.quiet(["linuxcnc", "-r", "sim.ini"], env, folder, 120)
-        finally:
-            session.end(env, folder)
-            module.unlink(missing_ok=True)
-        assert (folder / "facts.json").is_file(), session.said(folder)
-        facts = json.loads((folder / "facts.json").read_text())
-        rows = np.loadtxt(folder / "record.txt", comments="overrun")
+        with session.installed(folder / "errpipe.comp"):
+            facts, rows = session.run(folder, 120)
     assert facts["told"] == [] and facts["overruns"] == 0
     z, moved, force, count = rows[:, 1], 1e-3 * rows[:, 2], rows[:, 3], rows[:, 4].astype(int)
     cut = (count >= test_lathe.WAIT) & (count < len(readings) - 1) & (z >= 70.0) & (z <= 170.0)

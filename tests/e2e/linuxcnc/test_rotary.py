@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,7 @@ from errpipe import tables
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
+from errpipe.targets.linuxcnc_hal import COMPONENT, JOINTS, LinuxcncHal
 from tests.e2e.linuxcnc import session
 
 pytestmark = [*session.MARKS, pytest.mark.slow]
@@ -35,9 +33,6 @@ loadrt scale names=nano
 loadrt sampler depth=60000 cfg=fffu
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
-net tool-prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
-net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
 """
 # A drive that follows without error measures its command.
 CONNECT = """net errpipe-x-command => errpipe.measured-x
@@ -51,43 +46,12 @@ net status errpipe.status => sampler.0.pin.3
 addf nano servo-thread
 addf sampler.0 servo-thread
 """
-INI = """[EMC]
-VERSION = 1.1
-MACHINE = turning
-DEBUG = 0
-[DISPLAY]
-DISPLAY = ./ui.py
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[RS274NGC]
-PARAMETER_FILE = sim.var
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 4.0
-BASE_PERIOD = 0
-SERVO_PERIOD = 1000000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.1
-TOOL_TABLE = sim.tbl
-[HAL]
-HALFILE = core.hal
-HALFILE = errpipe-joints.hal
-HALFILE = connect.hal
-[TRAJ]
-COORDINATES = X C
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = 200
+TRAJ = """DEFAULT_LINEAR_VELOCITY = 200
 MAX_LINEAR_VELOCITY = 500
 DEFAULT_ANGULAR_VELOCITY = 200
 MAX_ANGULAR_VELOCITY = 300
-NO_FORCE_HOMING = 1
-[KINS]
-KINEMATICS = trivkins coordinates=XC
-JOINTS = 2
-[AXIS_X]
+"""
+AXES = """[AXIS_X]
 MIN_LIMIT = -1
 MAX_LIMIT = 501
 MAX_VELOCITY = 300
@@ -138,32 +102,18 @@ def table() -> t.CompensationTable:
 
 def session_of(folder: Path, made: t.CompensationTable) -> np.ndarray:
     """Every servo cycle: number, joint position (deg), feedback (deg), correction (1e-6 deg), status."""
-    plan = {"settle_s": 0.5, "program_s": 100, "least_s": 0.0, "read": [], "heat": {}, "cool": {}, "joints": 2}
     files = {
         **LinuxcncHal.write(made),
-        "core.hal": CORE,
+        "core.hal": CORE + session.IO,
         "connect.hal": CONNECT,
-        "sim.ini": INI,
-        "sim.tbl": "",
-        "plan.json": json.dumps(plan),
+        "sim.ini": session.ini("XC", JOINTS, TRAJ) + AXES,
         "program.ngc": PROGRAM,
     }
-    for name, text in files.items():
-        (folder / name).write_text(text)
-    shutil.copy(Path(__file__).with_name("ui.py"), folder / "ui.py")
-    (folder / "ui.py").chmod(0o755)
-    module = session.install(folder / COMPONENT)
-    env = session.environment(folder)
-    session.end(env, folder)
-    try:
-        session.quiet(["linuxcnc", "-r", "sim.ini"], env, folder, 150)
-    finally:
-        session.end(env, folder)
-        module.unlink(missing_ok=True)
-    assert (folder / "facts.json").is_file(), session.said(folder)
-    facts = json.loads((folder / "facts.json").read_text())
+    session.write(folder, files, program_s=100, joints=2)
+    with session.installed(folder / COMPONENT):
+        facts, rows = session.run(folder, 150)
     assert facts["told"] == [] and facts["overruns"] == 0, facts
-    return np.loadtxt(folder / "record.txt", comments="overrun")
+    return rows
 
 
 def test_a_wrapped_rotary_axis_is_corrected_turn_after_turn(capsys):
