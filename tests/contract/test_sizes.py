@@ -18,7 +18,6 @@ LONGER = {
     "cli/import.py:command": ARGUMENTS,
     "kernels/evidence.py:scores": ONE_LOOP,
     "kernels/table_nodes.py:run_nodes": "one branch per operation of a table, in the order of the specification",
-    "kernels/volumetric.py": "the whole volumetric cycle: numba compiles and caches it as one unit",
     "domain/table.py": "one document and what makes it a valid one",
     "tables/ect.py": "writer and reader of one file format, section by section, side by side",
     "tables/reference.py": "the second opinion on the cycle, step by step as the specification has it, in one place",
