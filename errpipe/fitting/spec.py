@@ -64,5 +64,6 @@ class ModelSpec(Frozen):
             raise ValueError(f"component {repeated[0]} is listed twice")
         for term in self.nuisance:
             if term.compensable:
-                raise ValueError(f"{term.term} cannot be nuisance: it is the machine's (allowed: run_offset, run_pose)")
+                allowed = ", ".join(tag for tag in TERMS.tags if not TERMS[tag].compensable)
+                raise ValueError(f"{term.term} cannot be nuisance: it is the machine's (allowed: {allowed})")
         return self
