@@ -93,8 +93,8 @@ def diagnose(recording: Recording) -> Diagnosis:
     """
     from errpipe.diagnosis import diagnose as judge
 
-    found, _ = judge(recording, lambda share, text: None)
-    return found
+    diagnosis, _ = judge(recording, lambda share, text: None)
+    return diagnosis
 
 
 def findings(recording: Recording) -> list[str]:
@@ -183,8 +183,8 @@ class Table:
                 raise DataError(f"the table has no input {name!r} (inputs: {', '.join(known)}).{near}")
         moving = tuple(inputs)
         points = np.column_stack(np.broadcast_arrays(*(np.atleast_1d(np.asarray(inputs[n], float)) for n in moving)))
-        found = batch.position(self.table, np.ascontiguousarray(points), moving)
-        return pd.DataFrame(found, columns=[o.name for o in self.table.outputs])
+        values = batch.position(self.table, np.ascontiguousarray(points), moving)
+        return pd.DataFrame(values, columns=[o.name for o in self.table.outputs])
 
     def replay(self, recording: Recording) -> pd.DataFrame:
         """Deviations on a recording as the controller would have had them: row k uses rows up to k of its run."""

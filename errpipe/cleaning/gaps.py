@@ -54,10 +54,10 @@ class Gaps(Rule):
                 held += [values[start - 1]] * (end - start)
         if not rows:
             return None
-        found = np.array(rows)
-        self.refuse_beyond(self.most, found, values.size, f"cells of {name}", recording)
+        cells = np.array(rows)
+        self.refuse_beyond(self.most, cells, values.size, f"cells of {name}", recording)
         reason = f"empty for no longer than {self.hold:g} s: the reading before holds"
-        return Action("hold cells", reason, column=name, rows=found, values=np.array(held))
+        return Action("hold cells", reason, column=name, rows=cells, values=np.array(held))
 
     def _split(self, recording: Recording, t: np.ndarray, run: np.ndarray) -> list[Action]:
         same = np.r_[False, run[1:] == run[:-1]]

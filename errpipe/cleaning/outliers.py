@@ -75,12 +75,12 @@ def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: floa
 
     values, run, t: shape (rows,). step: display step of the values; the scatter is at least half of it.
     """
-    found = []
+    far_off = []
     for run_rows in rows_of_runs(run):
         rows = run_rows[np.isfinite(values[run_rows])]
         if rows.size >= FEWEST:
-            found.append(rows[_in_run(values[rows], _parts(t[rows]), threshold, step)])
-    return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+            far_off.append(rows[_in_run(values[rows], _parts(t[rows]), threshold, step)])
+    return np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
 
 
 def _parts(t: np.ndarray) -> np.ndarray:

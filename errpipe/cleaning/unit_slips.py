@@ -139,8 +139,8 @@ def _against_fellow(recording: Recording, name: str, role: str) -> str:
             )
         return _ratio(slope, values, f"the change of {position} in time", {**RATIOS, **SPEEDS})
     command = recording.name("command", axis=column.axis)
-    if command is not None and (found := _ratio(recording.array(command), values, command, RATIOS)):
-        return found
+    if command is not None and (ratio := _ratio(recording.array(command), values, command, RATIOS)):
+        return ratio
     return _travel(recording, str(column.axis), values)
 
 

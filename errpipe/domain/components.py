@@ -61,10 +61,10 @@ class Component(Frozen):
 
 def parse(name: str) -> Component:
     """The component a name stands for. Raises ValueError naming the nearest component."""
-    if found := _MOTION.match(name):
-        return _motion(*found.groups())
-    if found := _LOCATION.match(name):
-        direction, axis = found.groups()
+    if match := _MOTION.match(name):
+        return _motion(*match.groups())
+    if match := _LOCATION.match(name):
+        direction, axis = match.groups()
         return Component(
             name=f"{direction}0{axis}",
             kind=_location_kind(direction, axis),
@@ -72,14 +72,14 @@ def parse(name: str) -> Component:
             axis=axis,
             unit=_unit(direction),
         )
-    if found := _TOOL_POINT.match(name):
-        direction = found.group(1)
+    if match := _TOOL_POINT.match(name):
+        direction = match.group(1)
         kind = {"R": "circular", "D": "diameter"}.get(direction) or (
             "tool orientation" if direction in ABOUT else "tool point"
         )
         return Component(name=name, kind=kind, direction=direction, unit=_unit(direction))
-    if found := _FORCE.match(name):
-        axis = found.group(1)
+    if match := _FORCE.match(name):
+        axis = match.group(1)
         return Component(
             name=name, kind="force", direction=axis, axis=axis, unit="N" if axis[0] in _LINEAR_AXES else "N m"
         )

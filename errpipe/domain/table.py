@@ -486,6 +486,6 @@ def _check_totals(table: CompensationTable) -> None:
         "profile values": (sum(len(p.values) for p in table.profiles), MAX_VALUES),
         "synthesis terms": (sum(len(o.terms) for o in table.outputs), MAX_MONOMIALS),
     }
-    for what, (found, allowed) in totals.items():
-        if found > allowed:
-            raise ValueError(f"{found} {what} (allowed: {allowed})")
+    for what, (count, allowed) in totals.items():
+        if count > allowed:
+            raise ValueError(f"{count} {what} (allowed: {allowed})")

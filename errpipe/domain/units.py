@@ -93,9 +93,9 @@ def conversion(role: str, unit: str | None) -> Conversion | None:
         if unit is None:
             raise ValueError(f"a column of role {role} needs a unit (allowed: {', '.join(ROLE_UNITS[role])})")
     for canonical in _CANONICAL[role]:
-        found = _INTO[canonical].get(unit)
-        if found is not None and unit in ROLE_UNITS[role]:
-            return Conversion(canonical, *map(float, found))
+        known = _INTO[canonical].get(unit)
+        if known is not None and unit in ROLE_UNITS[role]:
+            return Conversion(canonical, *map(float, known))
     allowed = ROLE_UNITS[role]
     raise ValueError(f"{unit!r} is not a unit of role {role} (allowed: {', '.join(allowed)}).")
 

@@ -31,12 +31,12 @@ def detect(path: Path) -> ModuleType:
     path = Path(path)
     if not path.exists():
         raise DataError(f"{path}: no such file or folder")
-    found = [f for f in FORMATS if f.sniff(path)]
-    if len(found) != 1:
-        names = ", ".join(f.name for f in found or FORMATS)
-        what = "fits several formats" if found else f"is of no known format{_hint(path)}"
+    matches = [f for f in FORMATS if f.sniff(path)]
+    if len(matches) != 1:
+        names = ", ".join(f.name for f in matches or FORMATS)
+        what = "fits several formats" if matches else f"is of no known format{_hint(path)}"
         raise DataError(f"{path}: {what} (allowed: {names})")
-    return found[0]
+    return matches[0]
 
 
 def read(path: Path, format: str | None = None, options: Mapping[str, Any] | None = None) -> Recording:
@@ -44,18 +44,18 @@ def read(path: Path, format: str | None = None, options: Mapping[str, Any] | Non
 
     options: what the format itself asks for. Raises UsageError (format, options), ConfigError or DataError.
     """
-    found = detect(path) if format is None else by_name(format)
+    reader = detect(path) if format is None else by_name(format)
     try:
-        chosen = found.Options.model_validate(dict(options or {}))
+        chosen = reader.Options.model_validate(dict(options or {}))
     except ValidationError as err:
         wrong = err.errors()[0]
         key = ".".join(map(str, wrong["loc"])) or "options"
-        allowed = [n for n in found.Options.model_fields if n != "format"]
+        allowed = [n for n in reader.Options.model_fields if n != "format"]
         raise UsageError(
-            f"format {found.name}, {key}: {wrong['msg'].lower()} (options: {', '.join(allowed) or 'none'})."
+            f"format {reader.name}, {key}: {wrong['msg'].lower()} (options: {', '.join(allowed) or 'none'})."
             + did_you_mean(key, allowed)
         ) from None
-    recording = found.read(Path(path), chosen)
+    recording = reader.read(Path(path), chosen)
     for column, facts in recording.manifest.columns.items():
         if facts.role not in ("run", "group", "ignore"):
             refuse_impossible(recording.array(column), facts.role, facts.unit, column, lambda row: str(path))

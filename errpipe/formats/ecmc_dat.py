@@ -99,16 +99,16 @@ def _parse(path: Path) -> tuple[dict[int, float], dict[tuple[int, int, int], flo
     readings: dict[tuple[int, int, int], float] = {}
     settings: dict[str, tuple[int, str]] = {}
     for line, text in _lines(path):
-        found = _ENTRY.fullmatch(text)
-        if found is None:
+        match = _ENTRY.fullmatch(text)
+        if match is None:
             raise DataError(
                 f"{path}:{line}  {text[:60]!r} is not KEY=value (allowed: TGT_DATA[i]=..., REF_DATA_FWD[i,j]=...)"
             )
-        key, value = found["key"], found["value"].strip()
+        key, value = match["key"], match["value"].strip()
         if key not in _SHAPE:
             settings[key] = line, value
             continue
-        index = tuple(int(i) for i in (found["index"] or "").split(",") if i.strip())
+        index = tuple(int(i) for i in (match["index"] or "").split(",") if i.strip())
         if len(index) != _SHAPE[key]:
             wanted = "[target]" if _SHAPE[key] == 1 else "[target,cycle]"
             raise DataError(f"{path}:{line}  {text.partition('=')[0]}: {key} is counted by {wanted}")

@@ -96,10 +96,10 @@ def _sections(path: Path) -> dict[str, list[_Line]]:
     out: dict[str, list[_Line]] = {}
     current: list[_Line] = []
     for number, line in enumerate(text.splitlines(), 1):
-        if found := _SECTION.match(line.strip()):
-            if found[1] in out and found[1] in ("TARGET DATA", "DEVIATIONS"):
-                raise DataError(f"{path}:{number}  section {found[1]}:: stands in the file twice")
-            current = out.setdefault(found[1], [])
+        if match := _SECTION.match(line.strip()):
+            if match[1] in out and match[1] in ("TARGET DATA", "DEVIATIONS"):
+                raise DataError(f"{path}:{number}  section {match[1]}:: stands in the file twice")
+            current = out.setdefault(match[1], [])
         elif line.strip():
             current.append((number, line.strip()))
     for wanted in ("TARGET DATA", "DEVIATIONS"):

@@ -96,9 +96,9 @@ class Kernel:
 
 def _resolve(names: dict[str, Any]) -> None:
     """Put dispatchers in place of the kernels among these names, and of those that they may call."""
-    found = {name: value for name, value in names.items() if isinstance(value, Kernel)}
-    names.update({name: value._dispatcher for name, value in found.items()})
-    for value in found.values():
+    used = {name: value for name, value in names.items() if isinstance(value, Kernel)}
+    names.update({name: value._dispatcher for name, value in used.items()})
+    for value in used.values():
         if value.py_func.__globals__ is not names:
             _resolve(value.py_func.__globals__)
 

@@ -95,10 +95,10 @@ class _Reader:
 
     def plain_move(self, number: int, source: str) -> bool:
         """Read a plain straight move from a known place; False where the line is anything else."""
-        found = _PLAIN_MOVE.fullmatch(source) if len(source) <= MAX_LINE else None
-        if found is None or None in self.at[:3] or self.state.ended:
+        match = _PLAIN_MOVE.fullmatch(source) if len(source) <= MAX_LINE else None
+        if match is None or None in self.at[:3] or self.state.ended:
             return False
-        label, code, x, y, z, feed, _ = found.groups()
+        label, code, x, y, z, feed, _ = match.groups()
         state, at = self.state, self.at
         motion = state.motion if code is None else "G1" if "1" in code else "G0"
         if (x is None and y is None and z is None) or motion not in ("G0", "G1"):

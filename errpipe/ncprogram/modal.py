@@ -246,8 +246,8 @@ def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[flo
     start_radius = math.hypot(a0 - centre[0], b0 - centre[1])
     end_radius = math.hypot(a1 - centre[0], b1 - centre[1])
     if abs(start_radius - end_radius) > max(0.0254, 1e-3 * start_radius):
-        found = f"the arc's radius is {start_radius:.4f} mm at its start, {end_radius:.4f} at its end"
-        raise refuse(block.line, block.source, found)
+        radii = f"the arc's radius is {start_radius:.4f} mm at its start, {end_radius:.4f} at its end"
+        raise refuse(block.line, block.source, radii)
     return centre
 
 

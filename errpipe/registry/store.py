@@ -59,16 +59,16 @@ class Registry:
         """All entries of a machine, oldest first, each checked. Raises VerifyError for what was tampered with."""
         place = self._machine(machine)
         names = sorted(p.name for p in place.iterdir() if not p.name.startswith(".")) if place.is_dir() else []
-        found: list[Entry] = []
+        entries: list[Entry] = []
         for number, name in enumerate(names, 1):
             if name != f"{number:06d}":
                 raise VerifyError(f"{place}: entry {number:06d} is missing (found {name})")
             entry = self._entry(place / name)
-            previous = found[-1].digest if found else ""
+            previous = entries[-1].digest if entries else ""
             if (entry.machine, entry.number, entry.previous) != (machine, number, previous):
                 raise VerifyError(f"{place / name}: is not entry {number} of machine {machine} in this history")
-            found.append(entry)
-        return found
+            entries.append(entry)
+        return entries
 
     def machines(self) -> list[str]:
         """Names of the machines that have a history."""

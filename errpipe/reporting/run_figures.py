@@ -91,8 +91,8 @@ def by_readings(levels: Sequence[Mapping[str, Any]], component: str, unit: str) 
     """
     groups = sorted(levels[0]["groups"], key=lambda g: -g["rms"])[:PANELS]
     places = np.arange(len(levels))
-    with svg.figure(7.2, 3.0, columns=len(groups)) as (canvas, found):
-        cells = np.atleast_1d(found)
+    with svg.figure(7.2, 3.0, columns=len(groups)) as (canvas, subplots):
+        cells = np.atleast_1d(subplots)
         for axes, group in zip(cells, groups, strict=True):
             own = [next(g for g in level["groups"] if g["label"] == group["label"]) for level in levels]
             axes.plot(places, [g["rms_readings_alone"] for g in own], "s--", color=svg.BEFORE, label="readings alone")

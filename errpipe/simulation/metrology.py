@@ -195,16 +195,16 @@ def _part(chain: Chain, values: Values, run: Run, rng: np.random.Generator, nois
 
 
 def _constants(chain: Chain, run: Run) -> dict[str, Constant]:
-    found: dict[str, tuple[float, str | None]] = {"tool_length": (run.length, "mm")}
-    found |= {f"tool_offset_{d}": (v, "mm") for d, v in zip("XYZ", run.offset, strict=True)}
+    constants: dict[str, tuple[float, str | None]] = {"tool_length": (run.length, "mm")}
+    constants |= {f"tool_offset_{d}": (v, "mm") for d, v in zip("XYZ", run.offset, strict=True)}
     if run.socket is not None:
-        found |= {f"socket_{d}": (v, "mm") for d, v in zip("XYZ", run.socket, strict=True)}
+        constants |= {f"socket_{d}": (v, "mm") for d, v in zip("XYZ", run.socket, strict=True)}
     if run.beam is not None:
-        found |= {f"beam_{d}": (v, None) for d, v in zip("XYZ", run.beam, strict=True)}
+        constants |= {f"beam_{d}": (v, None) for d, v in zip("XYZ", run.beam, strict=True)}
     if run.centre is not None:
         unit = {a: "mm" if chain.machine.axes[a].kind == "linear" else "deg" for a in chain.axes}
-        found |= {f"centre_{a}": (v, unit[a]) for a, v in zip(chain.axes, run.centre, strict=True)}
-    return {f"{n}@{run.label}": Constant(value=float(v), unit=u) for n, (v, u) in found.items()}
+        constants |= {f"centre_{a}": (v, unit[a]) for a, v in zip(chain.axes, run.centre, strict=True)}
+    return {f"{n}@{run.label}": Constant(value=float(v), unit=u) for n, (v, u) in constants.items()}
 
 
 def circles(

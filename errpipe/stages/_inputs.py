@@ -56,11 +56,11 @@ def table_inputs(
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
     for name in healthy:
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
-    found = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
-    found += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
+    inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
+    inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     known = rates or {}
-    found = [_no_faster(channel, known.get(channel.name) or _rate_of_a_step(channel, model)) for channel in found]
-    return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in found]
+    inputs = [_no_faster(channel, known.get(channel.name) or _rate_of_a_step(channel, model)) for channel in inputs]
+    return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in inputs]
 
 
 def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:

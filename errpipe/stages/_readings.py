@@ -37,9 +37,9 @@ def read(path: Path, recording: Recording, components: Sequence[str]) -> pd.Data
     frame = frame.rename(columns=names)
     read_here = [c for c in components if c in frame.columns]
     if "time" not in frame.columns or not read_here or frame.columns.has_duplicates:
-        found = ", ".join(map(str, frame.columns))
+        columns = ", ".join(map(str, frame.columns))
         raise DataError(
-            f"{path}:1  found {found} (needed, once each: time and at least one of {', '.join(components)})"
+            f"{path}:1  found {columns} (needed, once each: time and at least one of {', '.join(components)})"
         )
     numbers = {name: _numbers(path, frame[name], name == "time") for name in ("time", *read_here)}
     out = pd.DataFrame({"run": _runs(path, frame, numbers["time"], recording), **numbers})

@@ -34,12 +34,14 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     from errpipe.stages import _rows_out
     from errpipe.validation import predict as rows
 
-    found = _artefacts.model_or_table(source)
-    source_of = _of_model(found) if isinstance(found, ErrorModel) else _of_table(found, Path(source))
+    compensation = _artefacts.model_or_table(source)
+    source_of = (
+        _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
+    )
     said: dict[str, Any] = {}
     if readings is not None:
         read = _artefacts.recording_in(Path(recording))
-        frame, said = _with_readings(found, source_of, read, rows.predict(source_of, read), Path(readings))
+        frame, said = _with_readings(compensation, source_of, read, rows.predict(source_of, read), Path(readings))
         frames = iter([frame])
     elif source_of.in_parts:
         frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)))
@@ -47,11 +49,15 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
         frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)))])
     answer = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
     without = [c for c in source_of.components if c not in source_of.half_width90]
-    return answer | ({"intervals": _why_empty(found, without)} if without else {})
+    return answer | ({"intervals": _why_empty(compensation, without)} if without else {})
 
 
 def _with_readings(
-    found: ErrorModel | CompensationTable, source: Predictor, recording: Recording, frame: pd.DataFrame, path: Path
+    compensation: ErrorModel | CompensationTable,
+    source: Predictor,
+    recording: Recording,
+    frame: pd.DataFrame,
+    path: Path,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """The prediction corrected by readings, and in words what of them was used.
 
@@ -64,7 +70,7 @@ def _with_readings(
     from errpipe.stages import _readings
     from errpipe.validation import predict as rows
 
-    table = _compiled(found) if isinstance(found, ErrorModel) else found
+    table = _compiled(compensation) if isinstance(compensation, ErrorModel) else compensation
     channels = {i.name: i for i in table.inputs} if table is not None else {}
     read = _readings.read(path, recording, source.components)
     inputs, added, said = {}, {}, {}
@@ -170,15 +176,15 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
             nonlocal count
             rows, timed = len(part), part.name("time") is not None
             columns = {i.name: part.array(i.name) for i in table.inputs if i.name in part.frame.columns}
-            found = replay(columns, part.time() if timed else part.time() + count, np.zeros(rows)).deviation
+            deviations = replay(columns, part.time() if timed else part.time() + count, np.zeros(rows)).deviation
             count += rows
             if model.datum != "run_start":
-                return found
-            for name, deviation in found.items():
+                return deviations
+            for name, deviation in deviations.items():
                 known = deviation[np.isfinite(deviation)]
                 if known.size:
                     first.setdefault(name, known[0])
-            return {name: deviation - first.get(name, np.nan) for name, deviation in found.items()}
+            return {name: deviation - first.get(name, np.nan) for name, deviation in deviations.items()}
 
         return values
 

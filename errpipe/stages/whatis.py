@@ -42,9 +42,9 @@ def whatis(file: Path) -> dict[str, Any]:
         return {"kind": "measurement file", "format": known[0]}
     if file.suffix == ".lock":
         return _json(file)
-    found = _report(file) or _controller_file(file) or _importable(file)
-    if found is not None:
-        return found
+    description = _report(file) or _controller_file(file) or _importable(file)
+    if description is not None:
+        return description
     raise DataError(f"{file}: neither a table, a model, a pipeline, a recording nor a measurement file of errpipe")
 
 
@@ -112,27 +112,27 @@ def controller_curves(file: Path) -> list[tuple[Any, list[Any]]]:
     if file.stat().st_size > MOST_CONTROLLER_BYTES:
         return []
     text = file.read_bytes().decode("utf-8", "replace")
-    found = []
+    readings = []
     for target in [t for t in TARGETS if t.name == file.parent.name] or TARGETS:
         try:
             curves = list(target.read_back({file.name: text}).curves)
         except Exception:  # whatever a reader raises of a file that is not its own
             continue
         if curves:
-            found.append((target, curves))
-    return found
+            readings.append((target, curves))
+    return readings
 
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".log", ".xlsx", ".json", ".md", ".html", "")
 
 
 def _controller_file(file: Path) -> dict[str, Any] | None:
-    found = controller_curves(file)
-    if not found:
+    readings = controller_curves(file)
+    if not readings:
         return None
-    curves = [f"{c.axis} over {c.over}, {len(c.positions)} points" for c in found[0][1]]
-    names = [f"{target.name} ({target.controller})" for target, _ in found]
-    return {"kind": "controller file", "target": " or ".join(names), "sign": found[0][0].sign, "curves": curves}
+    curves = [f"{c.axis} over {c.over}, {len(c.positions)} points" for c in readings[0][1]]
+    names = [f"{target.name} ({target.controller})" for target, _ in readings]
+    return {"kind": "controller file", "target": " or ".join(names), "sign": readings[0][0].sign, "curves": curves}
 
 
 def _importable(file: Path) -> dict[str, Any] | None:

@@ -61,8 +61,8 @@ def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
         mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3, w=weight[inside]), place[inside])
     allowed = (frequency >= FEWEST_TURNS / span) & (frequency <= 1 / shortest)
     power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
-    found = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
-    return frequency[found[np.argsort(-power[found], kind="stable")][:most]]
+    tops = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
+    return frequency[tops[np.argsort(-power[tops], kind="stable")][:most]]
 
 
 def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
@@ -108,11 +108,11 @@ def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
     The textbook method is CLEAN (Hoegbom 1974) with all waves refitted at each step.
     """
     span = float(np.ptp(at))
-    found: list[float] = []
+    frequencies: list[float] = []
     amplitude: list[float] = []
     base = np.polynomial.chebyshev.chebvander(2 * (at - at.min()) / max(span, 1e-300) - 1, 3)
     rest = signal - base @ np.linalg.lstsq(base, signal, rcond=None)[0]
-    while len(found) < MOST_LINES:
+    while len(frequencies) < MOST_LINES:
         rough = peaks(at, rest, 1)
         if not rough.size:
             break
@@ -123,14 +123,14 @@ def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
         gained = power(at, rest, best)
         if gained < LEAST * (float(rest @ rest) - gained) / at.size:
             break
-        if any(abs(best - f) * span < APART for f in found):
+        if any(abs(best - f) * span < APART for f in frequencies):
             break  # a wave that is stronger here than there, or no wave
-        found.append(best)
-        block = np.column_stack([base, *(waves(at, f) for f in found)])
+        frequencies.append(best)
+        block = np.column_stack([base, *(waves(at, f) for f in frequencies)])
         fitted = np.linalg.lstsq(block, signal, rcond=None)[0]
         rest = signal - block @ fitted
         amplitude = [float(np.hypot(*fitted[k : k + 2])) for k in range(base.shape[1], block.shape[1], 2)]
-    return sorted(zip(found, amplitude, strict=True), key=lambda line: -line[1])
+    return sorted(zip(frequencies, amplitude, strict=True), key=lambda line: -line[1])
 
 
 def waves(at: np.ndarray, frequency: float) -> np.ndarray:
@@ -146,7 +146,7 @@ def power(at: np.ndarray, signal: np.ndarray, frequency: float) -> float:
 
 
 def combs(
-    found: list[tuple[float, float]], span: float, known: Iterable[float] = ()
+    lines: list[tuple[float, float]], span: float, known: Iterable[float] = ()
 ) -> Iterator[tuple[float, tuple[float, ...], bool]]:
     """Bases (1/length) of which lines are orders, these orders, the strongest first, and whether the base is known.
 
@@ -155,20 +155,20 @@ def combs(
     then have to agree more closely.
     """
     best: tuple[float, float, tuple[int, ...]] | None = None
-    bases = {f / m for f, _ in found for m in range(1, MISSING_BASE + 1)}
+    bases = {f / m for f, _ in lines for m in range(1, MISSING_BASE + 1)}
     for base in sorted((b for b in bases if b * span >= LEAST_BASE), reverse=True):
-        orders = _orders(found, base, NEAR / span)
+        orders = _orders(lines, base, NEAR / span)
         total = sum(a**2 for _, _, a in orders)
         if len(orders) > 1 and (best is None or total > CLEARLY * best[0]):
             refined = sum(f * k * a**2 for k, f, a in orders) / sum(k**2 * a**2 for k, _, a in orders)
             best = (total, refined, tuple(k for k, _, _ in orders))
     if best is not None:
         yield best[1], best[2], False
-    every = [(f, a) for f, a in found if f * span >= LEAST_BASE]
+    every = [(f, a) for f, a in lines if f * span >= LEAST_BASE]
     if len(every) > 1 and (best is None or len(best[2]) < len(every)):
         yield every[0][0], tuple(_ratio(f / every[0][0], f * span) for f, _ in every), False
     for base in known:
-        orders = _orders(found, base, NEAR_KNOWN / span)
+        orders = _orders(lines, base, NEAR_KNOWN / span)
         if orders and (len(orders) > 1 or orders[0][0] > 1):
             yield base, tuple(k for k, _, _ in orders), True
 
@@ -179,10 +179,10 @@ def _ratio(ratio: float, turns: float) -> float:
     return float(whole) if whole >= 1 and abs(whole / ratio - 1) * turns < NEAR else round(ratio, 4)
 
 
-def _orders(found: list[tuple[float, float]], base: float, near: float) -> list[tuple[int, float, float]]:
+def _orders(lines: list[tuple[float, float]], base: float, near: float) -> list[tuple[int, float, float]]:
     """Orders of a base among the lines, each with its strongest line, the strongest first."""
     out: dict[int, tuple[int, float, float]] = {}
-    for f, a in sorted(found, key=lambda line: -line[1]):
+    for f, a in sorted(lines, key=lambda line: -line[1]):
         k = round(f / base)
         if 1 <= k <= MOST_ORDER and abs(f - k * base) < near:
             out.setdefault(k, (k, f, a))
