@@ -22,6 +22,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 # a comment that names the step (file, registry or run), then a fenced block
 STEP = re.compile(r"<!-- (file|registry|run)(?:: ([^ ]+))? -->\n```[a-z]*\n(.*?)\n?```", re.S)
+GAIN, TAU = 1.2, 6000.0  # um/%, s: of the new term, in the recording that is diagnosed
 COPIED = ("errpipe", "tests", "schemas", "docs", "pipelines", "pyproject.toml", "trials", "bench", "examples")
 
 
@@ -115,9 +116,9 @@ def test_the_new_term_is_a_finding_of_the_diagnosis(project: Path, tmp_path: Pat
     slow = np.empty_like(t)
     slow[0] = humidity[0] - 50.0
     for i in range(1, t.size):
-        keep = np.exp(-240.0 / 6000.0)
+        keep = np.exp(-240.0 / TAU)
         slow[i] = keep * slow[i - 1] + (1 - keep) * (humidity[i - 1] - 50.0)
-    error = 1.2 * slow + rng.normal(0.0, 0.5, t.size)
+    error = GAIN * slow + rng.normal(0.0, 0.5, t.size)
     rows = {"run": "1", "t": t, "H": humidity, "E_Z": error, "E_Z_sim": 0.0}
     pd.DataFrame(rows).to_csv(tmp_path / "recording.csv", index=False)
     (tmp_path / "recording.yaml").write_text(
@@ -127,5 +128,9 @@ def test_the_new_term_is_a_finding_of_the_diagnosis(project: Path, tmp_path: Pat
         encoding="utf-8",
     )
     run(project, f"errpipe diagnose {tmp_path} --out {tmp_path / 'out'}")
-    found = json.loads((tmp_path / "out/diagnosis.json").read_text(encoding="utf-8"))
-    assert found["responses"][0]["findings"][0]["effect"] == "humidity_swelling", found
+    (response,) = json.loads((tmp_path / "out/diagnosis.json").read_text(encoding="utf-8"))["responses"]
+    finding = response["findings"][0]
+    assert finding["effect"] == "humidity_swelling" and finding["confidence"] > 0.5, response
+    parameters = {p["name"]: p for p in finding["parameters"]}
+    assert abs(parameters["gain"]["value"] - GAIN) < 0.1 * GAIN
+    assert parameters["tau"]["ci95"][0] < TAU < parameters["tau"]["ci95"][1]
