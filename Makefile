@@ -62,7 +62,7 @@ bench: $(SETUP) ## speed, as ratios to other libraries in the same run
 	@$(BIN)/python -m bench $(ARGS)
 
 faults: $(SETUP) ## ten thousand random sequences of faults through every evaluator of a table (docs/safety.md)
-	@$(BIN)/python -m tests.faults.campaign
+	@$(BIN)/python -m tests.faults.campaign $(ARGS)
 
 trials: $(SETUP) ## diagnosis on machines whose faults are known
 	@mkdir -p out

@@ -195,10 +195,18 @@ class Table:
 
         return pd.DataFrame(dict(table_values(self.table, ErrorModel(components=()), recording)))
 
-    def cycle(self) -> Cycle:
-        """Function, program and a fresh state for the caller's own njit loop."""
+    def cycle(self, unlimited: bool = False) -> Cycle:
+        """Function, program and a fresh state for the caller's own njit loop.
+
+        unlimited: also of a table with an output that has no magnitude, or one above 10 mm (10 mrad), as no export of
+        errpipe has; a VerifyError otherwise, as of `ect_load` in C.
+        """
+        from errpipe.errors import VerifyError
         from errpipe.kernels import table_codes, table_cycle
-        from errpipe.tables import pack
+        from errpipe.tables import limits, pack
+
+        if not unlimited and (wide := limits.without(self.table)):
+            raise VerifyError(f"{wide} is corrected without a limit, or by more than 10 mm (allow it: unlimited=True)")
 
         program = pack.program(self.table)
         names = tuple(i.name for i in self.table.inputs)

@@ -80,12 +80,20 @@ def stays_inside(name: str) -> bool:
     return not path.is_absolute() and ".." not in path.parts and bool(path.parts) and not re.match("[A-Za-z]:", name)
 
 
+def is_below(folder: Path, path: Path) -> bool:
+    """Whether a path lies in a folder once its links are followed; a link that leads to itself lies nowhere."""
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (RuntimeError, OSError):
+        return False
+
+
 def inside(folder: Path, name: str, error: type[ErrpipeError]) -> Path:
     """`folder/name`. Raises `error` where that leads out of the folder, by its name or through a link."""
     if not stays_inside(name):
         raise error(f"{name!r} is not the name of a file in {folder.name or folder} (it leads out of the folder)")
     path = folder / name
-    if not path.parent.resolve().is_relative_to(folder.resolve()):
+    if not is_below(folder, path.parent):
         raise error(f"{name!r} leads out of {folder.name or folder} through a link")
     return path
 

@@ -20,7 +20,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from errpipe import jsonfile, yamlfile
+from errpipe import files, jsonfile, yamlfile
 from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
@@ -278,7 +278,7 @@ def _blocks(folder: Path, manifest: Manifest) -> Iterator[dict[str, Any]]:
     for table in manifest.tables:
         path = folder / table
         label = str(path)
-        if not path.resolve().is_relative_to(folder.resolve()):
+        if not files.is_below(folder, path):
             raise DataError(f"{label}: leads outside the folder through a link (allowed: a file of the folder)")
         rows = 0
         for block in _tables.blocks(path, kinds, label):

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe import jsonfile
-from errpipe.errors import ErrpipeError
+from errpipe import files, jsonfile
+from errpipe.errors import DataError, ErrpipeError
 from errpipe.pipeline import lock
 from errpipe.pipeline.lock import LOCK, Record, alone, hash_file, label_inputs, read_lock, scratch
 from errpipe.pipeline.step import Step, Talk
@@ -55,7 +55,7 @@ def steps(file: Path, out: Path, sets: Sequence[str], talk: Talk) -> tuple[str, 
 
 def _command(file: Path, sets: Sequence[str]) -> str:
     """Fingerprint of what makes the pipeline: its file, `--set`, the environment it names, the code."""
-    data = file.read_bytes()
+    data = files.read(file, files.MAX_JSON_BYTES, DataError)
     named = sorted({name.decode() for name in _VARIABLE.findall(data + "\n".join(sets).encode())})
     values = [[name, os.environ.get(name)] for name in named]
     said: list[Any] = [lock.package_code(), os.getcwd(), os.fspath(file), jsonfile.fingerprint_bytes(data)]

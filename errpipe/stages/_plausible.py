@@ -39,19 +39,31 @@ def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit:
 
 
 def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | None) -> None:
-    """Raises GateError where a table moves an axis further than a machine tool can be wrong."""
+    """Raises GateError where a table moves an axis further than a machine tool can be wrong.
+
+    Judged by samples over the profiles' range; by bounds where they and the table's limits leave more than any machine
+    is wrong by, such as a correction that follows a position without a profile.
+    """
+    import math
+
     import numpy as np
 
+    from errpipe.tables import bounds
+    from errpipe.tables.limits import MOST_MAGNITUDE
     from errpipe.targets import _sample
     from errpipe.validation import plausibility
 
     results = []
-    for axis in _sample.outputs_by_axis(table):
+    reach = {r.name: r.deviation for r in bounds.outputs(table)}
+    for axis, outputs in _sample.outputs_by_axis(table).items():
         rotary = axis[0] in "ABC"
         size, _ = _largest(table, axis)
         low, high = _sample.reach(table, axis)
+        travel = None if (low, high) == UNBOUNDED else high - low
         value = np.deg2rad(size) * 1e6 if rotary else 1e3 * size
-        over = plausibility.too_large(axis, value, "urad" if rotary else "um", high - low, limit)
+        bound = sum(min(reach[o.name], o.magnitude or math.inf) for o in outputs)
+        value = max(value, bound) if bound > MOST_MAGNITUDE else value
+        over = plausibility.too_large(axis, value, "urad" if rotary else "um", travel, limit)
         results += [over] if over is not None else []
     plausibility.refuse(results, allow)
 

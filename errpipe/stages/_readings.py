@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from errpipe import files
 from errpipe.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from errpipe.domain.recording import Recording
+
+MOST_BYTES, MOST_CELLS = 64 << 20, 10_000_000  # of a file of readings: one a second for a year has 32 million bytes
 
 
 def read(path: Path, recording: Recording, components: Sequence[str]) -> pd.DataFrame:
@@ -48,16 +52,21 @@ def read(path: Path, recording: Recording, components: Sequence[str]) -> pd.Data
 
 def _table(path: Path) -> pd.DataFrame:
     import pandas as pd
+    import pyarrow.parquet as pq
 
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: there is no such file (readings, .csv or .parquet, are needed)")
     if path.suffix not in (".csv", ".parquet"):
         raise DataError(f"{path}: found suffix {path.suffix or 'none'} (allowed: .csv, .parquet)")
+    data = io.BytesIO(files.read(path, MOST_BYTES, DataError))
     try:
         if path.suffix == ".parquet":
-            return pd.read_parquet(path)
-        return pd.read_csv(path, dtype=str, keep_default_na=False, skip_blank_lines=False)
+            facts = pq.read_metadata(data)
+            if facts.num_rows * facts.num_columns > MOST_CELLS:
+                raise DataError(f"{path}: holds {facts.num_rows} rows (at most {MOST_CELLS} cells are read)")
+            return pd.read_parquet(data)
+        return pd.read_csv(data, dtype=str, keep_default_na=False, skip_blank_lines=False)
     except (ValueError, OSError) as err:  # pandas' and pyarrow's own errors are among them
         raise DataError(f"{path}: cannot be read as a table: {str(err).splitlines()[0]}") from None
 

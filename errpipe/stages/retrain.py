@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -129,19 +130,26 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
 
 def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
     """Scores of earlier evaluations against the same champion; a new champion begins with none."""
+    from pydantic import TypeAdapter, ValidationError
+
     from errpipe.validation.retraining import RunScore
 
     if not path.is_file():
         return []
     document = jsonfile.read(path)
-    if document.get("retrain") != VERSION:
+    if not isinstance(document, dict) or document.get("retrain") != VERSION:
         raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
     if document.get("champion") != champion:
         return []
     try:
-        return [RunScore(**run) for run in document["runs"]]
-    except TypeError as err:
-        raise VerifyError(f"{path}: runs: {err}") from None
+        scores = TypeAdapter(list[RunScore]).validate_python(document.get("runs"))
+    except ValidationError as err:
+        first = err.errors()[0]
+        raise VerifyError(f"{path}: {'.'.join(map(str, ('runs', *first['loc'])))}: {first['msg']}") from None
+    for n, score in enumerate(scores):
+        if not all(0.0 <= x < math.inf for x in (score.nothing, score.champion, score.challenger)):
+            raise VerifyError(f"{path}: runs.{n}: a mean square is not a number of 0 um2 or more")
+    return scores
 
 
 def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:

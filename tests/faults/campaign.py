@@ -1,4 +1,4 @@
-"""Many sequences of faults through every evaluator: `python -m tests.faults.campaign [COUNT]` (`make faults`).
+"""Many sequences of faults through every evaluator: `python -m tests.faults.campaign [COUNT [NAME]]` (`make faults`).
 
 Prints a table of what was found and writes it into `docs/safety.md`, between its two marks.
 """
@@ -15,7 +15,8 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import iec_st
-from tests.faults import runners, sequences
+from tests.e2e.linuxcnc import session
+from tests.faults import hal, runners, sequences
 from tests.faults.sequences import Part
 from tests.unit.targets.c import test_c_runtime as c
 from tests.unit.targets.st import matiec, translate
@@ -24,8 +25,10 @@ from tests.unit.targets.st import test_iec_st as st
 PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
 BEGIN, END = "<!-- figures: make faults -->\n", "<!-- end of figures -->\n"
 COUNT = 10_000
-MATIEC = "Structured Text, MATIEC"  # its row stays as it was where that compiler is absent
-
+MATIEC, HAL = (
+    "Structured Text, MATIEC",
+    "LinuxCNC, HAL component",
+)  # their rows stay as they were where those are absent
 
 HEAD = (
     "| evaluator | sequences | cycles | largest step, of the slew | largest size, of the magnitude "
@@ -67,6 +70,17 @@ def run(
     return found
 
 
+def in_linuxcnc(count: int) -> Result:
+    """The same seeds in LinuxCNC's realtime thread; a sequence whose bits are not the kernels' is unsafe too."""
+    found = Result()
+    for seeds in hal.batches(count):
+        for parts, corrections in hal.corrections(seeds):
+            unsafe = found.unsafe
+            found.add(parts, corrections)
+            found.unsafe = max(found.unsafe, unsafe + hal.differ(parts, corrections))
+    return found
+
+
 def compiled(name: str, folder: Path, table: CompensationTable | None = None) -> runners.Shared:
     """The C runtime or the function blocks as a shared library; blocks with room for a table."""
     folder.mkdir(exist_ok=True)
@@ -82,29 +96,28 @@ def compiled(name: str, folder: Path, table: CompensationTable | None = None) ->
     return runners.Shared(built, np.float32 if single else np.float64)
 
 
-def main(count: int) -> int:
-    """Run, print, write; 1 where a sequence was unsafe."""
-    names = ["C, double", "C, single", "Structured Text"]
-    if matiec.compiler():
-        names.append(MATIEC)
+def main(count: int, only: str = "") -> int:
+    """Run, print, write; 1 where a sequence was unsafe. only: words of an evaluator's name; the other rows stay."""
+    names = ["C, double", "C, single", "Structured Text", *([MATIEC] if matiec.compiler() else [])]
     with tempfile.TemporaryDirectory() as folder:
         evaluators = {"reference": runners.by_reference, "kernels (Numba)": runners.by_numba}
-        evaluators |= {name: compiled(name, Path(folder) / str(n)) for n, name in enumerate(names)}
+        evaluators |= {n: compiled(n, Path(folder) / str(k)) for k, n in enumerate(names) if only in n}
         # The reference is slow Python: the kernels, which run every sequence, give its bits (test_faults.py).
-        found = run(evaluators, count, {"reference": 50})
-    lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- |"]
-    for name, r in found.items():
-        lines.append(
-            f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} | {r.off:.4f} | {r.unsafe} |"
-        )
-    print("\n".join(lines))
-    text = PAGE.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
+        found = run({n: e for n, e in evaluators.items() if only in n}, count, {"reference": 50})
+    if only in HAL and not session.missing():
+        found[HAL] = in_linuxcnc(count)
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     old, after = rest.split(END)
-    lines += [row for row in old.splitlines() if row.startswith(f"| {MATIEC} |") and MATIEC not in found]
+    rows = {row.split(" | ")[0].removeprefix("| "): row for row in old.splitlines()[2:]}
+    rows |= {
+        name: f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} | {r.off:.4f} | {r.unsafe} |"
+        for name, r in found.items()
+    }
+    lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- |", *rows.values()]
+    print("\n".join(lines))
     PAGE.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
     return int(any(r.unsafe for r in found.values()))
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT))
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT, " ".join(sys.argv[2:])))

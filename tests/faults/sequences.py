@@ -71,6 +71,12 @@ def table(number: int) -> t.CompensationTable:
     return tables.limited(made, {"X": 100.0}, {"EZX": tables.Limits(magnitude=15.0, slew=400.0)})
 
 
+def with_magnitude(made: t.CompensationTable, magnitude: float | None) -> t.CompensationTable:
+    """The table with the last output's magnitude (um) or without one."""
+    *others, last = made.outputs
+    return made.model_copy(update={"outputs": (*others, last.model_copy(update={"magnitude": magnitude}))})
+
+
 @dataclass(frozen=True)
 class Part:
     """Cycles in one mode; begins: "" (goes on), "reset", or "table" with `number`. readings (cycles, inputs)."""

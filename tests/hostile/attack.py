@@ -48,10 +48,12 @@ def attack(folder: Path, end: float, rng: random.Random) -> tuple[list[Door], li
     while time.monotonic() < end or sum(door.tried for door in opened) < LEAST:
         door = rng.choice(opened)
         data = mutations.mutated(door.sound, rng)
-        if door.name == "table (.ect)" and rng.random() < 0.8:
+        if door.sound.startswith(b"ECT") and rng.random() < 0.8:
             data = mutations.sealed(data)
         elif zipfile.is_zipfile(io.BytesIO(door.sound)) and rng.random() < 0.8:
             data = mutations.repacked(door.sound, rng)
+        elif door.sound[:1] == b"{" and rng.random() < 0.6:
+            data = mutations.reshaped(door.sound, rng)
         door.file.write_bytes(data)
         if door.fresh is not None:
             shutil.rmtree(door.fresh, ignore_errors=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 import random
 import zipfile
+from typing import Any
 
 TOKENS = [
     b"../../precious.txt", b"/etc/passwd", b"\0", b"nan", b"-inf", b"1e400", b"1e30", b"9" * 400, b"-", b"&a", b"*a",
@@ -64,3 +66,44 @@ def repacked(data: bytes, rng: random.Random) -> bytes:
             content = source.read(name)
             target.writestr(name, mutated(content, rng) if name == chosen else content)
     return out.getvalue()
+
+
+OTHER = [
+    None,
+    True,
+    0,
+    -1,
+    1e300,
+    -1e-300,
+    2**70,
+    "",
+    "x",
+    "../../precious.txt",
+    "\0",
+    [],
+    {},
+    [[]],
+    {"a": {}},
+    ["x"] * 3,
+]
+
+
+def reshaped(data: bytes, rng: random.Random) -> bytes:
+    """A JSON document with one or two of its values of another kind, gone, or doubled; sound JSON still."""
+    value = {"document": json.loads(data)}
+    for _ in range(rng.choice((1, 1, 2))):
+        places: list[tuple[Any, Any]] = []
+        waiting: list[Any] = [value]
+        while waiting:
+            inner = waiting.pop()
+            keys = list(inner) if isinstance(inner, dict) else range(len(inner)) if isinstance(inner, list) else ()
+            places += [(inner, key) for key in keys]
+            waiting += [inner[key] for key in keys]
+        inner, key = rng.choice(places)
+        if rng.random() < 0.25 and inner is not value:
+            del inner[key]
+        elif rng.random() < 0.2 and isinstance(inner, list):
+            inner.append(inner[key])
+        else:
+            inner[key] = rng.choice(OTHER)
+    return json.dumps(value["document"]).encode()

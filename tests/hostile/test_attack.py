@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import random
+import shutil
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from errpipe import jsonfile
 from errpipe.pipeline import runner
-from tests.hostile import attack, kills
-from tests.hostile.processes import forked
+from tests.hostile import attack, attack_doors, kills
+from tests.hostile.processes import ALLOWED, forked
 
 
 @pytest.mark.slow
@@ -49,7 +53,6 @@ def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pyt
 
 def test_what_is_planted_is_found(tmp_path: Path) -> None:
     """An internal error, a crash and an endless wait are told from a refusal."""
-    import os
     import signal
 
     def fails() -> int:
@@ -72,3 +75,51 @@ def test_a_file_that_is_touched_beside_is_found(tmp_path: Path) -> None:
     (tmp_path / "doors" / "x").rmdir()
     (tmp_path / "precious.txt").unlink()
     assert attack.modification_times(tmp_path / "doors") != before
+
+
+def planted(kind: str, path: Path) -> None:
+    """Something else in the place of a file."""
+    pipe = path.with_name("a-pipe")
+    match kind:
+        case "a pipe":
+            os.mkfifo(path)
+        case "a link to a pipe":
+            os.mkfifo(pipe)
+            path.symlink_to(pipe)
+        case "a device":
+            path.symlink_to("/dev/zero")
+        case "a link to itself":
+            path.symlink_to(path)
+        case "a folder":
+            path.mkdir()
+        case "a hole":
+            with path.open("wb") as stream:
+                stream.truncate(1 << 40)
+        case "nothing":
+            path.write_bytes(b"")
+
+
+NO_FILE = ("a pipe", "a link to a pipe", "a device", "a link to itself", "a folder", "a hole", "nothing", "gone")
+
+
+@pytest.mark.slow
+def test_every_door_ends_with_a_message_where_there_is_no_file(tmp_path: Path) -> None:
+    """Every command of every door of the campaign; none waits, none reads without end."""
+    from errpipe.cli.app import main
+
+    folder = tmp_path / "doors"
+    folder.mkdir()
+    wrong = []
+    for door in attack_doors.doors(folder):
+        for kind, line in itertools.product(NO_FILE, door.lines):
+            if door.fresh is not None:
+                shutil.rmtree(door.fresh, ignore_errors=True)
+            door.file.unlink(missing_ok=True)  # a run removes what an interrupted one left
+            planted(kind, door.file)
+            code, said = forked(partial(main, line), tmp_path)
+            if code not in ALLOWED or "internal error" in said:
+                wrong.append(f"{door.name}, {kind}, {line[0]}: {code} {said.strip()[-200:]}")
+            shutil.rmtree(door.file) if door.file.is_dir() else door.file.unlink(missing_ok=True)
+            door.file.with_name("a-pipe").unlink(missing_ok=True)
+            door.file.write_bytes(door.sound)
+    assert wrong == []

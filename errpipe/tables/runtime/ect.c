@@ -859,7 +859,7 @@ static ect_error load_all(ect *e, const sections *s)
     return error;
 }
 
-ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t work_size)
+ect_error ect_load_any(ect *e, const void *table, size_t size, void *work, size_t work_size)
 {
     static const ect nothing;
     const uint8_t *t = table;
@@ -903,6 +903,22 @@ ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t wo
     ect_reset(e);
     e->rules = s.rules;
     return ECT_OK;
+}
+
+ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t work_size)
+{
+    ect_error error = ect_load_any(e, table, size, work, work_size);
+    uint32_t i;
+    for (i = 0; error == ECT_OK && i < e->output_count; i++) {
+        const ect_output *o = &e->outputs[i];
+        if (!(o->flags & HAS_MAGNITUDE) || o->magnitude > R(ECT_MOST)) {
+            static const ect nothing;
+            *e = nothing;
+            e->where = i;
+            error = ECT_UNLIMITED;
+        }
+    }
+    return error;
 }
 
 static const uint8_t *output_at(const ect *e, uint32_t number)
@@ -1492,6 +1508,6 @@ const char *ect_says(ect_error error)
         "another format version", "damaged (checksum)", "header: cycles, times, texts or reserved bytes",
         "a section's size or place", "an input", "a substitute", "a node", "an operand", "a lookup value", "a profile",
         "a profile value", "a component", "a pair", "an output", "a term", "work area too small or not aligned",
-        "another table than the one allowed"};
-    return (unsigned)error <= (unsigned)ECT_FOREIGN ? words[error] : "unknown error";
+        "another table than the one allowed", "an output without a limit, or with one above ECT_MOST"};
+    return (unsigned)error <= (unsigned)ECT_UNLIMITED ? words[error] : "unknown error";
 }

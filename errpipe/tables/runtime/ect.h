@@ -51,7 +51,8 @@ typedef enum {
     ECT_OUTPUT,
     ECT_TERM,
     ECT_WORK,           /* the work area is too small or not aligned to 8 bytes */
-    ECT_FOREIGN         /* another table than the one allowed (ect_load_only in ect_identity.h) */
+    ECT_FOREIGN,        /* another table than the one allowed (ect_load_only in ect_identity.h) */
+    ECT_UNLIMITED       /* ect.where is the number of an output without a magnitude, or with one above ECT_MOST */
 } ect_error;
 
 enum { /* status bits */
@@ -144,8 +145,16 @@ typedef struct {
 /* Bytes of work area a table needs; 0 if its header is refused. */
 size_t ect_work_size(const void *table, size_t size);
 
-/* Check everything and prepare. On any error the table is not used: ect_cycle then gives corrections of 0. */
+/* Largest correction, um or urad, of a table that nobody has named: 10 mm is more than any machine tool is wrong by. */
+#ifndef ECT_MOST
+#define ECT_MOST 10000
+#endif
+
+/* Check everything and prepare. On any error the table is not used: ect_cycle then gives corrections of 0. Tables whose
+ * corrections have no limit, or one above ECT_MOST, are refused; ect_load_any takes those too, for a table that the
+ * machine's builder knows, and ect_load_only (ect_identity.h) for one that the site names. */
 ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t work_size);
+ect_error ect_load_any(ect *e, const void *table, size_t size, void *work, size_t work_size);
 
 /* The next cycle is the first of a run: states and references start anew; corrections go on from where they stand. */
 void ect_reset(ect *e);

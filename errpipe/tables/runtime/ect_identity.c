@@ -92,8 +92,8 @@ ect_error ect_load_only(
     ect *e, const void *table, size_t size, void *work, size_t work_size, const uint8_t expected[ECT_IDENTITY_SIZE])
 {
     if (!ect_is_identity(table, size, expected)) {
-        (void)ect_load(e, table, 0, work, work_size); /* leaves e without a table */
+        (void)ect_load_any(e, table, 0, work, work_size); /* leaves e without a table */
         return ECT_FOREIGN;
     }
-    return ect_load(e, table, size, work, work_size);
+    return ect_load_any(e, table, size, work, work_size);
 }

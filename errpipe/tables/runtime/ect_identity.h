@@ -20,7 +20,7 @@ extern "C" {
 /* The identity of `size` bytes at `data`. */
 void ect_identity(const void *data, size_t size, uint8_t identity[ECT_IDENTITY_SIZE]);
 
-/* ect_load of the table with the expected identity: any other is ECT_FOREIGN and is not used, as after any error. */
+/* ect_load_any of the table with the expected identity: any other is ECT_FOREIGN and is not used, as after any error. */
 ect_error ect_load_only(
     ect *e, const void *table, size_t size, void *work, size_t work_size, const uint8_t expected[ECT_IDENTITY_SIZE]);
 

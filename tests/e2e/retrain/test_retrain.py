@@ -134,3 +134,23 @@ def test_a_folder_without_a_champion_is_refused(site: Path, capsys: pytest.Captu
     arguments = ["--champion", str(site / "nowhere"), "--out", str(site / "out")]
     assert main(["retrain", str(site / "axis.yaml"), *arguments]) == 3
     assert "no champion here" in capsys.readouterr().err
+
+
+def test_an_earlier_judgement_that_is_none_is_refused_with_its_place(site: Path, capsys) -> None:
+    record(site / "recording", 14)
+    _, document = retrain(site)
+    first, second = document["runs"]
+    arguments = ["--champion", str(site / "champion"), "--out", str(site / "out")]
+    for hostile, says in (
+        ([document], "not a document of retrain"),
+        (document | {"runs": "x"}, "runs: "),
+        (document | {"runs": [first, second | {"key": {}}]}, "runs.1.key: "),
+        (document | {"runs": [first | {"champion": [1.0]}]}, "runs.0.champion: "),
+        (document | {"runs": [first | {"challenger": -1.0}]}, "runs.0: a mean square"),
+        ({k: v for k, v in document.items() if k != "runs"}, "runs: "),
+    ):
+        (site / "out/retrain.json").write_text(json.dumps(hostile), encoding="utf-8")
+        capsys.readouterr()
+        assert main(["retrain", str(site / "axis.yaml"), *arguments]) == 6
+        said = capsys.readouterr().err
+        assert "retrain.json" in said and says in said and "internal" not in said

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from errpipe.errors import GateError
+from errpipe.api import Table
+from errpipe.errors import GateError, VerifyError
 from errpipe.stages import targets
 from errpipe.tables import ect
+from tests.unit.tables.made import follower
 from tests.unit.targets.machines import compile_, straight, too_long_at_plus_x
 
 
@@ -37,3 +39,16 @@ def test_a_table_beyond_the_limit_is_refused_and_allowed_by_name(tmp_path: Path)
     targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out", ["beyond-limit"])
     with pytest.raises(GateError):
         targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out2", limit=9.0)
+
+
+def test_a_table_that_nothing_limits_is_refused(tmp_path: Path) -> None:
+    """A correction that follows the position without a profile has no end at which to look for its largest."""
+    for magnitude in (None, 50_000.0):
+        ect.write(follower(magnitude), tmp_path / "table.ect")
+        with pytest.raises(GateError, match=r"the correction reaches \S+ um, the limit is 500"):
+            targets.export(tmp_path / "table.ect", ["linuxcnc_hal", "c_runtime", "iec_st"], tmp_path / "out")
+        with pytest.raises(VerifyError, match="EXX is corrected without a limit, or by more than 10 mm"):
+            Table.read(tmp_path / "table.ect").cycle()
+    assert not (tmp_path / "out").exists()
+    assert Table(follower(None)).cycle(unlimited=True).outputs == ("EXX",)
+    assert Table(follower(10_000.0)).cycle().outputs == ("EXX",)

@@ -9,7 +9,7 @@ int load(const void *table, size_t size, uint32_t *where)
     size_t need = ect_work_size(table, size);
     void *work = malloc(need + 8);
     ect e;
-    ect_error error = ect_load(&e, table, size, work, need);
+    ect_error error = ect_load_any(&e, table, size, work, need);
     *where = e.where;
     free(work);
     return (int)error;
@@ -21,7 +21,7 @@ int stream(const void *table, size_t size, size_t cycles, const ect_real *readin
     size_t need = ect_work_size(table, size), k;
     void *work = malloc(need + 8);
     ect e;
-    ect_error error = ect_load(&e, table, size, work, need);
+    ect_error error = ect_load_any(&e, table, size, work, need);
     for (k = 0; error == ECT_OK && k < cycles; k++) {
         uint32_t o;
         ect_cycle(&e, readings + k * e.input_count, fresh == NULL ? NULL : fresh + k * e.input_count,
@@ -66,7 +66,7 @@ static void run_some(const void *table, size_t size)
     ect e;
     int k;
     uint32_t i;
-    if (ect_load(&e, table, size, work, need) == ECT_OK) {
+    if (ect_load_any(&e, table, size, work, need) == ECT_OK) {
         ect_real readings[64];
         for (k = 0; k < 5; k++) {
             for (i = 0; i < e.input_count; i++) {
@@ -127,7 +127,7 @@ static ect_error begin(session *s, const void *table, size_t size)
     s->work = malloc(need + 8);
     s->bytes = malloc(size);
     memcpy(s->bytes, table, size);
-    return ect_load(&s->active, s->bytes, size, s->work, need);
+    return ect_load_any(&s->active, s->bytes, size, s->work, need);
 }
 
 void *session_open(const void *table, size_t size)

@@ -25,7 +25,7 @@ from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import bounds, ect, pack
 from errpipe.targets.c_runtime import CRuntime
 from tests.unit.stages.test_readings import model
-from tests.unit.tables.made import everything, stimulus, ten_um_too_long
+from tests.unit.tables.made import everything, follower, stimulus, ten_um_too_long
 
 HERE = Path(__file__).parent
 RUNTIME = Path(tables.__file__).parent / "runtime"
@@ -363,6 +363,39 @@ def test_a_table_that_is_not_the_one_allowed_is_not_loaded(tmp_path):
     first, second = run(tmp_path / "only").stdout.splitlines()
     assert first == "sound; 1 outputs; running 1"
     assert second == "another table than the one allowed; 0 outputs; running 0"
+
+
+LOADERS = """#include "ect.h"
+#include "ect_identity.h"
+static uint64_t work[1u << 16];
+int load_how(const void *table, size_t size, const uint8_t *named, int any, double *moved) {
+    static const ect_real readings[64] = {1000};
+    ect e;
+    ect_error error = any ? ect_load_any(&e, table, size, work, sizeof work)
+        : named ? ect_load_only(&e, table, size, work, sizeof work, named)
+        : ect_load(&e, table, size, work, sizeof work);
+    ect_cycle(&e, readings, 0, ECT_ON);
+    *moved = e.output_count ? e.outputs[0].correction : 0;
+    return (int)error;
+}
+"""
+
+
+@pytest.mark.parametrize("single", [[], ["-DECT_SINGLE"]], ids=["double", "single"])
+def test_a_table_without_a_limit_moves_nothing_unless_it_is_named(tmp_path, single):
+    """A correction that follows the position itself, 1 mm per mm: 100 m if nobody says how much."""
+    (tmp_path / "loaders.c").write_text(LOADERS)
+    sources = [RUNTIME / "ect.c", RUNTIME / "ect_identity.c", tmp_path / "loaders.c"]
+    run(COMPILERS[0], *STRICT, *single, "-shared", "-fPIC", f"-I{RUNTIME}", *sources, "-o", tmp_path / "l.so")
+    how, moved = ctypes.CDLL(str(tmp_path / "l.so")).load_how, ctypes.c_double()
+    for magnitude, code in ((None, 21), (10_000.5, 21), (10_000.0, 0), (20.0, 0)):
+        data = ect.dumps(follower(magnitude))
+        name = hashlib.sha256(data).digest()
+        size = ctypes.c_size_t(len(data))
+        assert how(data, size, None, 0, ctypes.byref(moved)) == code
+        assert abs(moved.value) == (0.0 if code else pytest.approx(magnitude / 1e3))
+        assert how(data, size, name, 0, ctypes.byref(moved)) == how(data, size, None, 1, ctypes.byref(moved)) == 0
+        assert moved.value < 0.0
 
 
 # Cortex-M in an emulator -----------------------------------------------------------------------------

@@ -237,6 +237,12 @@ def test_the_last_good_table_is_there_after_a_loss_of_power(tmp_path, compiled_b
     plc.power_loss()
     keep(own, only=name(own))
     assert plc.running() == name(own)
+    wide, free = (ect.dumps(sequences.with_magnitude(sequences.table(1), most)) for most in (10000.5, None))
+    for data in (wide, free):
+        keep(own)
+        assert keep(data, 1) == 102 and plc.running() == name(own), "a correction without a limit, of a table not named"
+    keep(own)
+    assert keep(free, 1, name(free)) == 0 and plc.running() == name(free), "the site named it"
 
 
 def test_plain_structured_text_has_no_global_variables():

@@ -15,7 +15,7 @@ int main(void)
 {
     ect e;
     unsigned k, i, o;
-    ect_error error = ect_load(&e, TABLE, sizeof TABLE, work, sizeof work);
+    ect_error error = ect_load_any(&e, TABLE, sizeof TABLE, work, sizeof work);
     if (error != ECT_OK || e.input_count != INPUTS) {
         printf("refused: %s %u\n", ect_says(error), (unsigned)e.where);
         return 1;
