@@ -354,6 +354,13 @@ class Recording:
         """Labels of the runs, in order of appearance."""
         return self._codes[1]
 
+    @cached_property
+    def run_starts(self) -> np.ndarray:
+        """First row of each stretch of rows of one run, shape (stretches,)."""
+        import numpy as np
+
+        return np.flatnonzero(np.diff(self.run_codes(), prepend=-1))
+
     def time(self) -> np.ndarray:
         """Time in s, shape (rows,); the row number where the recording has no time column."""
         import numpy as np

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 
 import numpy as np
 
@@ -26,10 +27,11 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
         case d.Input():
             return recording.array(driver.name)
         case d.Affine():
-            total = np.full(len(recording), driver.offset)
+            total: np.ndarray | float = driver.offset
             for weight, of in zip(driver.weights, driver.of, strict=True):
-                total = total + weight * drive(of, recording)
-            return total
+                part = drive(of, recording)
+                total = total + (part if weight == 1.0 else weight * part)
+            return total if isinstance(total, np.ndarray) else np.full(len(recording), total)
         case d.First():
             return _state(
                 driver, drive(driver.of, recording), recording, lambda s, t, u, start: responses.first_value(s, u)
@@ -37,7 +39,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
         case d.Lag():
             return _late(driver, _at_input(driver, recording), recording)
         case d.Product():
-            return np.prod([drive(of, recording) for of in driver.of], axis=0)
+            return reduce(np.multiply, [drive(of, recording) for of in driver.of])
         case d.Power():
             source = drive(driver.of, recording)
             return np.sign(source) * np.abs(source) ** driver.exponent

@@ -79,9 +79,9 @@ def travel(recording: Recording, axis: str) -> tuple[float, float]:
 
 
 def share(recording: Recording, axis: str, radial: bool) -> np.ndarray:
-    """How much of an axis' own deviation shows in the response, shape (rows,): 1, or pos/R in a circular test."""
+    """How much of an axis' own deviation shows in the response: 1, shape (1,), or pos/R in a circular test, (rows,)."""
     if not radial:
-        return np.ones(len(recording))
+        return np.ones(1)
     circle = axes(recording)[:2]
     radius = np.hypot(*(position(recording, a) for a in circle))
     return position(recording, axis) / np.where(radius > 0, radius, np.nan)

@@ -10,12 +10,14 @@ sample of whole stretches of every run, for what needs single rows; up to `SAMPL
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
+from errpipe.domain.batch import joined
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, solve
@@ -64,6 +66,7 @@ class History:
 
     component: str
     slots: tuple[Slot, ...]
+    moving: tuple[Slot, ...]  # those whose columns are not the same in every row
     width: int
     names: tuple[str, ...]
     layout: Layout
@@ -76,55 +79,69 @@ class History:
     cells: list[np.ndarray] = field(default_factory=list)  # of the sample: number of the cell
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
     centre: np.ndarray | None = None  # what the columns of `sums` count from, (k,)
-    frames: list[pd.DataFrame] = field(default_factory=list)
+    kept: list[Recording] = field(default_factory=list)  # rows of the sample
+    room: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
 
     def columns(self, batch: Recording) -> np.ndarray:
-        """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN where something is missing."""
-        problem = Problem(
-            batch,
-            (self.component,),
-            (np.arange(len(batch)),),
-            np.zeros(len(batch)),
-            np.zeros(0),
-            self.slots,
-            self.width,
-            (),
-        )
-        out = np.empty((self.width + 3, len(batch))).T  # columns side by side in memory: four times as fast to add up
-        out[:, 0] = 1.0
-        inside, none = out[:, 1:-2], np.empty(0)
-        for slot in self.slots:
-            inside[:, slot.columns] = problem.basis_of(slot, 0, none)
-        out[:, -2] = fixed_part(batch, 0, self.slots)
+        """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN where something is missing.
+
+        They stand where those of the batch before stood: new memory for each costs as much as the sums.
+        """
+        if self.room.shape[1] < len(batch):
+            self.room = np.zeros((self.width + 3, len(batch)))
+            self._fill(batch, self.room.T, [s for s in self.slots if s not in self.moving])
+            self.room[0] = 1.0
+        out = self.room[:, : len(batch)].T  # columns side by side in memory
+        self._fill(batch, out, self.moving)
+        if self.fixes:
+            out[:, -2] = fixed_part(batch, 0, self.slots)
         out[:, -1] = batch.array(response_name(batch, self.component))
         return out
 
+    def _fill(self, batch: Recording, out: np.ndarray, slots: Iterable[Slot]) -> None:
+        empty = np.zeros(0)
+        problem = Problem(batch, (self.component,), (), empty, empty, self.slots, self.width, ())
+        inside = out[:, 1:-2]
+        for slot in slots:
+            inside[:, slot.columns] = problem.basis_of(slot, 0, empty)
+
+    @cached_property
+    def fixes(self) -> bool:
+        """Whether a linear parameter is fixed."""
+        return any(p.name in s.term.fixed for s in self.slots for p in s.term.linear())
+
+    @cached_property
+    def live(self) -> list[int]:
+        """Columns that are not the same number in every row, and the first one."""
+        inside = [1 + k for s in self.moving for k in range(s.columns.start, s.columns.stop)]
+        return [0, *inside, *([self.width + 1] if self.fixes else []), self.width + 2]
+
     def add(self, part: Part) -> None:
         """Take the rows of a batch."""
-        rows = self.columns(part.batch)
-        number = np.empty(rows.shape[0], dtype=np.int64)
-        kept = np.flatnonzero(part.sampled)
+        rows, kept = self.columns(part.batch), part.sampled
         self.rows.append(np.ascontiguousarray(rows[kept]))
         if self.centre is None:
             self.centre = np.nan_to_num(np.nanmean(rows[:FIRST_ROWS], axis=0))
             self.centre[0] = 0.0
-        rows -= self.centre
+        for k in self.live[1:]:
+            rows[:, k] -= self.centre[k]
+        numbers = []
         for key, first, end in part_stretches(part):
             k = self.keys.setdefault(key, len(self.sums))
             if k == len(self.sums):
                 self.sums.append(np.zeros((rows.shape[1], rows.shape[1])))
                 self.counts.append(0)
-            number[first:end] = k
-            sums, count = _products(rows[first:end])
+            numbers.append(k)
+            sums, count = _products(rows[first:end], self.live)
             self.sums[k] += sums
             self.counts[k] += count
-        self.cells.append(number[kept])
+        self.cells.append(np.array(numbers)[np.searchsorted(part.starts, kept, side="right") - 1])
         self.places.append(kept + part.at)
-        self.frames.append(part.batch.frame.iloc[kept])
+        self.kept.append(part.batch.take(kept))
 
     def sample(self, manifest: Manifest) -> Recording:
         """The rows of the sample as a recording."""
-        return Recording(manifest, pd.concat(self.frames, ignore_index=True))
+        return Recording(manifest, joined(self.kept))
 
     def rows_of_recording(self) -> np.ndarray:
         """Row of the recording that each row of the sample is."""
@@ -158,14 +175,24 @@ class History:
         return np.r_[0.0, -coefficients, -1.0, 1.0]
 
 
-def _products(rows: np.ndarray) -> tuple[np.ndarray, int]:
-    """Sums of products of the complete rows of (n, k), (k, k), and their number."""
+def _products(rows: np.ndarray, live: Sequence[int]) -> tuple[np.ndarray, int]:
+    """Sums of products of the complete rows of (n, k), (k, k), and their number; columns that are not live are 0."""
     with solve.one_thread():
-        sums = rows.T @ rows
+        sums = _gram(rows.T, live)
         if not np.isfinite(sums).all():
             rows = rows[np.isfinite(rows.sum(axis=1))]
-            sums = rows.T @ rows
+            sums = _gram(rows.T, live)
     return sums, rows.shape[0]
+
+
+def _gram(columns: np.ndarray, live: Sequence[int]) -> np.ndarray:
+    """columns @ columns.T; of few long columns twice as fast, one after the other, as by one product."""
+    sums = np.zeros((columns.shape[0], columns.shape[0]))
+    for k in live:
+        sums[k, : k + 1] = columns[: k + 1] @ columns[k]
+    lower = np.zeros_like(sums)
+    lower[np.ix_(live, live)] = sums[np.ix_(live, live)]
+    return lower + np.tril(lower, -1).T
 
 
 def part_stretches(part: Part) -> Iterator[tuple[tuple[str, str], int, int]]:
@@ -189,20 +216,18 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
     manifest, asked = source.manifest, spec.holdout if scheme is None else scheme
     responses = [n for n, c in manifest.columns.items() if c.role == "error"]
     all_measured = not source.complete.isdisjoint(responses)
-    names = [*manifest.names("run"), *([] if all_measured else responses)]
+    names = [*manifest.names("run"), *([] if all_measured else responses)] or responses[:1]
     lengths: dict[str, int] = {}
     measured: set[str] = set()
     last = ""
     for batch in source.batches(names):
-        run, labels = batch.run_codes(), batch.run_labels()
-        seen = np.ones(run.size, dtype=bool) if all_measured else holdout.measured(batch)
-        for first, end in _stretches(run):
-            label = labels[run[first]]
+        seen = None if all_measured else holdout.measured(batch)
+        for label, first, end in _stretches(batch):
             if label in lengths and label != last:
                 raise DataError(f"run {label} comes back after run {last}: in batches the rows of a run stand together")
             lengths[label] = lengths.get(label, 0) + int(end - first)
             last = label
-            if seen[first:end].any():
+            if seen is None or seen[first:end].any():
                 measured.add(label)
     few = Recording(
         Manifest(recording=1, tables=("-",), columns={"run": Column(role="run")}),
@@ -218,8 +243,8 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
 
 @dataclass(frozen=True)
 class Part:
-    """A batch. keys: (run, group) of each stretch of rows that begins at `starts`; sampled: which of its rows are in
-    the sample, (rows,); at: row of the recording that it begins at.
+    """A batch. keys: (run, group) of each stretch of rows that begins at `starts`; sampled: its rows that are in the
+    sample, ascending; at: row of the recording that it begins at.
     """
 
     batch: Recording
@@ -237,18 +262,18 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
     numbers = {label: k for k, label in enumerate(layout.runs)}
     at, in_run, last = 0, 0, ""
     for batch in map(prepare, source.batches(names)):
-        run, labels = batch.run_codes(), batch.run_labels()
         groups = _groups(batch, layout, at)
-        changes = np.diff(run) != 0 if groups is None else (np.diff(run) != 0) | (groups[1:] != groups[:-1])
-        starts = np.flatnonzero(np.r_[True, changes])
+        starts = batch.run_starts
+        if groups is not None:
+            starts = np.union1d(starts, np.flatnonzero(groups[1:] != groups[:-1]) + 1)
+        run, labels = batch.run_codes(), batch.run_labels()
         keys = [(labels[run[s]], "" if groups is None else str(groups[s])) for s in starts]
-        sampled = np.zeros(len(batch), dtype=bool)
-        for first, end in _stretches(run):
-            label = labels[run[first]]
+        sampled = []
+        for label, first, end in _stretches(batch):
             in_run = in_run if label == last else 0
-            sampled[first:end] = _sampled(layout, numbers[label], in_run, end - first)
+            sampled.append(first + _sampled(layout, numbers[label], in_run, end - first))
             in_run, last = in_run + end - first, label
-        yield Part(batch, keys, starts, sampled, at)
+        yield Part(batch, keys, starts, np.concatenate(sampled), at)
         at += len(batch)
 
 
@@ -256,9 +281,10 @@ def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) ->
     """One pass over the recording: a history per component. Raises DataError where a component has no row."""
     histories = [_begun(source.ends, component, layout, prepare) for component in spec.components]
     names = sorted({n for h in histories for n in h.names})
-    for part in parts(source, layout, names, prepare):
-        for history in histories:
-            history.add(part)
+    with solve.one_thread():
+        for part in parts(source, layout, names, prepare):
+            for history in histories:
+                history.add(part)
     for history in histories:
         if not sum(history.counts):
             raise DataError(f"fit: no row has both {history.component} and everything its terms need")
@@ -268,7 +294,8 @@ def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) ->
 def _begun(ends: Recording, component: ComponentSpec, layout: Layout, prepare: Prepare) -> History:
     watched = _Watched(ends.manifest, prepare(ends).frame)
     slots, width, _ = slots_of(watched, [(component.component, component.terms)])
-    history = History(component.component, slots, width, (), layout)
+    moving = tuple(s for s in slots if s.term.drivers(watched) or not s.term.rowwise)
+    history = History(component.component, slots, moving, width, (), layout)
     history.columns(watched)
     roles = {"run", "command", "position", "direction"}
     roles |= set() if layout.scheme.scheme == "leave-one-run-out" else {"group"}
@@ -292,9 +319,10 @@ class _Watched(Recording):
         return super().array(name)
 
 
-def _stretches(codes: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True]) if codes.size else np.zeros(1, dtype=int)
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+def _stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
+    """(run, first row, row after the last) of each stretch of a batch."""
+    codes, labels, starts = batch.run_codes(), batch.run_labels(), batch.run_starts.tolist()
+    return ((labels[codes[s]], s, e) for s, e in zip(starts, [*starts[1:], len(batch)], strict=True))
 
 
 def _blocked(scheme: holdout.HoldOut) -> bool:
@@ -316,9 +344,12 @@ def _groups(batch: Recording, layout: Layout, at: int) -> np.ndarray | None:
 
 
 def _sampled(layout: Layout, run: int, begin: int, count: int) -> np.ndarray:
-    """Which rows of a part of a run are in the sample, (count,). begin: rows of the run before the part."""
+    """Which rows of a part of a run are in the sample, ascending. begin: rows of the run before the part."""
     every = -(-layout.rows // SAMPLE_ROWS)
     stretch = max(SHORTEST, min(STRETCH, SAMPLE_ROWS // len(layout.runs)))
-    room = max(1, min(int(layout.lengths[run]), every * stretch) - stretch + 1)
+    period = every * stretch
+    room = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
     first = (run * 2_654_435_761) % room  # Knuth's multiplicative hash: another place in every run
-    return (begin + np.arange(count) - first) % (every * stretch) < stretch
+    starts = first - begin + period * np.arange((begin - first) // period, (begin + count - first) // period + 1)
+    rows = (starts[:, None] + np.arange(stretch)).ravel()
+    return rows[(rows >= 0) & (rows < count)]
