@@ -90,36 +90,37 @@ def _parts(t: np.ndarray) -> np.ndarray:
 
 
 def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> np.ndarray:
-    before = np.column_stack([_shifted(y, part, -k) for k in range(1, SIDE + 1)])
-    after = np.column_stack([_shifted(y, part, k) for k in range(1, SIDE + 1)])
-    far_before, far_after = _median(_shifted_all(before, part, -SIDE)), _median(_shifted_all(after, part, SIDE))
+    residual = np.nan_to_num(y - _median(_windows(y, part, np.arange(y.size), (-SIDE, SIDE))))
+    limit = threshold * _scatter(residual, step)
+    rows = np.flatnonzero(np.abs(residual) > limit)  # few: only these are looked at closer
+    before, after = _windows(y, part, rows, (-SIDE, -1)), _windows(y, part, rows, (1, SIDE))
+    far_before, far_after = (
+        _median(_windows(y, part, rows, reach)) for reach in ((-2 * SIDE, -SIDE - 1), (SIDE + 1, 2 * SIDE))
+    )
     left, right = _side(before), _side(after)
     # At either end of a part the missing side is the other side, drawn on as a line.
     left = np.where(np.isnan(left), right + DRAW_ON * (right - far_after), left)
     right = np.where(np.isnan(right), left + DRAW_ON * (left - far_before), right)
-    around = _median(np.hstack([before, after]))
-    residual = np.nan_to_num(y - around)
-    limit = threshold * _scatter(residual, step)
     # Beyond both sides, on the same side: a reading between them lies on a ramp or at a step.
-    off = (y > np.maximum(left, right) + limit) | (y < np.minimum(left, right) - limit)
-    off &= np.abs(residual) > limit
-    base = np.where(residual > 0, np.maximum(left, right), np.minimum(left, right))
+    here, far = y[rows], limit[rows]
+    off, base = np.zeros(y.size, dtype=bool), np.zeros(y.size)
+    off[rows] = (here > np.maximum(left, right) + far) | (here < np.minimum(left, right) - far)
+    base[rows] = np.where(residual[rows] > 0, np.maximum(left, right), np.minimum(left, right))
     for start, end in zip(*stretches(off), strict=True):
         if end - start > LONGEST or _drawn_along(y, base, start, end):
             off[start:end] = False
     return np.flatnonzero(off)
 
 
-def _shifted(y: np.ndarray, part: np.ndarray, by: int) -> np.ndarray:
-    """The reading `by` rows on, NaN where it belongs to another part."""
-    index = np.arange(y.size) + by
-    inside = (index >= 0) & (index < y.size)
-    index = np.clip(index, 0, y.size - 1)
-    return np.where(inside & (part[index] == part), y[index], np.nan)
-
-
-def _shifted_all(windows: np.ndarray, part: np.ndarray, by: int) -> np.ndarray:
-    return np.column_stack([_shifted(column, part, by) for column in windows.T])
+def _windows(y: np.ndarray, part: np.ndarray, rows: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
+    """Readings from so many rows on to so many rows on, the row itself left out; NaN where another part begins."""
+    offsets = np.array([k for k in range(reach[0], reach[1] + 1) if k])
+    edge = np.full(2 * SIDE, np.nan)
+    at = rows[:, None] + (offsets + edge.size)
+    found = np.r_[edge, y, edge][at]
+    if part[0] != part[-1]:
+        found[np.r_[edge, part, edge][at] != part[rows][:, None]] = np.nan
+    return np.asarray(found)
 
 
 def _side(windows: np.ndarray) -> np.ndarray:
@@ -129,11 +130,13 @@ def _side(windows: np.ndarray) -> np.ndarray:
 
 def _median(windows: np.ndarray) -> np.ndarray:
     """Median of each row of windows, NaN passed over; NaN where there is nothing."""
-    ordered = np.sort(windows, axis=1)  # NaN last; several times as fast as nanmedian
-    count = np.isfinite(windows).sum(axis=1)
-    rows = np.arange(len(windows))
-    middle = (ordered[rows, np.maximum(count - 1, 0) // 2] + ordered[rows, count // 2]) / 2
-    return np.where(count > 0, middle, np.nan)
+    ordered, width = np.sort(windows, axis=1), windows.shape[1]  # NaN last; several times as fast as nanmedian
+    middle = (ordered[:, (width - 1) // 2] + ordered[:, width // 2]) / 2
+    rows = np.flatnonzero(np.isnan(ordered[:, -1]))
+    known = np.isfinite(windows[rows]).sum(axis=1)
+    of_known = (ordered[rows, np.maximum(known - 1, 0) // 2] + ordered[rows, known // 2]) / 2
+    middle[rows] = np.where(known > 0, of_known, np.nan)
+    return np.asarray(middle)
 
 
 def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
