@@ -7,6 +7,7 @@ that fails, or whose worker dies, does not stop the others. What was finished is
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -88,19 +89,21 @@ def fleet(
 
 
 def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
-    """The machines that are listed, and every recording folder; a listed one brings its type and keys."""
+    """The machines that are listed, and every folder of recordings; a listed one brings its type and keys."""
     listed = {m.name: m for m in spec.machines}
     if spec.recordings is None:
         return list(spec.machines)
     folder = root / spec.recordings
     if not folder.is_dir():
         raise UsageError(f"{folder}: there is no such folder (recordings of the fleet)")
-    with_recording = sorted(p.name for p in folder.iterdir() if (p / "recording.yaml").is_file())
-    absent = [name for name in listed if name not in with_recording]
-    if absent or not with_recording:
+    names = sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
+    absent = [name for name in listed if name not in names]
+    if absent or not names:
         raise UsageError(f"{folder}: holds no recording of {', '.join(absent) or 'any machine'}")
     out = []
-    for name in with_recording:
+    for name in names:
+        if not re.fullmatch(NAME, name):
+            raise UsageError(f"{folder / name}: no name of a machine (allowed: letters, digits, '.', '_' and '-')")
         machine = listed.get(name) or FleetMachine(name=name)
         path = jsonfile.dumps((folder / name).as_posix(), indent=None).strip()
         out.append(machine.model_copy(update={"set": (f"{spec.stage}.recording={path}", *machine.set)}))

@@ -132,6 +132,12 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "r").mkdir()
     assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
     assert "holds no recording of m9" in capsys.readouterr().err
+    (tmp_path / "r/m9").mkdir()  # a machine that sends nothing is not passed over: its run says so
+    spec = fleet_stage.yamlfile.load(file, fleet_stage.Fleet)
+    assert [m.name for m in fleet_stage.machines_of(spec, tmp_path)] == ["m9"]
+    (tmp_path / "r/machine 7").mkdir()
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+    assert "machine 7: no name of a machine (allowed" in capsys.readouterr().err
 
 
 @pytest.mark.slow
