@@ -11,8 +11,9 @@ from itertools import pairwise
 
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing.layout import DEEPEST_HEADER, split_header
+from errpipe.importing.layout import DEEPEST_HEADER
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
+from errpipe.importing.units import split_header
 from errpipe.importing.wide import run_and_side, statistic
 
 Figures = list[float | None]

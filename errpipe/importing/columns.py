@@ -61,6 +61,7 @@ DATES = (
     "%H:%M:%S",
     "%H:%M",
 )
+DAY_FIRST = tuple(form for form in DATES if form.startswith("%d/%m"))
 
 
 @dataclass(frozen=True)
@@ -149,10 +150,15 @@ ANGLES = {
 }
 
 
+def is_straightness(text: str) -> bool:
+    """Whether a header names a straightness: its letter is the axis across the one that moves."""
+    return re.search(r"straight|gerad", plain(text)) is not None
+
+
 def other_component(text: str, moved: str) -> str | None:
     """EYX of 'straightness Y' along X, ECX of 'yaw'; None where a header names neither. Raises DataError for half."""
     word = plain(text)
-    if re.search(r"straight|gerad", word):
+    if is_straightness(text):
         across = axis_in(text)
         if across is None or across == moved:
             raise DataError(f"column {text!r}: a straightness across which axis? Say it with --component, such as EYX")
@@ -208,7 +214,14 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     """
     texts = [str(c).strip().replace(",", ".") if c not in (None, "") else "" for c in column.cells]
     first = next((t for t in texts if t), None)
-    for form in ("ISO 8601", *DATES) if first else ():
+    found = [s for forms in (("ISO 8601", *DATES), DAY_FIRST) if first and (s := _since_first(texts, forms))]
+    if len(found) > 1 and found[0][2].startswith("%m/"):  # 03/04: the month first or the day: the shorter time
+        return min(found, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
+    return found[0] if found else None
+
+
+def _since_first(texts: list[str], forms: tuple[str, ...]) -> tuple[np.ndarray, str | None, str] | None:
+    for form in forms:
         try:
             stamps = [_stamp(t, form) if t else None for t in texts]
             start = next(s for s in stamps if s is not None)

@@ -11,6 +11,7 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
+from errpipe.importing.units import split_header, unit_of
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
@@ -18,61 +19,12 @@ MOST_REMARKS = 50
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
-# How units are written -> how the manifest writes them. Lower case, blanks removed.
-UNITS = {
-    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "mikrometer", "micrometer"), "um"),
-    **dict.fromkeys(("mm", "millimeter", "millimetre"), "mm"),
-    **dict.fromkeys(("m", "meter", "metre"), "m"),
-    **dict.fromkeys(("nm", "nanometer"), "nm"),
-    **dict.fromkeys(("in", "inch", "inches", "zoll", '"'), "inch"),
-    **dict.fromkeys(("mil", "thou", "0.001in", "1/1000in"), "thou"),
-    **dict.fromkeys(("tenth", "tenths", "0.0001in", "1/10000in"), "tenths of a thou"),
-    **dict.fromkeys(("1/100mm", "0.01mm", "0,01mm", "hundredths", "hundertstel", "hundertstelmm"), "1/100 mm"),
-    **dict.fromkeys(("1/1000mm", "0.001mm", "0,001mm", "tausendstel"), "um"),
-    **dict.fromkeys(("°c", "degc", "c", "celsius", "grad c", "℃", "gradc"), "degC"),
-    **dict.fromkeys(("°f", "degf", "fahrenheit", "℉"), "degF"),
-    **dict.fromkeys(("k", "kelvin"), "K"),
-    **dict.fromkeys(("s", "sec", "sek", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec"), "ms"),
-    **dict.fromkeys(("us", "µs", "μs"), "us"),
-    **dict.fromkeys(("min", "minutes", "minuten"), "min"),
-    **dict.fromkeys(("h", "hours", "std"), "h"),
-    **dict.fromkeys(("cm",), "cm"),
-    **dict.fromkeys(("µin", "uin", "microinch"), "microinch"),
-    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
-    **dict.fromkeys(("mdeg", "m°"), "mdeg"),
-    **dict.fromkeys(("arcmin",), "arcmin"),
-    **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
-    **dict.fromkeys(("mrad",), "mrad"),
-    **dict.fromkeys(("rad",), "rad"),
-    **dict.fromkeys(("arcsec", "″", "''", "asec"), "arcsec"),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
-    **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
-    **dict.fromkeys(("n", "newton"), "N"),
-    **dict.fromkeys(("kn",), "kN"),
-    **dict.fromkeys(("rpm", "1/min", "u/min", "rev/min", "min-1"), "rpm"),
-    **dict.fromkeys(("mm/min",), "mm/min"),
-    **dict.fromkeys(("m/min",), "m/min"),
-    **dict.fromkeys(("mm/s",), "mm/s"),
-    **dict.fromkeys(("m/s",), "m/s"),
-    **dict.fromkeys(("mm/s2", "mm/s²", "mm/s^2"), "mm/s2"),
-    **dict.fromkeys(("m/s2", "m/s²"), "m/s2"),
-    **dict.fromkeys(("%", "%rh", "percent"), "%"),
-    **dict.fromkeys(("hpa", "mbar"), "hPa"),
-    **dict.fromkeys(
-        ("counts", "count", "cnt", "cts", "inc", "ink", "inkremente", "pulses", "steps", "impulse"), "counts"
-    ),
-    **dict.fromkeys(("kg",), "kg"),
-}
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
-_BRACKET = re.compile(r"\s*[\[(]\s*([^\[\]()]{1,14})\s*[\])]\s*")
 _WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
 _AXIS_OF_SHEET = re.compile(
     r"^([XYZABCUVW])\d?$|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b", re.IGNORECASE
 )
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
-_AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
 @dataclass
@@ -110,26 +62,6 @@ def is_word(cell: Cell) -> bool:
     return isinstance(cell, str) and _WORD.match(cell) is not None
 
 
-def unit_of(text: str) -> str | None:
-    """The unit that a text is, or None. Capital Nm is a torque, nm a length."""
-    plain = text.strip().strip(".:")
-    if plain in ("Nm", "N m"):
-        return "N m"
-    return UNITS.get(plain.lower().replace(" ", ""))
-
-
-def split_header(text: str) -> tuple[str, str | None]:
-    """'Abw. [µm]' -> ('Abw.', 'um'); 'pos_mm' -> ('pos', 'mm'); a header without a unit as it is."""
-    text = " ".join(str(text).split())
-    for bracket in reversed(list(_BRACKET.finditer(text))):
-        if (unit := unit_of(bracket.group(1))) is not None:
-            return " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text, unit
-    after = _AFTER.match(text)
-    if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
-        return after.group(1).rstrip(" _/,"), unit
-    return text, None
-
-
 def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     """Header, units and data of a sheet. Raises DataError where there is no block of numbers.
 
@@ -150,6 +82,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, _units_above(rows, start - used, names), strict=True))
     ]
+    names = _merged(names, numbers[start:]) if used else names
     if stated:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
@@ -166,6 +99,23 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
     laid.below = below
     return laid
+
+
+def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
+    """Names with those of cells that were merged over several columns of numbers: `Up`, `Up 2`, `Up 3`, `Down`, ...
+
+    At least two such cells, of one width: else a column without a name is one.
+    """
+    out, width = list(names), Counter[int]()
+    last = -1
+    for i, name in enumerate(names):
+        filled = sum(len(row) > i and row[i] is not None for row in numbers)
+        if name != f"column {i + 1}":
+            last = i
+        elif last >= 0 and filled >= NUMERIC_SHARE * len(numbers):
+            width[last] += 1
+            out[i] = f"{names[last]} {width[last] + 1}"
+    return out if len(width) > 1 and len(set(width.values())) == 1 else names
 
 
 def _axis_of_sheet(name: str) -> list[str]:
@@ -297,9 +247,8 @@ def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], star
     for r in range(start - 1, max(start - 4, -1), -1):
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
-        if (len(words) >= 2 and figures == 0) or (
-            len(words) >= 1 and _is_header(rows[r], numbers, r) and not header_rows
-        ):
+        named = not header_rows and (_is_header(rows[r], numbers, r) if words else _counts_runs(rows[r], numbers, r))
+        if (len(words) >= 2 and figures == 0) or named:
             header_rows.insert(0, r)
         else:
             break
@@ -380,6 +329,8 @@ def _layout(
     for i, text in enumerate(_metres(names)):
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
+        if stated and unit and stated != unit:
+            raise DataError(f"column {header!r}: its name says {unit}, its cells or a line above it {stated}")
         count_of[header] += 1
         if count_of[header] > 1:
             header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
+from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal
 
 DENSE_ROWS = 500  # rows: a log, not a test of targets
@@ -55,6 +58,7 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         return
     x = p.data[place]
     if p.first("direction") is None:
+        _refuse_copied_rows(p, x)
         moves = motion_sides(x)
         if moves is not None and np.unique(moves).size == 2:
             p.put(
@@ -70,6 +74,26 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         p.notes.append(
             "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
         )
+
+
+FEWEST_COPIED = 3  # rows that repeat the rows before: fewer may be equal by chance on a coarse gauge
+
+
+def _refuse_copied_rows(p: Proposal, x: np.ndarray) -> None:
+    """Raise DataError where rows of a run repeat those right above them to the last digit: the motion is not theirs."""
+    run = p.first("run")
+    if run is None:
+        return
+    columns = [np.unique(np.asarray(v, dtype=str), return_inverse=True)[1] for v in p.data.values()]
+    rows = np.stack(columns, axis=1)
+    for shift in range(FEWEST_COPIED, x.size // 2 + 1):
+        same = np.all(rows[shift:] == rows[:-shift], axis=1)
+        for start in np.flatnonzero(same)[:1] if same.sum() >= shift else []:
+            if same[start : start + shift].all() and np.ptp(x[start : start + shift]) > 0:
+                raise DataError(
+                    f"rows {start + shift + 1} to {start + 2 * shift} repeat the {shift} rows above them to the last "
+                    "digit, in one run: copied? (take them out, or give each pass a run of its own)"
+                )
 
 
 def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
@@ -97,11 +121,24 @@ def motion_sides(x: np.ndarray) -> np.ndarray | None:
     return out if turns <= x.size / 3 else None
 
 
+def _visits(x: np.ndarray, way: np.ndarray) -> list[str]:
+    """How often each target was approached from the same side until then, counted from 1."""
+    seen: Counter[tuple[float, float]] = Counter()
+    out = []
+    for pair in zip(np.round(x, 6).tolist(), way.tolist(), strict=True):
+        seen[pair] += 1
+        out.append(str(seen[pair]))
+    return out
+
+
 def sweeps(x: np.ndarray, side: np.ndarray | None) -> list[str]:
     """Labels of the runs: a pass up and a pass down are one run; without a way back each pass is one."""
     way = motion_sides(x) if side is None else side
     if way is None:
         return ["1"] * x.size
+    again = _visits(x, way)
+    if _repeated(x[: x.size // 2], None) and len(set(again)) > 1:
+        return again  # every target several times before the next: the first, second, ... visit of each
     jumps = np.r_[False, np.diff(way) != 0]
     if np.unique(way).size < 2:
         span = np.ptp(x) or 1.0

@@ -17,28 +17,18 @@ from errpipe.importing import settle, wide
 from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
+from errpipe.importing.units import plain_unit, unit_of
 
-# Units of readings which the manifest does not have -> the unit it has, and the factor.
-PLAIN_UNITS = {
-    "inch": ("mm", 25.4),
-    "m": ("mm", 1000.0),
-    "thou": ("mm", 0.0254),
-    "tenths of a thou": ("mm", 0.00254),
-    "1/100 mm": ("mm", 0.01),
-    "cm": ("mm", 10.0),
-    "microinch": ("um", 0.0254),
-    "deg": ("arcsec", 3600.0),
-    "mdeg": ("arcsec", 3.6),
-    "arcmin": ("arcsec", 60.0),
-    "rad": ("mrad", 1000.0),
-}
-PLACES = ("command", "position", "actual")
-_OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,8}|%|°")  # what may be a unit that is not known
+# What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
+_OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
 _NO_UNIT = ("x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
 def propose(layout: Layout, options: ImportOptions) -> Proposal:
     """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
+    for c in layout.columns:
+        unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
+        c.unit = unit_of(unit or "") or unit
     _no_reading(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
     layout.columns = [part for c in guessing.date_and_clock(layout.columns) for part in wide.split_labels(c)]
@@ -50,7 +40,7 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
-        angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in PLACES]
+        angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in settle.PLACES]
         if angles:
             raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
         axis = "X"
@@ -63,16 +53,28 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
 
 
 LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
+FILLED_IN = re.compile(r"9{3,}(\.9+)?|32767|32768|65535|2147483647")  # written where there is no reading
 
 
 def _no_reading(layout: Layout) -> None:
-    """Numbers that no quantity reaches become empty cells, with a note."""
+    """Numbers that no quantity reaches, and -9999 far beyond the others, become empty cells, with a note.
+
+    Raises DataError for a number in brackets: less than zero, as in accounts, or doubtful.
+    """
     for c in layout.columns:
+        doubtful = [x for x in c.cells if isinstance(x, str) and re.fullmatch(r"\(\s*\d[\d.,]*\s*\)", x)]
+        if c.numeric and doubtful:
+            raise DataError(f"column {c.header!r}: {doubtful[0]!r}: below zero, or doubtful? (write -1.5, or nothing)")
         beyond = np.abs(c.values) > LARGEST
+        filled = np.array([FILLED_IN.fullmatch(f"{abs(v):.12g}") is not None for v in c.values])
+        others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])
+        if filled.any() and others.size and np.abs(c.values[filled]).min() > 10.0 * others.max():
+            beyond |= filled
         if beyond.any():
+            first = c.values[np.argmax(beyond)]
             c.cells = [None if out else cell for cell, out in zip(c.cells, beyond, strict=True)]
             c.values = np.where(beyond, np.nan, c.values)
-            layout.notes.append(f"{c.header}: {int(beyond.sum())} values beyond {LARGEST:g} count as no reading")
+            layout.notes.append(f"{c.header}: {int(beyond.sum())} values count as no reading (the first: {first:g})")
 
 
 FACTS = {
@@ -136,7 +138,11 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
 def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
     runs = {c.header for c, _, _ in unfolded.readings} if unfolded is not None else set()
-    named = [g.axis for header, g in guesses.items() if g.axis is not None and g.kind in motion and header not in runs]
+    named = [
+        g.axis
+        for header, g in guesses.items()
+        if g.axis is not None and g.kind in motion and header not in runs and not guessing.is_straightness(header)
+    ]
     return named[0] if named else guessing.axis_above(layout.above)
 
 
@@ -158,7 +164,7 @@ def _long(
         if odd and column.numeric:
             p.notes.append(f"{len(odd)} cells of {column.header!r} are no numbers (the first: {odd[0]!r}): left empty")
         add_column(column, guesses[column.header], axis, options, p)
-    settle.settle_positions(p, axis)
+    settle.settle_positions(p, axis, options)
     settle.finish(p, layout, axis, options)
 
 
@@ -208,7 +214,7 @@ def _wide_readings(
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
     unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
-    values, unit, why = _plain_unit(values, unit, why)
+    values, unit, why = plain_unit(values, unit, why)
     if unit is None:
         unit = settle.unit_by_size(values) if components.unit(component) == "um" else components.unit(component)
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
@@ -255,7 +261,7 @@ def _figures_below(layout: Layout, p: Proposal) -> np.ndarray:
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
     """One column of the file with the role that was guessed."""
     stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
-    unit = stated.get("unit") or c.unit
+    unit = c.unit
     own = stated.get("axis") or g.axis or axis
     why = "" if stated.get("role") else f"{g.kind} by {g.why}"
     if g.kind == "time":
@@ -266,7 +272,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         p.put(c.header, [label(x) for x in _filled_down(c, p).cells], why, role=g.kind, of=stated.get("of"))
     elif g.kind in ("command", "position", "actual"):
         unit, why = _unit_or(_known_unit(c, unit), "deg" if own[0] in "ABC" else "mm", why)
-        values, unit, why = _plain_unit(c.values, unit, why, ROLE_UNITS[g.kind])
+        values, unit, why = plain_unit(c.values, unit, why, ROLE_UNITS[g.kind])
         p.put(c.header, values, why, role=g.kind, axis=own, unit=unit)
     elif g.kind == "counts":
         _counts(c, own, why, options, p)
@@ -302,7 +308,7 @@ def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
 
 def _known_unit(c: RawColumn, unit: str | None) -> str | None:
     """The unit of a column, or None. Raises DataError where its header has another one in brackets."""
-    found = re.search(r"[\[(]\s*([^\[\]()]{1,8}?)\s*[\])]", c.header)
+    found = re.search(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]", c.header)
     odd = found if unit is None and found and _OTHER_UNIT.fullmatch(found.group(1)) else None
     word = RawColumn(odd.group(1), None, c.cells, c.values) if odd else c
     sided = len(word.header) > 1 and guessing.side(word.header) is not None
@@ -313,16 +319,6 @@ def _known_unit(c: RawColumn, unit: str | None) -> str | None:
             f"say it with --set '{c.header}.unit=...'"
         )
     return unit
-
-
-def _plain_unit(
-    values: np.ndarray, unit: str | None, why: str, allowed: tuple[str, ...] = ()
-) -> tuple[np.ndarray, str | None, str]:
-    """Values in a unit that the manifest has, that unit, and the reason with what was converted."""
-    if unit not in PLAIN_UNITS or unit in allowed:
-        return values, unit, why
-    plain, factor = PLAIN_UNITS[unit]
-    return values * factor, plain, f"{why}; {unit} written as {plain}"
 
 
 def _unit_or(unit: str | None, usual: str, why: str) -> tuple[str, str]:
@@ -384,6 +380,9 @@ def _response(
     c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, moved: str, p: Proposal
 ) -> None:
     """An error or simulated column; inches are converted, a missing unit is judged by the size of the readings."""
+    magnitude = re.search(r"^\|.*\||\b(abs(olute|olut\w*)?|magnitude|betrag)\b", c.header, re.IGNORECASE)
+    if magnitude and not np.any(c.values < 0):
+        raise DataError(f"column {c.header!r} may hold sizes without their sign (if not: rename it, or --set its role)")
     if component is None:
         component = guessing.other_component(c.header, moved)
         why += f"; component {component} from the name and the axis {moved}" if component else ""
@@ -391,7 +390,7 @@ def _response(
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
     standard = components.unit(component)
-    values, unit, why = _plain_unit(c.values, _known_unit(c, unit), why)
+    values, unit, why = plain_unit(c.values, _known_unit(c, unit), why)
     if unit is None:
         unit = standard if standard != "um" else settle.unit_by_size(values)
         why += f"; no unit is stated, taken as {unit} by the size of the readings"

@@ -35,6 +35,7 @@ class Proposal:
     guesses: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)  # of the set-up, from the lines above the table
+    names: dict[str, str] = field(default_factory=dict)  # what a column is called in the file -> here
 
     @property
     def rows(self) -> int:
@@ -48,6 +49,7 @@ class Proposal:
         unique = base
         while unique in self.entries:
             unique, n = f"{base}_{n}", n + 1
+        self.names.setdefault(name, unique)
         self.entries[unique] = {k: v for k, v in entry.items() if v is not None}
         if values is not None:
             self.data[unique] = values

@@ -16,17 +16,19 @@ from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import order, words
 from errpipe.importing.layout import Layout, RawColumn
-from errpipe.importing.proposed import ImportOptions, Proposal, slug
+from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.units import plain_unit, split_header
 
+PLACES = ("command", "position", "actual")
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
 SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
 
 
-def settle_positions(p: Proposal, axis: str) -> None:
+def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
     """Roles of positions: beside a command the other one is actual; alone a target is the position."""
     leave_numbers(p)
     one_of_each(p)
-    deviations_as_errors(p)
+    deviations_as_errors(p, options)
     axes = {e["axis"] for e in p.entries.values() if e["role"] in ("command", "position", "actual")}
     errors = [e for e in p.entries.values() if e["role"] == "error"]
     for letter in sorted(axes):
@@ -46,13 +48,38 @@ def settle_positions(p: Proposal, axis: str) -> None:
 def unit_by_size(values: np.ndarray) -> str:
     """um or mm: readings that are all below 0.1 are mm (0.1 um are no error of an axis), those that reach 1 are um.
 
-    Raises DataError between the two.
+    Raises DataError between the two, and for whole numbers, which may be steps of a gauge.
     """
     size = np.abs(values[np.isfinite(values)])
     most = float(size.max()) if size.size else 0.0
     if 0.1 <= most < 1.0:
         raise DataError(f"the readings reach {most:.3g} and no unit is stated: um or mm? Say it with --unit")
+    if most >= 1.0 and np.array_equal(size, np.round(size)):
+        raise DataError(
+            f"the readings are whole numbers up to {most:g} and no unit is stated: um, or the steps of a gauge? "
+            "Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+        )
     return "mm" if most < 0.1 else "um"
+
+
+NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
+
+
+def settle_units(p: Proposal, layout: Layout) -> None:
+    """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file."""
+    stated = {c.unit or "" for c in layout.columns} | {split_header(line)[1] or "" for line in layout.above}
+    inches = any(u.endswith("inch") for u in stated)
+    metric = any(u.endswith(("um", "mm", "nm")) or u in ("m", "cm", "urad", "arcsec") for u in stated)
+    for name, why in p.guesses.items():
+        entry = p.entries[name]
+        if "no unit is stated" not in why or entry.get("unit") not in ("mm", "um"):
+            continue
+        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < NARROW
+        if inches or (narrow and not metric):
+            raise DataError(
+                f"no unit is stated for {name!r}, and it may be inches: say it, with "
+                f"--set {name}.unit={entry['unit']} (or inch)"
+            )
 
 
 _BESIDE_THE_MACHINE = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
@@ -69,9 +96,10 @@ def one_of_each(p: Proposal) -> None:
             measured = [n for n in names if _BESIDE_THE_MACHINE.search(n)]
             if len(names) < 2:
                 continue
-            kept = measured[0] if role == "actual" and len(measured) == 1 else names[0]
+            beside = role == "actual" and len(measured) == 1
+            kept = measured[0] if beside else names[0]
             for name in [n for n in names if n != kept]:
-                if kept not in measured and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
+                if not beside and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
                     raise DataError(
                         f"columns {kept!r} and {name!r} both hold {role} positions of {letter}: say which is meant, "
                         f"with --set {name}.role=ignore (or command, actual)"
@@ -80,24 +108,35 @@ def one_of_each(p: Proposal) -> None:
                 p.guesses[name] = f"beside {kept}, which is the {role} position"
 
 
-def deviations_as_errors(p: Proposal) -> None:
-    """Readings that do not rise with the command are deviations: a dial that is set to nothing at every target."""
+def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
+    """Readings that do not rise with the command are deviations: a dial that is set to nothing at every target.
+
+    Raises DataError where readings without a unit are neither positions nor deviations in mm.
+    """
     if any(e["role"] == "error" for e in p.entries.values()):
         return
     for name in [n for n, e in p.entries.items() if e["role"] == "actual" and n in p.data]:
         entry = p.entries[name]
         command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
-        if command not in p.data or entry.get("unit") not in ("mm", "um"):
-            continue
-        slope = _slope(_canonical(p, command), _canonical(p, name))
-        if slope is None or abs(slope) > ABSOLUTE or not np.ptp(p.data[name]):
+        if command not in p.data or entry.get("unit") not in ("mm", "um", "inch"):
             continue
         component, why = components.positioning(entry["axis"]), p.guesses.get(name, "")
-        unit = unit_by_size(p.data[name]) if "no unit is stated" in why else entry["unit"]
+        guessed = "no unit is stated" in why
+        if guessed and options.unit is not None:
+            p.data[name], entry["unit"], guessed = *plain_unit(p.data[name], options.unit, "")[:2], False
+            why = f"{why.split('; no unit')[0]}; unit by --unit"
+        slope = _slope(_canonical(p, command), _canonical(p, name))
+        if guessed and slope is not None and abs(slope) > ABSOLUTE and abs(abs(slope) - 1.0) > ABSOLUTE:
+            raise DataError(
+                f"{name!r} changes by {slope:.3g} for each mm of {command!r} and has "
+                "no unit: say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+            )
+        if slope is None or abs(slope) > ABSOLUTE or not np.ptp(p.data[name]):
+            continue
+        unit = unit_by_size(p.data[name]) if guessed else entry["unit"]
+        p.data[name], unit, _ = plain_unit(p.data[name], unit, "")
         p.entries[name] = {"role": "error", "component": component, "unit": unit, "_axis": entry["axis"]}
-        p.guesses[name] = f"{why.split('; no unit')[0]}; it does not rise with {command}: deviations in {unit}".strip(
-            "; "
-        )
+        p.guesses[name] = f"{why}; it does not rise with {command}: deviations in {unit}".strip("; ")
 
 
 def leave_numbers(p: Proposal) -> None:
@@ -127,6 +166,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note)
         )
+    settle_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
@@ -154,7 +194,7 @@ def _found(p: Proposal, name: str) -> str:
 
 def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
     """Whether a column that nothing was made of has a unit of length and many values."""
-    left_out = p.entries.get(slug(c.header), {}).get("role") == "ignore"
+    left_out = p.entries.get(p.names.get(c.header, ""), {}).get("role") == "ignore"
     return (
         left_out
         and c.unit in ("mm", "m", "inch", "um", "deg", "rad")
@@ -287,7 +327,16 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
     """error = actual - commanded, where both are recorded and no error column is."""
     if any(e["role"] == "error" for e in p.entries.values()):
         return
-    for letter in dict.fromkeys([axis, *(e["axis"] for e in p.entries.values() if e.get("axis"))]):
+    letters = list(dict.fromkeys([axis, *(e["axis"] for e in p.entries.values() if e.get("axis"))]))
+    moving = [a for a in letters if (c := p.first("command", a)) in p.data and np.ptp(p.data[c]) > 0]
+    if options.axis is not None:
+        letters = [options.axis]
+    elif len(moving) > 1 and p.rows < order.DENSE_ROWS:
+        raise DataError(
+            f"axes {', '.join(moving)} move together, and no column holds deviations: a cloud of points is a recording "
+            f"for `identify` (docs/recordings.md); --axis {moving[0]} imports that axis alone"
+        )
+    for letter in letters:
         command = p.first("command", letter)
         actual = p.first("actual", letter) or (p.first("position", letter) if command else None)
         command = command or (p.first("position", letter) if actual else None)

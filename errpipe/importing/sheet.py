@@ -10,9 +10,11 @@ from errpipe.errors import DataError
 
 Cell = str | float | None
 MOST_CELLS = 12_000_000  # about 1 GB of Python objects at 80 bytes each would be 12 million
-MINUS = str.maketrans({"−": "-", "–": "-", "\u00a0": "", "\u202f": "", "\u2009": ""})
-_PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+MINUS = str.maketrans(
+    {"−": "-", "–": "-", "－": "-", "＋": "+", "．": ".", "，": ",", "\u00a0": "", "\u202f": "", "\u2009": ""}
+)
+_PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")  # D: the exponent of Fortran
+_COMMA = re.compile(r"[+-]?\d*,\d+([eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
 _GROUPED_BY_MARKS = re.compile(r"[+-]?\d{1,3}(['’]\d{3})+([.,]\d+)?")
 _MINUS_BEHIND = re.compile(r"[\d.,]*[.,]\d+-")
@@ -72,7 +74,7 @@ def number(cell: Any, comma: bool) -> float | None:
         text = text.replace(".", "").replace(",", ".")
     elif not comma and _GROUPED_BY_COMMAS.fullmatch(text):
         text = text.replace(",", "")
-    return float(text) if _PLAIN.fullmatch(text) else None
+    return float(text.upper().replace("D", "E")) if _PLAIN.fullmatch(text) else None
 
 
 def of_one_mark(cells: list[Cell], comma: bool) -> list[Cell]:

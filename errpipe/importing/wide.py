@@ -8,18 +8,21 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing.layout import Layout, RawColumn, unit_of
+from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
+from errpipe.importing.units import unit_of
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
+_INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
-    r"|max\w*|min\w*|sum\w*|[smrb](?= |$)|\d ?s(igma)?|standard\w*"
+    r"|max\w*|min\w*|sum\w*|[smrb](?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
+UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 
@@ -42,7 +45,7 @@ class Wide:
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
     """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
-    if _NO_NAME.fullmatch(header):
+    if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):
         return None, None
     numbered = _RUN_AND_LETTER.fullmatch(guessing.plain(header))
     if numbered and (way := guessing.side(numbered.group(2))) is not None:
@@ -108,7 +111,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
 
 def statistic(name: str) -> bool:
     """Whether a header or the name of a row is that of a figure over the runs: a mean, a standard deviation."""
-    return _STATISTIC.search(guessing.plain(name)) is not None
+    return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
 
 
 def _rises(c: RawColumn) -> bool:
@@ -191,10 +194,11 @@ def _place(header: str) -> float | None:
 
 
 def unit_above(lines: list[str]) -> str | None:
-    """The unit of the readings that the lines above the table name."""
-    for line in lines:
-        if re.search(r"(unit|einheit|abweich|deviation|error|fehler|reading)", line, re.IGNORECASE):
-            for word in re.split(r"[\s\[\]():;,=]+", line)[::-1]:
-                if unit_of(word) in ("um", "mm", "inch", "thou", "nm", "urad", "arcsec"):
-                    return unit_of(word)
+    """The unit of the readings that the lines above the table name: of a line on readings, else of one on units."""
+    for words in (r"(abweich|deviation|error|fehler|reading|ecart)", r"(unit|einheit)"):
+        for line in map(guessing.plain, lines):
+            if re.search(words, line) and not re.search(r"(target|position|soll|ziel|nominal|temp)", line):
+                for word in re.split(r"[\s\[\]():;,=]+", line)[::-1]:
+                    if unit_of(word) in UNITS_OF_READINGS:
+                        return unit_of(word)
     return None

@@ -21,6 +21,7 @@ _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apre
 # What headers are called -> what they hold. The first pattern that fits wins.
 WORDS: tuple[tuple[str, str], ...] = (
     (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
+    (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
     (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|時刻|時間|时间|日時)", "time"),
     (r"^(t|ts|sec|sek|x value)$", "time"),
     (r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)", "temperature"),
@@ -29,7 +30,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数",
         "run",
     ),
-    (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc)", "counts"),
+    (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
     (r"(torque|drehmoment|moment)", "torque"),
     (r"(current|strom|\biq\b|\bi q\b|ampere)", "current"),
     (r"(force|kraft)", "force"),

@@ -173,8 +173,9 @@ def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path])
         from errpipe.importing.proposed import slug
 
         name = slug(written_name)
-        if name in columns:
-            columns[name] |= {k: v for k, v in keys.items() if k in ("unit", "axis", "component", "location", "of")}
+        if name in columns:  # the unit of a column of the file was said before its numbers were read
+            keep = ("axis", "component", "location", "of", *(("unit",) if name not in proposal.names.values() else ()))
+            columns[name] |= {k: v for k, v in keys.items() if k in keep}
     facts = dict(proposal.facts)
     machine = options.machine or facts.pop("machine", "")
     document: dict[str, Any] = {"recording": 1, "title": title, "machine": machine, "tables": [TABLE]}
@@ -266,6 +267,7 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
 def options_of(**said: Any) -> ImportOptions:
     """Options of the command line. Raises UsageError for a `--set` that is not COLUMN.key=value."""
     from errpipe.importing.proposed import ImportOptions
+    from errpipe.importing.units import unit_of
 
     sets: dict[str, dict[str, str]] = {}
     keys = ("role", "unit", "axis", "component", "location", "of")
@@ -275,6 +277,8 @@ def options_of(**said: Any) -> ImportOptions:
         if not equals or not dot or not name or key not in keys:
             raise UsageError(f"--set {text}: not of the form COLUMN.key=value (keys: {', '.join(keys)})")
         sets.setdefault(name, {})[key] = value.strip()
+    if unit := unit_of(said.get("unit") or ""):
+        said["unit"] = unit
     options = ImportOptions(**said, sets=sets)
     if options.component is not None:
         from errpipe.domain import components

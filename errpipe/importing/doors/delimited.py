@@ -54,7 +54,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     if separator == " ":
         cells: Iterable[list[Cell]] = _by_blanks(path, lines)
     else:
-        cells = ([cell.strip() or None for cell in row] for row in csv.reader(lines, delimiter=separator))
+        cells = ([_bare(cell) for cell in row] for row in csv.reader(lines, delimiter=separator))
     try:
         rows = _bounded(cells, path)
     except csv.Error as err:
@@ -81,6 +81,12 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
             if r < first and not any(map(_figure, row)):
                 row = _names_with_blanks(line, width)
         yield row
+
+
+def _bare(cell: str) -> Cell:
+    """A cell without blanks around it, and without the formula that keeps a number as text: `="12,5"`."""
+    text = cell.strip()
+    return re.sub(r"^=(\"?)(.*)\1$", r"\2", text) or None
 
 
 def _figure(word: Cell) -> bool:

@@ -236,12 +236,12 @@ def test_matrices_beside_the_targets(tmp_path: Path) -> None:
     holds_the_truth(imported(tmp_path, tmp_path / "f.mat"))
 
 
-def test_cells_that_are_no_numbers_are_named(tmp_path: Path) -> None:
-    """`(5.2)` may be a negative number or a doubtful one: it is left empty and said."""
+def test_numbers_in_brackets_are_asked_about(tmp_path: Path) -> None:
+    """`(5.2)` may be a negative number or a doubtful one: left empty, the errors below zero would be missing."""
     text = long("Run;Target [mm];Deviation [um]", lambda r, x, s, d: f"{r};{x};{d if d > -1 else f'({-d})'}")
     (tmp_path / "f.csv").write_text(text)
-    assert np.isnan(imported(tmp_path, tmp_path / "f.csv").array("Deviation")).any()
-    assert "are no numbers" in (tmp_path / "rec" / "recording.yaml").read_text()
+    with pytest.raises(DataError, match="below zero, or doubtful"):
+        imported(tmp_path, tmp_path / "f.csv")
 
 
 def test_two_errors_of_one_component_are_refused(tmp_path: Path) -> None:

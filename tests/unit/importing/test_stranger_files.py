@@ -154,7 +154,7 @@ def test_a_number_that_says_no_reading_is_an_empty_cell(tmp_path: Path, capsys: 
     rows = long_table("run;target [mm];error [um]", lambda r, x, s, d: f"{r};{x};{9.91e37 if x == TARGETS[2] else d}")
     (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
     assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes"]) == 0
-    assert "values beyond 1e+30 count as no reading" in capsys.readouterr().out
+    assert "6 values count as no reading (the first: 9.91e+37)" in capsys.readouterr().out
     assert "e+37" not in (tmp_path / "rec" / "recording.csv").read_text()
 
 

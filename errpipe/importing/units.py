@@ -1,0 +1,110 @@
+"""Units as files write them: in headers, in brackets, behind numbers; also those that a manifest does not have."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+# How units are written -> how the manifest writes them. Lower case, blanks removed.
+UNITS = {
+    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "mikrometer", "micrometer", "micrometers"), "um"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre"), "mm"),
+    **dict.fromkeys(("m", "meter", "metre"), "m"),
+    **dict.fromkeys(("nm", "nanometer"), "nm"),
+    **dict.fromkeys(("in", "inch", "inches", "zoll", '"'), "inch"),
+    **dict.fromkeys(("mil", "mils", "thou", "thous"), "0.001 inch"),
+    **dict.fromkeys(("tenth", "tenths"), "0.0001 inch"),
+    **dict.fromkeys(("hundredths", "hundertstel", "hundertstelmm"), "0.01 mm"),
+    **dict.fromkeys(("tausendstel",), "0.001 mm"),
+    **dict.fromkeys(("°c", "degc", "c", "celsius", "grad c", "℃", "gradc"), "degC"),
+    **dict.fromkeys(("°f", "degf", "fahrenheit", "℉"), "degF"),
+    **dict.fromkeys(("k", "kelvin"), "K"),
+    **dict.fromkeys(("s", "sec", "sek", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec"), "ms"),
+    **dict.fromkeys(("us", "µs", "μs"), "us"),
+    **dict.fromkeys(("min", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("h", "hours", "std"), "h"),
+    **dict.fromkeys(("cm",), "cm"),
+    **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches"), "microinch"),
+    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
+    **dict.fromkeys(("mdeg", "m°"), "mdeg"),
+    **dict.fromkeys(("arcmin",), "arcmin"),
+    **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
+    **dict.fromkeys(("mrad",), "mrad"),
+    **dict.fromkeys(("rad",), "rad"),
+    **dict.fromkeys(("arcsec", "″", "''", "asec"), "arcsec"),
+    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
+    **dict.fromkeys(("ma",), "mA"),
+    **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
+    **dict.fromkeys(("n", "newton"), "N"),
+    **dict.fromkeys(("kn",), "kN"),
+    **dict.fromkeys(("rpm", "1/min", "u/min", "rev/min", "min-1"), "rpm"),
+    **dict.fromkeys(("mm/min",), "mm/min"),
+    **dict.fromkeys(("m/min",), "m/min"),
+    **dict.fromkeys(("mm/s",), "mm/s"),
+    **dict.fromkeys(("m/s",), "m/s"),
+    **dict.fromkeys(("mm/s2", "mm/s²", "mm/s^2"), "mm/s2"),
+    **dict.fromkeys(("m/s2", "m/s²"), "m/s2"),
+    **dict.fromkeys(("%", "%rh", "percent"), "%"),
+    **dict.fromkeys(("hpa", "mbar"), "hPa"),
+    **dict.fromkeys(
+        ("counts", "count", "cnt", "cts", "inc", "ink", "inkremente", "pulses", "steps", "impulse"), "counts"
+    ),
+    **dict.fromkeys(("kg",), "kg"),
+}
+
+
+# A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
+_PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0[.,]0*1))[x×*·]?([a-zµμ\"]+)")
+_BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
+_AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
+
+
+def unit_of(text: str) -> str | None:
+    """The unit that a text is, or None. Capital Nm is a torque, nm a length; a part of a length is `0.1 um`."""
+    plain = text.strip().strip(".:")
+    if plain in ("Nm", "N m"):
+        return "N m"
+    word = plain.lower().replace(" ", "")
+    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch"):
+        return UNITS.get(word)
+    zeros = part[1].count("0") if part[1] else int(part[2]) if part[2] else part[3].count("0")
+    return f"0.{'1':0>{zeros}} {base}"
+
+
+def split_header(text: str) -> tuple[str, str | None]:
+    """'Abw. [µm]' -> ('Abw.', 'um'); 'pos_mm' -> ('pos', 'mm'); a header without a unit as it is."""
+    text = " ".join(str(text).split())
+    for bracket in reversed(list(_BRACKET.finditer(text))):
+        if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
+            return " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text, unit
+    after = _AFTER.match(text)
+    if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
+        return after.group(1).rstrip(" _/,"), unit
+    return text, None
+
+
+# Units of readings which the manifest does not have -> the unit it has, and the factor.
+PLAIN_UNITS = {
+    "inch": ("mm", 25.4),
+    "m": ("mm", 1000.0),
+    "cm": ("mm", 10.0),
+    "microinch": ("um", 0.0254),
+    "deg": ("arcsec", 3600.0),
+    "mdeg": ("arcsec", 3.6),
+    "arcmin": ("arcsec", 60.0),
+    "rad": ("mrad", 1000.0),
+}
+
+
+def plain_unit(
+    values: np.ndarray, unit: str | None, why: str, allowed: tuple[str, ...] = ()
+) -> tuple[np.ndarray, str | None, str]:
+    """Values in a unit that the manifest has, that unit, and the reason with what was converted."""
+    part, _, of = (unit or "").partition(" ")
+    if unit in allowed or not (unit in PLAIN_UNITS or (part.startswith("0.") and of)):
+        return values, unit, why
+    plain, factor = PLAIN_UNITS.get(of or unit or "", (of, 1.0))
+    factor *= float(part) if of else 1.0
+    return values * factor, plain, f"{why}; {unit} written as {plain}"
