@@ -214,6 +214,28 @@ def test_an_entrant_that_does_not_carry_over_to_another_season_is_out() -> None:
     assert mixture(fickle, (runs, seasons)) == {"good"}
 
 
+def test_surroundings_that_contradict_each_other_leave_the_least_regretted() -> None:
+    """Each entrant is three times worse than another one in one of two groupings; nobody is worse than nothing."""
+    rng = np.random.default_rng(8)
+    group = np.repeat(np.arange(8), 50)
+    truth = np.tile(np.linspace(0, 20, 50), 8)
+    noise = rng.normal(0, 1.0, 400)
+    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
+    seasons = thermal_competition.Grouping("season", ((0, 1, 2, 3), (4, 5, 6, 7)))
+    warmth = thermal_competition.Grouping("warmth", ((0, 2, 4, 6), (1, 3, 5, 7)))
+
+    def by(in_season: float, in_warmth: float):
+        def predict(groups):
+            size = 1.0 if len(groups) == 7 else in_season if set(groups) in ({0, 1, 2, 3}, {4, 5, 6, 7}) else in_warmth
+            return truth + size * noise
+
+        return thermal_competition.Entrant(f"{in_season}", f"{in_season}", predict, lambda groups: ())
+
+    rivals = [by(1.0, 4.0), by(2.5, 1.0)]
+    found = thermal_competition.compete(rivals, (runs, seasons, warmth), truth, np.ones(400, bool), group)
+    assert [e.family for e, _ in found.weights] == ["2.5"]
+
+
 def test_an_entrant_that_helps_by_chance_does_not_join() -> None:
     """Six families of pure noise, the best of five settings each: what they get all together."""
     rng = np.random.default_rng(6)
