@@ -138,16 +138,64 @@ def push() -> Known:
     return Known(_sheet(data, specs, "E_X", "um", None), "E_X", "cutting_compliance", 25.0, "um/kN", powers)
 
 
+def wear() -> Known:
+    """Five tools, the counter of the length cut runs on: 8 um of wear after 120 m, beside a known swing of the room."""
+    rng = np.random.default_rng(16)
+    k, cut = np.arange(300), np.cumsum(rng.uniform(1, 3, 300))
+    tool = k // 60
+    own = cut - np.r_[0.0, cut][tool * 60]
+    room = 20 + 1.5 * np.sin(k / 40)
+    model = 2 * (room - 20)
+    data = {"run": np.array([f"tool {i}" for i in tool]), "t": 40.0 * k, "L": cut.round(3), "T_room": room.round(4)}
+    data["deviation"] = (model + 8 * own / 120 + 0.6 * rng.normal(size=300)).round(5)
+    data["model"] = model.round(5)
+    specs = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "L": {"role": "cut_length", "unit": "m"},
+        "T_room": {"role": "temperature", "unit": "degC", "location": "room air"},
+    }
+    longest = max(float(own[tool == i].max()) for i in range(5))
+    return Known(_sheet(data, specs, "E_D", "um", None), "E_D", "tool_wear", 8 * longest / 120, "um", (1, 0, 0, 0, 0))
+
+
+def expansion() -> Known:
+    """A scale that grows by 12 um/m/K with its nut's temperature, read at 40 places in both directions."""
+    rng = np.random.default_rng(17)
+    x = np.tile(np.r_[np.linspace(5, 795, 20), np.linspace(795, 5, 20)], 9)
+    t = 15.0 * np.arange(x.size) + 600.0 * (np.arange(x.size) // 120)
+    nut = 20 + 8 * (1 - np.exp(-t / 2500)) + 0.4 * np.sin(t / 700)
+    side = np.tile(np.repeat([1, -1], 20), 9)
+    data = {"run": np.repeat(["1", "2", "3"], 120), "t": t, "x": x.round(4), "dir": side, "T_nut": nut.round(4)}
+    data["deviation"] = (3 * side + 12e-3 * x * (nut - 20) + 0.8 * rng.normal(size=x.size)).round(5)
+    data["model"] = 3.0 * side
+    specs = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "dir": {"role": "direction", "axis": "X"},
+        "T_nut": {"role": "temperature", "unit": "degC", "location": "ball-screw nut"},
+    }
+    axis = {"role": "axis", "kind": "linear", "travel": [0.0, 800.0], "unit": "mm"}
+    powers = (1, -1, 0, -1, 0)
+    return Known(_sheet(data, specs, "EXX", "um", axis), "EXX", "scale_expansion", 12.0, "um/m/K", powers)
+
+
 CASES: dict[str, Callable[[], Known]] = {
     "wave": wave,
     "lost motion": lost_motion,
     "lag": lag,
     "friction": friction,
     "push": push,
+    "wear": wear,
+    "expansion": expansion,
 }
 
 
 # ---------------------------------------------------------------- what may be done to them
+WITHOUT_AXIS = ("thermal_lag", "cutting_compliance", "tool_wear")
+
+
 def _with(known: Known, values: dict[str, np.ndarray], **more) -> Known:
     return replace(known, sheet=replace(known.sheet, table=known.sheet.table.assign(**values), **more))
 
@@ -174,7 +222,7 @@ def positions(factor: float) -> Change:
             values |= {n: -known.sheet.values(n).astype(int) for n in _columns(known, "direction")}
         return _with(known, values, constants=_axis_times(known, factor))
 
-    return Change(apply, (1, 1, 1, abs(factor), 1), ("thermal_lag", "cutting_compliance"))
+    return Change(apply, (1, 1, 1, abs(factor), 1), WITHOUT_AXIS)
 
 
 def times(factor: float) -> Change:
@@ -205,7 +253,8 @@ def temperatures(factor: float) -> Change:
         names = _columns(known, "temperature")
         return _with(known, {n: 20 + (known.sheet.values(n) - 20) * factor for n in names})
 
-    return Change(apply, (1, factor, 1, 1, 1), ("pitch_cyclic", "backlash", "coulomb_friction", "cutting_compliance"))
+    without = ("pitch_cyclic", "backlash", "coulomb_friction", "cutting_compliance", "tool_wear")
+    return Change(apply, (1, factor, 1, 1, 1), without)
 
 
 def forces(factor: float) -> Change:
@@ -267,13 +316,40 @@ def _torque(known: Known) -> Known:
     return replace(rotary, unit="N m", sheet=replace(rotary.sheet, columns=columns))
 
 
-def _runs_reordered(known: Known) -> Known:
-    """The runs stand in the table in another order."""
-    runs = known.sheet.runs()
-    labels = list(dict.fromkeys(runs.tolist()))
-    rows = np.concatenate([np.flatnonzero(runs == r) for r in [*labels[1:], labels[0]]])
-    table = known.sheet.table.iloc[rows].reset_index(drop=True)
-    return replace(known, sheet=replace(known.sheet, table=table))
+def _runs_in(order: Callable[[list], list]) -> Callable[[Known], Known]:
+    """The runs stand in the table in another order; their times say which came first."""
+
+    def apply(known: Known) -> Known:
+        runs = known.sheet.runs()
+        labels = order(list(dict.fromkeys(runs.tolist())))
+        table = known.sheet.table.iloc[np.concatenate([np.flatnonzero(runs == r) for r in labels])]
+        return replace(known, sheet=replace(known.sheet, table=table.reset_index(drop=True)))
+
+    return apply
+
+
+# role -> other unit, and what a value is multiplied by and moved by
+OTHER_UNITS = {
+    "time": ("min", 1 / 60, 0.0),
+    "position": ("m", 1e-3, 0.0),
+    "velocity": ("m/min", 0.06, 0.0),
+    "acceleration": ("m/s2", 1e-3, 0.0),
+    "temperature": ("degF", 1.8, 32.0),
+    "force": ("kN", 1e-3, 0.0),
+    "cut_length": ("km", 1e-3, 0.0),
+}
+
+
+def _other_units(known: Known) -> Known:
+    """The same columns in other units; deviations in mm, drive forces in kN."""
+    columns, values = {}, {}
+    for n, spec in known.sheet.columns.items():
+        unit, factor, zero = OTHER_UNITS.get(spec["role"], (spec.get("unit"), 1.0, 0.0))
+        if "component" in spec:
+            unit, factor = ("mm", 1e-3) if known.unit != "N" else ("kN", 1e-3)
+        columns[n] = {**spec, "unit": unit} if "unit" in spec else spec
+        values[n] = known.sheet.values(n) * factor + zero if "unit" in spec else known.sheet.table[n]
+    return replace(known, sheet=replace(known.sheet, columns=columns, table=known.sheet.table.assign(**values)))
 
 
 def _columns_renamed(known: Known) -> Known:
@@ -302,10 +378,12 @@ CHANGES: dict[str, Change] = {
     "forces 1e-3": forces(1e-3),
     "forces 1e3": forces(1e3),
     "shifted": Change(_shifted),
-    "axis Y": Change(_other_axis, not_for=("thermal_lag",)),
-    "axis C": Change(_rotary_axis, not_for=("thermal_lag", "cutting_compliance")),
-    "torque in N m": Change(_torque, not_for=("thermal_lag", "pitch_cyclic", "backlash", "cutting_compliance")),
-    "runs reordered": Change(_runs_reordered, not_for=("coulomb_friction",)),
+    "axis Y": Change(_other_axis, not_for=("thermal_lag", "tool_wear")),
+    "axis C": Change(_rotary_axis, not_for=(*WITHOUT_AXIS, "scale_expansion")),  # a rotary axis has no metres
+    "torque in N m": Change(_torque, not_for=tuple(m().effect for m in CASES.values() if m is not friction)),
+    "runs reordered": Change(_runs_in(lambda labels: [*labels[1:], labels[0]]), not_for=("coulomb_friction",)),
+    "runs backwards": Change(_runs_in(lambda labels: labels[::-1]), not_for=("coulomb_friction",)),
+    "other units": Change(_other_units),
     "columns renamed": Change(_columns_renamed),
     "rows thinned": Change(_thinned),
 }

@@ -8,7 +8,7 @@ import pytest
 from errpipe.diagnosis import diagnose
 from errpipe.kernels import responses
 
-from .machines import axis, spindle, trace
+from .machines import axis, recording, spindle, trace
 
 
 def growth(columns):
@@ -100,6 +100,27 @@ def test_what_no_effect_carries_is_not_given_a_name_with_confidence():
     assert response.verdict in ("unexplained", "missing_physics")
     assert response.verdict == "unexplained" or response.findings[0].effect == "unknown"
     assert all(f.confidence < 0.8 for f in response.findings if f.effect not in ("unknown", "recalibration"))
+
+
+@pytest.mark.slow
+def test_coolant_that_acts_between_two_rows_is_named():
+    """Rows every three minutes, a time constant of some seconds: no lag to be seen, and no reason to rule it out."""
+    rng = np.random.default_rng(3)
+    t, flows = 180.0 * np.arange(320), np.repeat(rng.integers(0, 2, 40), 8)
+    room = 20 + 1.5 * np.sin(t / 9000)
+    columns = {"t": t, "flows": flows, "T_room": room, "S": 2 * (room - 20)}
+    columns["E"] = columns["S"] + 6.0 * flows + 1.5 * rng.normal(size=t.size)
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "flows": {"role": "coolant"},
+        "T_room": {"role": "temperature", "unit": "degC", "location": "room"},
+        "E": {"role": "error", "component": "E_X", "unit": "um"},
+        "S": {"role": "simulated", "component": "E_X", "unit": "um"},
+    }
+    first = diagnose(recording(columns, kinds))[0].responses[0].findings[0]
+    assert first.effect == "coolant_effect" and first.confidence > 0.6
+    (shift,) = (p for p in first.parameters if p.name == "shift")
+    assert shift.ci95[0] < 6.0 < shift.ci95[1]
 
 
 def test_equal_input_gives_equal_findings():

@@ -51,6 +51,22 @@ def test_a_wave_beside_another_one_that_the_simulation_holds():
     assert {p.name: p.value for p in said.findings[0].parameters}["period"] == pytest.approx(180.0)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("turns", [6.3, 9.1])
+def test_a_wave_of_one_pass_of_75_places_is_no_noise(turns):
+    """Nor does what departs from its textbook form, which fits nothing here, make it dearer than noise that swings."""
+    rng = np.random.default_rng(7)
+    x = np.linspace(0, 200, 75) + rng.uniform(-0.8, 0.8, 75)
+    known = 0.3 * np.sin(x / 60)
+    columns = {"p": x, "S": known, "E": known + 2 * np.sin(2 * np.pi * turns * x / 200) + 0.7 * rng.normal(size=75)}
+    kinds = {"p": {"role": "position", "axis": "X", "unit": "mm"}}
+    kinds |= {n: {"role": r, "component": "EXX", "unit": "um"} for n, r in (("E", "error"), ("S", "simulated"))}
+    axis = {"X": {"role": "axis", "kind": "linear", "unit": "mm"}}
+    first = diagnose(recording(columns, kinds, axis))[0].responses[0].findings[0]
+    assert first.effect == "pitch_cyclic"
+    assert {p.name: p.value for p in first.parameters}["period"] == pytest.approx(200 / turns, rel=0.03)
+
+
 def one_pass(component: str, unit: str, hidden, constants: dict | None = None, passes: int = 1, **more):
     """Passes of one axis one way, 0.2 s a row, with the deviation `hidden` of (position, temperature); the simulation
     holds nothing."""
