@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from errpipe.diagnosis import unnamed
 from errpipe.diagnosis.against import clustered
@@ -26,7 +25,7 @@ from errpipe.diagnosis.hypotheses import folds
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.kernels import responses
+from errpipe.kernels import noise, responses
 from errpipe.terms import resolved_times
 
 MOST_TERMS = 3
@@ -140,7 +139,7 @@ def _coloured_noise(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     slow = float(np.clip(lag_1 / max(keep, 1e-6), 0.0, 1.0))  # share of the variance that is autocorrelated
     drawn = rng.standard_normal(y.size)
     drawn[1:] *= np.sqrt(1.0 - keep**2)
-    remembered = lfilter([1.0], [1.0, -keep], drawn)
+    remembered = noise.coloured(np.zeros(y.size, dtype=np.int64), drawn[:, None], keep, 0.0, 1.0)[:, 0]
     return np.std(y) * (np.sqrt(slow) * remembered + np.sqrt(1.0 - slow) * rng.standard_normal(y.size))
 
 

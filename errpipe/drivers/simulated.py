@@ -61,10 +61,10 @@ class Late:
     def value(self, recording: Recording) -> np.ndarray:
         """On every row, shape (rows,); straight between rows, held before the first of a session; NaN where u is."""
         t, session, u = recording.time(), sessions(recording), self.signal(recording)
-        before = np.full(u.shape, np.nan)
-        for s in np.unique(session):
-            inside = np.flatnonzero((session == s) & np.isfinite(u))
+        before, known = np.full(u.shape, np.nan), np.flatnonzero(np.isfinite(u))
+        for inside in np.split(known, np.flatnonzero(np.diff(session[known])) + 1):
             if inside.size > 1:
-                at, first = np.unique(t[inside], return_index=True)
-                before[inside] = np.interp(t[inside] - self.delay, at, u[inside][first])
+                own, values = t[inside], u[inside]
+                at, first = (own, slice(None)) if np.all(own[1:] > own[:-1]) else np.unique(own, return_index=True)
+                before[inside] = np.interp(own - self.delay, at, values[first])
         return self.gain * (before - u)

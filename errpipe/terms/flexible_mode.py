@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.special import fdtrc
 
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
@@ -101,14 +102,12 @@ class FlexibleMode(Term):
         Textbook: Wald test with cluster-robust variance (Liang and Zeger 1986) over blocks of neighbouring rows, for
         noise that rings loses its phase from block to block.
         """
-        from scipy.stats import f
-
         mode, _ = np.linalg.qr(signals.still(self._state(recording, frequency, damping)[signals.rows]))
         gain = mode.T @ signals.values[0]
         scores = mode * (signals.values[0] - mode @ gain)[:, None]
         spread = np.array([block.sum(axis=0) for block in np.array_split(scores, BLOCKS)])
         wald = float(gain @ np.linalg.lstsq(spread.T @ spread, gain, rcond=None)[0])
-        return bool(f.sf(wald / 2, 2, BLOCKS - 2) < CHANCE)
+        return bool(fdtrc(2, BLOCKS - 2, wald / 2) < CHANCE)
 
     def _strongest(self, recording: Recording, signals: Signals) -> list[float]:
         """Local maxima of what a resonance explains over its frequency, the strongest first."""
