@@ -197,7 +197,7 @@ def _without_impossible(made: SetUp, search: Search, *found: Explanation) -> Cas
         out = plausible.impossible(case)
         if not out:
             break
-        case = _without(made, out[0])
+        case = _without(made, out[-1])  # the weakest: the others may be impossible only beside it
     else:
         case = _nothing_named(made)  # no effect is accepted in their place either
     for m in plausible.doubtful(case)[:1]:
