@@ -122,9 +122,8 @@ def values(folder: Path) -> list[str]:
     return re.findall(r"^(TRUE|FALSE|0x[0-9A-Fa-f]+|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)$", said(folder), re.M)
 
 
-@contextlib.contextmanager
-def installed(component: Path) -> Iterator[None]:
-    """Compile a component and put it where LinuxCNC looks, for the time of a `with`."""
+def install(component: Path) -> Path:
+    """Compile a component and put it where LinuxCNC looks; returns the module, to be removed by the caller."""
     env = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(component.parent), "LANG": "C.UTF-8"}
     subprocess.run(
         ["halcompile", "--install", component.name],
@@ -134,10 +133,17 @@ def installed(component: Path) -> Iterator[None]:
         capture_output=True,
         timeout=120,
     )
+    return MODULES / f"{component.stem}.so"
+
+
+@contextlib.contextmanager
+def installed(component: Path) -> Iterator[None]:
+    """The component installed for the time of a `with`."""
+    module = install(component)
     try:
         yield
     finally:
-        (MODULES / f"{component.stem}.so").unlink(missing_ok=True)
+        module.unlink(missing_ok=True)
 
 
 # What every core.hal says of the hand and the tools.
