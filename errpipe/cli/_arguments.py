@@ -10,7 +10,7 @@ import typer
 
 from errpipe.errors import UsageError
 
-PipelineFile = typer.Argument(..., metavar="PIPELINE", help="The pipeline file (YAML).", show_default=False)
+PipelineFile = typer.Argument(metavar="PIPELINE", help="The pipeline file (YAML).")
 Out = typer.Option(
     None,
     "--out",
@@ -18,7 +18,7 @@ Out = typer.Option(
     help="Folder for the outputs; default: out/<name of the pipeline file>.",
     show_default=False,
 )
-To = typer.Option(None, "--to", metavar="STAGE", help="Only this stage and what it reads.", show_default=False)
+To = typer.Option(None, "--to", metavar="STAGE", help="Only this stage and what it reads.")
 Sets = typer.Option(
     [],
     "--set",
@@ -26,18 +26,14 @@ Sets = typer.Option(
     help="Set one key for this run; the value is YAML. Repeatable.",
     show_default=False,
 )
-Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage in any case. Repeatable.", show_default=False)
-At = typer.Option(
-    [], "--at", metavar="INPUT=VALUE", help="Value of one input, in its canonical unit. Repeatable.", show_default=False
-)
-SecretKey = typer.Option(
-    ..., "--key", envvar="ERRPIPE_KEY", metavar="FILE", help="The secret key (errpipe keygen).", show_default=False
-)
+Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage in any case. Repeatable.")
+At = typer.Option([], "--at", metavar="INPUT=VALUE", help="Value of one input, in its canonical unit. Repeatable.")
+SecretKey = typer.Option(..., "--key", envvar="ERRPIPE_KEY", metavar="FILE", help="The secret key (errpipe keygen).")
 PublicKey = typer.Option(
-    ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="Whose signatures count.", show_default=False
+    ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="Whose signatures count."
 )
-Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.", show_default=False)
-Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601; default: now.", show_default=False)
+Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.")
+Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601; default: now.")
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
 
 

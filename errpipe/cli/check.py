@@ -12,9 +12,7 @@ from errpipe.errors import ConfigError, Problem
 
 
 def command(
-    files: list[Path] = typer.Argument(
-        ..., metavar="FILE...", help="Pipelines, machines, manifests or their folders.", show_default=False
-    ),
+    files: list[Path] = typer.Argument(metavar="FILE...", help="Pipelines, machines, manifests or their folders."),
     data: bool = typer.Option(True, "--data/--no-data", help="Whether the inputs must be there."),
     style: Literal["text", "github"] = typer.Option("text", "--format", help="How problems are printed."),
     json: bool = Json,

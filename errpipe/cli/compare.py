@@ -10,18 +10,13 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    old: Path = typer.Argument(..., metavar="OLD", help="Table, model, recording, diagnosis or run folder."),
-    new: Path = typer.Argument(..., metavar="NEW", help="Another one of that kind."),
+    old: Path = typer.Argument(metavar="OLD", help="Table, model, recording, diagnosis or run folder."),
+    new: Path = typer.Argument(metavar="NEW", help="Another one of that kind."),
     max_um: float | None = typer.Option(
-        None,
-        "--max-um",
-        min=0.0,
-        metavar="UM",
-        help="Largest difference allowed; beyond it exit 4.",
-        show_default=False,
+        None, "--max-um", min=0.0, metavar="UM", help="Largest difference allowed; beyond it exit 4."
     ),
     figure: Path | None = typer.Option(
-        None, "--figure", metavar="FILE", help="Write a figure of the difference (SVG).", show_default=False
+        None, "--figure", metavar="FILE", help="Write a figure of the difference (SVG)."
     ),
     json: bool = Json,
 ) -> None:

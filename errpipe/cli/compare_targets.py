@@ -10,7 +10,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    table: Path = typer.Argument(..., metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
+    table: Path = typer.Argument(metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
     json: bool = Json,
 ) -> None:
     """Say what each controller format would lose of a table, in um.

@@ -24,7 +24,7 @@ complete -o filenames -F _errpipe errpipe
 """
 
 
-def command(shell: Literal["bash", "zsh", "fish"] = typer.Argument(..., help="The shell.", show_default=False)) -> None:
+def command(shell: Literal["bash", "zsh", "fish"] = typer.Argument(help="The shell.")) -> None:
     """Print what makes a shell complete verbs and options.
 
     \b

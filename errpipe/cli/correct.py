@@ -10,28 +10,16 @@ from errpipe.cli._arguments import At, Json, input_values
 
 
 def command(
-    program: Path = typer.Argument(..., metavar="PROGRAM", help="An NC program (RS-274, the LinuxCNC dialect)."),
+    program: Path = typer.Argument(metavar="PROGRAM", help="An NC program (RS-274, the LinuxCNC dialect)."),
     table: Path = typer.Option(..., "--table", metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
-    out: Path | None = typer.Option(
-        None, "--out", metavar="FILE", help="Where to write; default: standard output.", show_default=False
-    ),
+    out: Path | None = typer.Option(None, "--out", metavar="FILE", help="Where to write; default: standard output."),
     at: list[str] = At,
     offset: list[str] = typer.Option(
-        [],
-        "--offset",
-        metavar="G54=X,Y,Z",
-        help="Zero of the part in machine coordinates, mm. Repeatable.",
-        show_default=False,
+        [], "--offset", metavar="G54=X,Y,Z", help="Zero of the part in machine coordinates, mm. Repeatable."
     ),
-    tool: list[str] = typer.Option(
-        [], "--tool", metavar="H1=LENGTH", help="Length of a tool, mm. Repeatable.", show_default=False
-    ),
+    tool: list[str] = typer.Option([], "--tool", metavar="H1=LENGTH", help="Length of a tool, mm. Repeatable."),
     start: str | None = typer.Option(
-        None,
-        "--start",
-        metavar="X,Y,Z",
-        help="Where the machine stands at the start, machine coordinates, mm.",
-        show_default=False,
+        None, "--start", metavar="X,Y,Z", help="Where the machine stands at the start, machine coordinates, mm."
     ),
     chord_error: float = typer.Option(
         0.001, "--chord-error", min=1e-6, metavar="MM", help="Farthest a segment may lie from its arc."

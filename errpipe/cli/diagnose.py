@@ -11,7 +11,7 @@ from errpipe.errors import UsageError
 
 
 def command(
-    recording: Path = typer.Argument(..., metavar="RECORDING", help="Folder with a recording manifest."),
+    recording: Path = typer.Argument(metavar="RECORDING", help="Folder with a recording manifest."),
     out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for diagnosis.json and report.html."),
     simulation: Path = typer.Option(
         None, "--simulation", metavar="FILE", help="CSV, error model or FMU where the recording holds no twin."

@@ -10,7 +10,7 @@ from errpipe.cli._arguments import At, Json, input_values
 
 
 def command(
-    table: Path = typer.Argument(..., metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
+    table: Path = typer.Argument(metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
     at: list[str] = At,
     json: bool = Json,
 ) -> None:

@@ -8,7 +8,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    code: str = typer.Argument(..., metavar="CODE", help="A name in brackets, a kind of error, or an exit code."),
+    code: str = typer.Argument(metavar="CODE", help="A name in brackets, a kind of error, or an exit code."),
     json: bool = Json,
 ) -> None:
     """Explain a refusal: its name, its kind of error, or an exit code.

@@ -10,7 +10,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    table: Path = typer.Argument(..., metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
+    table: Path = typer.Argument(metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
     target: list[str] = typer.Option(..., "--target", metavar="NAME", help="Controller format. Repeatable."),
     out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for the controller's files."),
     limit: float | None = typer.Option(
@@ -19,13 +19,12 @@ def command(
         metavar="UM",
         min=0.001,
         help="Largest plausible correction; default: 0.5 mm or 1/1000 of the travel.",
-        show_default=False,
     ),
     allow: list[str] = typer.Option(
         [], "--allow", metavar="NAME", help="An implausible declaration that is true, by name. Repeatable."
     ),
     public_key: Path | None = typer.Option(
-        None, "--public-key", metavar="FILE", help="Only a table that this key has signed.", show_default=False
+        None, "--public-key", metavar="FILE", help="Only a table that this key has signed."
     ),
     json: bool = Json,
 ) -> None:

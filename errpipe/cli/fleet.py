@@ -10,11 +10,11 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    fleet: Path = typer.Argument(..., metavar="FLEET", help="The fleet file (YAML).", show_default=False),
+    fleet: Path = typer.Argument(metavar="FLEET", help="The fleet file (YAML)."),
     out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder for machines and report."),
     jobs: int = typer.Option(0, "--jobs", "-j", min=0, metavar="N", help="Processes; 0: one for each core."),
     scheduler: str | None = typer.Option(
-        None, "--scheduler", metavar="ADDRESS", help="A running Dask cluster instead.", show_default=False
+        None, "--scheduler", metavar="ADDRESS", help="A running Dask cluster instead."
     ),
     json: bool = Json,
 ) -> None:

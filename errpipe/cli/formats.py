@@ -8,8 +8,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as ecmc_dat.", show_default=False),
-    json: bool = Json,
+    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as ecmc_dat."), json: bool = Json
 ) -> None:
     """List the measurement files that are read, or show one format.
 

@@ -13,40 +13,30 @@ from errpipe.cli._arguments import Json
 
 def command(
     files: list[Path] = typer.Argument(
-        ..., metavar="FILE...", help="CSV, Excel, TDMS, HDF5, MAT, MTConnect, halsampler, ...", show_default=False
+        metavar="FILE...", help="CSV, Excel, TDMS, HDF5, MAT, MTConnect, halsampler, ..."
     ),
     out: Path = typer.Option(..., "--out", metavar="FOLDER", help="The recording folder to write."),
     yes: bool = typer.Option(False, "--yes", help="Confirm every guess; without it nothing is written unasked."),
-    axis: str | None = typer.Option(None, "--axis", metavar="LETTER", help="The axis, such as X.", show_default=False),
-    component: str | None = typer.Option(
-        None, "--component", metavar="NAME", help="What was measured, such as EXX.", show_default=False
-    ),
-    unit: str | None = typer.Option(None, "--unit", metavar="UNIT", help="Of the readings.", show_default=False),
+    axis: str | None = typer.Option(None, "--axis", metavar="LETTER", help="The axis, such as X."),
+    component: str | None = typer.Option(None, "--component", metavar="NAME", help="What was measured, such as EXX."),
+    unit: str | None = typer.Option(None, "--unit", metavar="UNIT", help="Of the readings."),
     sign: Literal["actual-minus-commanded", "commanded-minus-actual"] | None = typer.Option(
-        None, "--sign", help="What the file's deviations are.", show_default=False
+        None, "--sign", help="What the file's deviations are."
     ),
-    resolution: float | None = typer.Option(
-        None, "--resolution", metavar="MM", help="mm (deg) of one encoder count.", show_default=False
-    ),
+    resolution: float | None = typer.Option(None, "--resolution", metavar="MM", help="mm (deg) of one encoder count."),
     torque_constant: float | None = typer.Option(
-        None, "--torque-constant", metavar="NM/A", help="Torque of one ampere.", show_default=False
+        None, "--torque-constant", metavar="NM/A", help="Torque of one ampere."
     ),
     names: str | None = typer.Option(
-        None, "--names", metavar="A,B,...", help="Names of the columns of a file without a header.", show_default=False
+        None, "--names", metavar="A,B,...", help="Names of the columns of a file without a header."
     ),
-    period: float | None = typer.Option(
-        None, "--period", metavar="S", min=1e-9, help="Time between rows of a log.", show_default=False
-    ),
-    sheet: str | None = typer.Option(None, "--sheet", metavar="NAME", help="Sheet or group.", show_default=False),
+    period: float | None = typer.Option(None, "--period", metavar="S", min=1e-9, help="Time between rows of a log."),
+    sheet: str | None = typer.Option(None, "--sheet", metavar="NAME", help="Sheet or group."),
     sets: list[str] = typer.Option(
-        [],
-        "--set",
-        metavar="COLUMN.KEY=VALUE",
-        help="Role, unit, axis, ... of a column. Repeatable.",
-        show_default=False,
+        [], "--set", metavar="COLUMN.KEY=VALUE", help="Role, unit, axis, ... of a column. Repeatable."
     ),
-    title: str = typer.Option("", "--title", metavar="TEXT", help="What was measured.", show_default=False),
-    machine: str = typer.Option("", "--machine", metavar="TEXT", help="The machine.", show_default=False),
+    title: str = typer.Option("", "--title", metavar="TEXT", help="What was measured."),
+    machine: str = typer.Option("", "--machine", metavar="TEXT", help="The machine."),
     json: bool = Json,
 ) -> None:
     """Turn measurement files into a recording; every guess is shown.
@@ -78,12 +68,11 @@ def command(
     door = DoorOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
     proposal, shown = work.prepare(files, door, options)
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
-    if not yes and not json and sys.stdin.isatty():
-        sys.stderr.write("\n".join(lines) + "\n")
-        yes = typer.confirm("Write this recording?", err=True)
-        lines = []
     if not yes:
         sys.stderr.write("\n".join(lines) + "\n")
+        lines = []
+        yes = not json and sys.stdin.isatty() and typer.confirm("Write this recording?", err=True)
+    if not yes:
         raise UsageError(
             "nothing was written: judge the guesses, then give --yes (or mend them with --set, --sign, ...)"
         )

@@ -12,10 +12,10 @@ NAMES = "laser-iso230, dial-gauge, diagnose-log, spindle-drift, gantry, drilled-
 
 
 def command(
-    folder: Path = typer.Argument(..., metavar="DIR", help="The folder to write.", show_default=False),
+    folder: Path = typer.Argument(metavar="DIR", help="The folder to write."),
     template: str = typer.Option("laser-iso230", "--template", metavar="NAME", help=f"One of: {NAMES}."),
     recording: Path | None = typer.Option(
-        None, "--recording", metavar="FOLDER", help="A recording of your own instead of the sample.", show_default=False
+        None, "--recording", metavar="FOLDER", help="A recording of your own instead of the sample."
     ),
     target: list[str] = typer.Option(
         [], "--target", metavar="NAME", help="A controller format instead of the usual ones. Repeatable."

@@ -10,7 +10,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    folder: Path = typer.Argument(..., metavar="DIR", help="Where errpipe.key (secret) and errpipe.pub are written."),
+    folder: Path = typer.Argument(metavar="DIR", help="Where errpipe.key (secret) and errpipe.pub are written."),
     json: bool = Json,
 ) -> None:
     """Make a pair of keys for signing, in minisign's format.

@@ -10,14 +10,12 @@ from errpipe.cli._arguments import Json, PublicKey
 
 
 def command(
-    registry: Path = typer.Argument(..., metavar="REGISTRY", help="Folder of the registry.", show_default=False),
-    machine: str | None = typer.Argument(None, metavar="MACHINE", help="One machine only.", show_default=False),
+    registry: Path = typer.Argument(metavar="REGISTRY", help="Folder of the registry."),
+    machine: str | None = typer.Argument(None, metavar="MACHINE", help="One machine only."),
     at: str | None = typer.Option(
-        None, "--at", metavar="TIME", help="What was on the machine then, such as 2026-03-03.", show_default=False
+        None, "--at", metavar="TIME", help="What was on the machine then, such as 2026-03-03."
     ),
-    file: Path | None = typer.Option(
-        None, "--file", metavar="TABLE", help="Which entries this table belongs to.", show_default=False
-    ),
+    file: Path | None = typer.Option(None, "--file", metavar="TABLE", help="Which entries this table belongs to."),
     public_key: Path = PublicKey,
     json: bool = Json,
 ) -> None:

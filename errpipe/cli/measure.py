@@ -10,10 +10,10 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    machine: Path = typer.Argument(..., metavar="MACHINE", help="A machine file with the kinematic chain (YAML)."),
+    machine: Path = typer.Argument(metavar="MACHINE", help="A machine file with the kinematic chain (YAML)."),
     out: Path = typer.Option(..., "--out", metavar="FILE.ngc", help="Where to write the program."),
     without: list[str] = typer.Option(
-        [], "--without", metavar="NAME", help="A component that need not show. Repeatable.", show_default=False
+        [], "--without", metavar="NAME", help="A component that need not show. Repeatable."
     ),
     positions: int = typer.Option(40, "--positions", min=6, max=500, help="Positions per socket and tool."),
     json: bool = Json,

@@ -10,18 +10,12 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    field: Path = typer.Argument(
-        None, metavar="FIELD.csv", help="Readings at candidate places, with the error.", show_default=False
-    ),
+    field: Path = typer.Argument(None, metavar="FIELD.csv", help="Readings at candidate places, with the error."),
     error: str = typer.Option("error", "--error", metavar="COLUMN", help="Column of the error."),
     group: str = typer.Option("duty_cycle", "--group", metavar="COLUMN", help="Column of the duty cycle."),
-    time: str = typer.Option(
-        None, "--time", metavar="COLUMN", help="Column of the time, no place.", show_default=False
-    ),
+    time: str = typer.Option(None, "--time", metavar="COLUMN", help="Column of the time, no place."),
     most: int = typer.Option(4, "--most", min=1, max=20, help="Most sensors to place."),
-    bar: float = typer.Option(
-        None, "--bar", min=0.0, metavar="LOSS", help="A simulated heated bar instead of a file.", show_default=False
-    ),
+    bar: float = typer.Option(None, "--bar", min=0.0, metavar="LOSS", help="A simulated heated bar instead of a file."),
     json: bool = Json,
 ) -> None:
     """Choose number and places of temperature sensors.

@@ -10,10 +10,8 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    recording: Path = typer.Argument(
-        None, metavar="RECORDING", help="Folder of the days recorded so far.", show_default=False
-    ),
-    speed: float = typer.Option(None, "--speed", min=1.0, help="Highest spindle speed, rpm.", show_default=False),
+    recording: Path = typer.Argument(None, metavar="RECORDING", help="Folder of the days recorded so far."),
+    speed: float = typer.Option(None, "--speed", min=1.0, help="Highest spindle speed, rpm."),
     hours: float = typer.Option(8.0, "--hours", min=0.5, max=48.0, help="Length of a day."),
     noise: float = typer.Option(1.0, "--noise", min=1e-3, help="Standard deviation of a reading, um."),
     standing: float = typer.Option(0.0, "--standing", min=0.0, max=1.0, help="Least share at rest."),

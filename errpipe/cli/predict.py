@@ -10,8 +10,8 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    source: Path = typer.Argument(..., metavar="MODEL_OR_TABLE", help="An error model or a table (.json, .ect)."),
-    recording: Path = typer.Argument(..., metavar="RECORDING", help="Folder with a recording manifest."),
+    source: Path = typer.Argument(metavar="MODEL_OR_TABLE", help="An error model or a table (.json, .ect)."),
+    recording: Path = typer.Argument(metavar="RECORDING", help="Folder with a recording manifest."),
     out: Path = typer.Option(..., "--out", metavar="FILE", help="A row per recording row (.csv, .parquet)."),
     readings: Path | None = typer.Option(
         None,

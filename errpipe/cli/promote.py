@@ -10,9 +10,9 @@ from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
 
 
 def command(
-    registry: Path = typer.Argument(..., metavar="REGISTRY", help="Folder of the registry.", show_default=False),
-    machine: str = typer.Argument(..., metavar="MACHINE", help="Name of the machine.", show_default=False),
-    table: Path = typer.Argument(..., metavar="TABLE", help="The table that it gets (.ect).", show_default=False),
+    registry: Path = typer.Argument(metavar="REGISTRY", help="Folder of the registry."),
+    machine: str = typer.Argument(metavar="MACHINE", help="Name of the machine."),
+    table: Path = typer.Argument(metavar="TABLE", help="The table that it gets (.ect)."),
     why: str = Why,
     key: Path = SecretKey,
     public_key: Path = PublicKey,

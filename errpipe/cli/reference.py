@@ -9,12 +9,8 @@ import typer
 
 def command(
     page: str = typer.Argument("terms", metavar="[PAGE]", help="terms, formats, targets, stages or recordings."),
-    name: str = typer.Argument(
-        "", metavar="[NAME]", help="One entry of the page, such as backlash.", show_default=False
-    ),
-    write: Path | None = typer.Option(
-        None, "--write", metavar="DIR", help="Write all pages into DIR instead.", show_default=False
-    ),
+    name: str = typer.Argument("", metavar="[NAME]", help="One entry of the page, such as backlash."),
+    write: Path | None = typer.Option(None, "--write", metavar="DIR", help="Write all pages into DIR instead."),
 ) -> None:
     """Print a reference page, or one entry of it, as Markdown.
 

@@ -17,13 +17,13 @@ def command(
         0.05, "--alpha", min=1e-9, max=0.5, help="Chance of ever promoting a challenger that is no better."
     ),
     max_change_um: float | None = typer.Option(
-        None, "--max-change-um", min=0.0, help="Largest change of the correction, um.", show_default=False
+        None, "--max-change-um", min=0.0, help="Largest change of the correction, um."
     ),
     max_change_um_per_k: float | None = typer.Option(
-        None, "--max-change-um-per-k", min=0.0, help="Largest change of it per kelvin, um/K.", show_default=False
+        None, "--max-change-um-per-k", min=0.0, help="Largest change of it per kelvin, um/K."
     ),
     allow_sensor: list[str] = typer.Option(
-        [], "--allow-sensor", metavar="COLUMN", help="Input that the challenger may newly require.", show_default=False
+        [], "--allow-sensor", metavar="COLUMN", help="Input that the challenger may newly require."
     ),
     annotations: str = typer.Option("none", "--annotations", help="github: failed gates as workflow commands."),
     sets: list[str] = Sets,

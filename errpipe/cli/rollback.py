@@ -10,14 +10,12 @@ from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
 
 
 def command(
-    registry: Path = typer.Argument(..., metavar="REGISTRY", help="Folder of the registry.", show_default=False),
-    machine: str = typer.Argument(..., metavar="MACHINE", help="Name of the machine.", show_default=False),
+    registry: Path = typer.Argument(metavar="REGISTRY", help="Folder of the registry."),
+    machine: str = typer.Argument(metavar="MACHINE", help="Name of the machine."),
     to: int | None = typer.Option(
-        None, "--to", metavar="ENTRY", help="Number of an entry; default: the last other table.", show_default=False
+        None, "--to", metavar="ENTRY", help="Number of an entry; default: the last other table."
     ),
-    out: Path | None = typer.Option(
-        None, "--out", metavar="FILE", help="Where to write the table that is back.", show_default=False
-    ),
+    out: Path | None = typer.Option(None, "--out", metavar="FILE", help="Where to write the table that is back."),
     why: str = Why,
     key: Path = SecretKey,
     public_key: Path = PublicKey,

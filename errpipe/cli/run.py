@@ -24,18 +24,12 @@ def command(
     sets: list[str] = Sets,
     force: list[str] = Force,
     jobs: int = typer.Option(1, "--jobs", "-j", min=1, metavar="N", help="Stages that may run at a time."),
-    depfile: Path | None = typer.Option(
-        None, "--depfile", metavar="FILE", help="Write the inputs as a rule for make.", show_default=False
-    ),
+    depfile: Path | None = typer.Option(None, "--depfile", metavar="FILE", help="Write the inputs as a rule for make."),
     depfile_target: str | None = typer.Option(
-        None,
-        "--depfile-target",
-        metavar="NAME",
-        help="Target of that rule; default: the stamp, else the lock file.",
-        show_default=False,
+        None, "--depfile-target", metavar="NAME", help="Target of that rule; default: the stamp, else the lock file."
     ),
     stamp: Path | None = typer.Option(
-        None, "--stamp", metavar="FILE", help="Touch this file at the end, also if nothing ran.", show_default=False
+        None, "--stamp", metavar="FILE", help="Touch this file at the end, also if nothing ran."
     ),
     json: bool = Json,
 ) -> None:

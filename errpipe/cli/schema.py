@@ -23,9 +23,7 @@ WRITTEN = ("pipeline", "recording", "machine", "fleet")  # by people, in YAML; t
 
 def command(
     name: str = typer.Argument("pipeline", metavar="[NAME]", help=f"One of: {', '.join(MODELS)}."),
-    write: Path | None = typer.Option(
-        None, "--write", metavar="DIR", help="Write all schemas into DIR instead.", show_default=False
-    ),
+    write: Path | None = typer.Option(None, "--write", metavar="DIR", help="Write all schemas into DIR instead."),
 ) -> None:
     """Print a JSON Schema, for editors and other programs.
 

@@ -10,7 +10,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    file: Path = typer.Argument(..., metavar="FILE", help="Any file or folder that errpipe reads or writes."),
+    file: Path = typer.Argument(metavar="FILE", help="Any file or folder that errpipe reads or writes."),
     json: bool = Json,
 ) -> None:
     """Say what a file is, with a plot for the terminal.

@@ -10,7 +10,7 @@ from errpipe.cli._arguments import Json, SecretKey
 
 
 def command(
-    file: Path = typer.Argument(..., metavar="FILE", help="A table, or any other file.", show_default=False),
+    file: Path = typer.Argument(metavar="FILE", help="A table, or any other file."),
     key: Path = SecretKey,
     comment: str = typer.Option("", "--comment", metavar="TEXT", help="Signed along with the file, such as a machine."),
     json: bool = Json,

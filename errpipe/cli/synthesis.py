@@ -10,7 +10,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    machine: Path = typer.Argument(..., metavar="MACHINE", help="A machine file with the kinematic chain (YAML)."),
+    machine: Path = typer.Argument(metavar="MACHINE", help="A machine file with the kinematic chain (YAML)."),
     json: bool = Json,
 ) -> None:
     """Print the error model of a machine in symbols.

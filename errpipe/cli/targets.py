@@ -8,8 +8,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as linuxcnc_screw.", show_default=False),
-    json: bool = Json,
+    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as linuxcnc_screw."), json: bool = Json
 ) -> None:
     """List the controller formats, or show the page of one.
 

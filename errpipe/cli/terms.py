@@ -8,8 +8,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    name: str = typer.Argument("", metavar="[NAME]", help="One term, such as backlash.", show_default=False),
-    json: bool = Json,
+    name: str = typer.Argument("", metavar="[NAME]", help="One term, such as backlash."), json: bool = Json
 ) -> None:
     """List the terms, or show one with equation, sizes and sign.
 

@@ -10,9 +10,9 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that `export` wrote."),
+    folder: Path = typer.Argument(metavar="DIR", help="A folder that `export` wrote."),
     public_key: Path | None = typer.Option(
-        None, "--public-key", metavar="FILE", help="The table must be signed by this key.", show_default=False
+        None, "--public-key", metavar="FILE", help="The table must be signed by this key."
     ),
     json: bool = Json,
 ) -> None:

@@ -10,9 +10,7 @@ from errpipe.cli._arguments import Json, PublicKey
 
 
 def command(
-    file: Path = typer.Argument(
-        ..., metavar="FILE", help="The file; its signature is FILE.minisig.", show_default=False
-    ),
+    file: Path = typer.Argument(metavar="FILE", help="The file; its signature is FILE.minisig."),
     public_key: Path = PublicKey,
     json: bool = Json,
 ) -> None:
