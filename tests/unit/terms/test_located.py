@@ -100,14 +100,14 @@ def test_a_resonance_is_located(frequency, damping):
 
 
 def test_noise_that_rings_is_no_mode():
-    """Its resonance has nothing to do with the acceleration; without the test of phases 20 of 20 are offered."""
+    """Its resonance has nothing to do with the acceleration; without the test of phases 8 of 8 are offered."""
     t, offered = under_way()[0], 0
-    for seed in range(20):
+    for seed in range(8):
         force = np.random.default_rng(seed).normal(size=t.size)
         w = 2 * np.pi * 30.0
         noise = lsim(TransferFunction([w**2], [1, 0.06 * w, w**2]), force, t)[1]
         offered += bool(list(FlexibleMode.located(log(), "EXX", signals(noise))))
-    assert offered <= 1
+    assert offered == 0
 
 
 def test_a_mode_is_offered_for_fast_logs_only():
@@ -278,7 +278,7 @@ def test_a_wave_of_few_places_is_found(period):
 def test_a_profile_of_chance_is_no_wave():
     """Its strongest wave is far beyond the noise, since every place is visited ten times."""
     rng = np.random.default_rng(11)
-    assert sum(bool(periods(*visited_signal(rng))) for _ in range(300)) <= 9  # 1 % meant
+    assert sum(bool(periods(*visited_signal(rng))) for _ in range(100)) <= 4  # 1 % meant
 
 
 def visited_signal(rng: np.random.Generator) -> tuple[np.ndarray, tuple[np.ndarray]]:
