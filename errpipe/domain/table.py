@@ -9,6 +9,8 @@ code. Every target and every evaluator sees only this.
 
 Units: deviations um and urad, corrections in each output's `correction_unit`. deviation = actual - commanded;
 correction = -deviation.
+
+Longer than 400 lines: one document and what makes it a valid one.
 """
 
 from __future__ import annotations

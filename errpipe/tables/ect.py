@@ -5,6 +5,8 @@ bytes (identity, cycles, table of 11 sections), then the sections, each starting
 the JSON twin holds is in the file, so both turn into each other without losing a bit. What the controller
 would have to divide or exponentiate (reciprocal steps, lag factors) is stored beside its source, and the
 reader refuses a file where the two disagree. A table of version 1 is read and written as such.
+
+Longer than 400 lines: writer and reader of one file format, section by section, side by side.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ version (`schemas/ect-1.md`).
 Two ways to call it: at the controller's fixed rate (dt None), or over a recording (dt given: time since the
 row before). Over a recording every node runs in every row, and ramp, fade time, slew and acceleration,
 which belong to a fixed rate, do nothing.
+
+Longer than 400 lines: the second opinion on the cycle, step by step as the specification has it, in one place.
 """
 
 from __future__ import annotations
