@@ -37,23 +37,28 @@ stages:
 """
 
 
+def run(folder, pipeline: str, rows: dict[str, tuple[np.ndarray, dict]], constants: dict[str, dict]) -> int:
+    """Exit code of a pipeline on eight runs. rows: values and facts of each column; constants: facts of each axis."""
+    columns = {"run": Column(role="run")} | {name: Column(**facts) for name, (_, facts) in rows.items()}
+    axes = {name: Constant(role="axis", **facts) for name, facts in constants.items()}
+    manifest = Manifest(recording=1, tables=("recording.parquet",), columns=columns, constants=axes)
+    frame = pd.DataFrame({name: values for name, (values, _) in rows.items()})
+    frame.insert(0, "run", np.repeat(list("12345678"), len(frame) // 8))
+    manifest_folder.write(Recording(manifest, frame), folder / "rows")
+    (folder / "p.yaml").write_text(pipeline)
+    return main(["run", str(folder / "p.yaml"), "--out", str(folder / "out")])
+
+
 def export(folder, x: np.ndarray, travel: tuple[float, float] | None = None) -> int:
     """Exit code of a run on lost motion of 8 um at positions, each from both sides."""
-    r = np.random.default_rng(4)
     side = np.tile([1.0, -1.0], x.size // 2)
-    frame = pd.DataFrame({"run": np.repeat(list("12345678"), x.size // 8), "x": x, "dir": side})
-    frame["EXX"] = -4.0 * side + r.normal(0, 0.3, x.size)
-    columns = {
-        "run": Column(role="run"),
-        "x": Column(role="position", axis="X", unit="mm"),
-        "dir": Column(role="direction", axis="X"),
-        "EXX": Column(role="error", component="EXX", unit="um"),
+    deviation = -4.0 * side + np.random.default_rng(4).normal(0, 0.3, x.size)
+    rows = {
+        "x": (x, {"role": "position", "axis": "X", "unit": "mm"}),
+        "dir": (side, {"role": "direction", "axis": "X"}),
+        "EXX": (deviation, {"role": "error", "component": "EXX", "unit": "um"}),
     }
-    constants = {"X": Constant(role="axis", kind="linear", travel=travel, unit="mm")} if travel else {}
-    manifest = Manifest(recording=1, tables=("recording.parquet",), columns=columns, constants=constants)
-    manifest_folder.write(Recording(manifest, frame), folder / "rows")
-    (folder / "p.yaml").write_text(PIPELINE)
-    return main(["run", str(folder / "p.yaml"), "--out", str(folder / "out")])
+    return run(folder, PIPELINE, rows, {"X": {"kind": "linear", "travel": travel, "unit": "mm"}} if travel else {})
 
 
 def test_lost_motion_alone_at_one_position_is_refused_without_a_travel(tmp_path, capsys):
@@ -82,19 +87,14 @@ BRIDGED, HELD = "C was not measured from 270 to 360 deg", "C is corrected from 0
 )
 def test_the_part_of_a_turn_that_nobody_measured_is_named_everywhere(tmp_path, last, travel, said):
     """Targets every 30 deg: what a last step is short of a turn is no more of a guess than any other step."""
-    r, x = np.random.default_rng(5), np.tile(np.arange(0.0, last + 1.0, 30.0), 8)
-    frame = pd.DataFrame({"run": np.repeat(list("12345678"), x.size // 8), "c": x})
-    frame["ECC"] = 80.0 * np.sin(np.radians(x)) + r.normal(0, 0.3, x.size)
-    columns = {
-        "run": Column(role="run"),
-        "c": Column(role="position", axis="C", unit="deg"),
-        "ECC": Column(role="error", component="ECC", unit="urad"),
+    x = np.tile(np.arange(0.0, last + 1.0, 30.0), 8)
+    deviation = 80.0 * np.sin(np.radians(x)) + np.random.default_rng(5).normal(0, 0.3, x.size)
+    rows = {
+        "c": (x, {"role": "position", "axis": "C", "unit": "deg"}),
+        "ECC": (deviation, {"role": "error", "component": "ECC", "unit": "urad"}),
     }
-    constants = {"C": Constant(role="axis", kind="rotary", travel=travel, unit="deg")}
-    manifest = Manifest(recording=1, tables=("recording.parquet",), columns=columns, constants=constants)
-    manifest_folder.write(Recording(manifest, frame), tmp_path / "rows")
-    (tmp_path / "p.yaml").write_text(TURNING % ", ".join(ROTARY))
-    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 0
+    constants = {"C": {"kind": "rotary", "travel": travel, "unit": "deg"}}
+    assert run(tmp_path, TURNING % ", ".join(ROTARY), rows, constants) == 0
     consequences = json.loads((tmp_path / "out" / "export" / "export.json").read_text())["consequences"]
     texts = [path.read_text() for path in (tmp_path / "out" / "export").rglob("CHECKLIST.md")]
     assert len(texts) == len(ROTARY)
