@@ -26,6 +26,7 @@ UNIT = 0.5e-3  # mm: half a unit of output of 1 um
 FILE = "machine_error.txt"
 KEYS = {"cmpax": 4001, "drcax": 4002, "rdvno": 4003, "mdvno": 4004, "pdvno": 4005, "sc": 4006, "spcdv": 4007}
 FIRST = 4100  # parameter number before division point 1
+LARGEST = 127  # half units that one parameter holds
 PER_AXIS = 10  # parameters from one axis' set to the next
 
 
@@ -58,9 +59,8 @@ class MitsubishiPitch(ScrewMap):
             raise GateError("mitsubishi_pitch: linear axes only (no manual that was read says how a turn is divided)")
         for number, axis in enumerate(axes):
             points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
-            step = float(np.ceil(points.step * 1e3 - 1e-6)) / 1e3
-            at = _sample.around_zero(*_sample.span(table, axis), step)
-            lines += _block(number, axis, first, step, at, _sample.at_nodes(table, axis, axis, at * step))
+            at, step, values = _divided(table, axis, points.step, cls.most)
+            lines += _block(number, axis, first, step, at, values)
             first += at.size
         return {FILE: "\n".join([*lines, "# end", ""])}
 
@@ -73,13 +73,32 @@ class MitsubishiPitch(ScrewMap):
         return ReadBack(curves=tuple(_read(facts, n) for n in sets))
 
 
-def _block(number: int, axis: str, first: int, step: float, at: np.ndarray, curve: Curve) -> list[str]:
+def _divided(table: CompensationTable, axis: str, step: float, most: int) -> tuple[np.ndarray, float, list[int]]:
+    """Division points (numbers from the reference point), the step between them, mm, and what each adds.
+
+    The step is halved until no point adds more than a parameter holds. Raises GateError where none is small enough.
+    """
+    while True:
+        step = float(np.ceil(step * 1e3 - 1e-6)) / 1e3
+        at = _sample.around_zero(*_sample.span(table, axis), step)
+        values = _rises(at, _sample.at_nodes(table, axis, axis, at * step))
+        if max(map(abs, values)) <= LARGEST:
+            return at, step, values
+        if 2 * at.size > most:
+            raise GateError(f"mitsubishi_pitch: {axis} rises by more than {LARGEST} half units from point to point")
+        step /= 2
+
+
+def _rises(at: np.ndarray, curve: Curve) -> list[int]:
+    """What each point adds, half units; nothing at the reference point."""
     zero = int(np.flatnonzero(at == 0)[0])
     mean = (curve.up + curve.down) / 2
-    sums = np.round((mean - mean[zero]) / UNIT).astype(int)
-    rise = np.diff(sums)
-    values = [*rise[:zero].tolist(), 0, *rise[zero:].tolist()]
-    expect(max(map(abs, values)) <= 127, FILE, f"{axis}: a step is larger than 127 half units")
+    rise = np.diff(np.round((mean - mean[zero]) / UNIT).astype(int))
+    return [*rise[:zero].tolist(), 0, *rise[zero:].tolist()]
+
+
+def _block(number: int, axis: str, first: int, step: float, at: np.ndarray, values: list[int]) -> list[str]:
+    zero = int(np.flatnonzero(at == 0)[0])
     facts = {
         "cmpax": axis,
         "drcax": axis,

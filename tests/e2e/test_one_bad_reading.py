@@ -188,6 +188,43 @@ def test_a_sensor_that_is_lost_and_one_that_is_bad_from_the_start(corrections):
     assert late[-1] == pytest.approx(corrections([25.0] * 6000, start=0)[-1], abs=0.01)
 
 
+PLACES = (0.02, 0.5, 10.0, 400.0, -400.0, 1e9, np.nan, np.inf, -1e300)  # mm beside the right one, each for one cycle
+EVERY, MOVES, BACK = 200, 100, 25  # cycles from one to the next; after which the axis moves on; in which all is right
+
+
+@pytest.mark.parametrize("moves", [True, False], ids=["moving", "standing"])
+@pytest.mark.parametrize("side", [1.0, np.nan], ids=["the control tells the direction", "it does not"])
+def test_one_bad_sample_of_the_position(table, evaluate, side, moves):
+    """What turns the direction for a cycle moves the axis at its slew, and back: at once where it moves or is told.
+
+    Where it stands and nobody tells, the reading says that the axis went there and came back: lost motion turns until
+    the axis moves on.
+    """
+    start, cycles = 2000, 2000 + EVERY * len(PLACES)
+    at = start + EVERY * np.arange(len(PLACES))
+    speed = np.full(cycles, 0.02)
+    if not moves:  # 0.2 mm between one bad sample and the next
+        speed[:] = np.isin((np.arange(cycles) - start) % EVERY, range(MOVES, MOVES + 10)) * 0.02
+    x = 100.0 + np.cumsum(speed)
+    bad = x.copy()
+    bad[at] += PLACES
+
+    def run(place) -> np.ndarray:
+        columns = {"x": place, "dir": np.full(cycles, side), "T_nut": np.full(cycles, 25.0)}
+        return evaluate(table, np.column_stack([columns[i.name] for i in table.inputs]))
+
+    right, found = run(x), run(bad)
+    assert np.abs(np.diff(found)).max() <= STEP + ROUNDED
+    off = np.abs(found - right)[start:].reshape(-1, EVERY)
+    lost = 2 * 4.02  # um that turn with the direction
+    turned = off[:, BACK:MOVES].max(axis=1)
+    if moves or side == 1.0:
+        assert off.max() < 1.0 and turned.max() < 0.02
+    else:
+        assert off.max() <= lost and [bool(t > 7.9) for t in turned] == [0 < p < 1e9 for p in PLACES]
+    assert off[:, MOVES + BACK :].max() < 0.02
+
+
 SPINDLE = (
     PIPELINE[: PIPELINE.index("          - {term: scale_exp")]
     + """
