@@ -141,6 +141,15 @@ def test_a_small_table_of_ten_million_equal_rows_is_refused(tmp_path: Path) -> N
         manifest_folder.read(folder)
 
 
+def test_readings_that_unpack_to_very_many_rows_are_refused(tmp_path: Path) -> None:
+    from errpipe.stages import _readings
+
+    rows = pa.array(np.zeros(_readings.MOST_CELLS // 2 + 1, dtype=np.float32))
+    pq.write_table(pa.table({"time": rows, "EXX": rows}), tmp_path / "r.parquet", compression="zstd")
+    with pytest.raises(DataError, match=r"r.parquet: holds 5000001 rows"):
+        _readings.read(tmp_path / "r.parquet", manifest_folder.read(recording_folder(tmp_path / "rec")), ["EXX"])
+
+
 def test_more_cells_than_the_machine_can_hold_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(manifest_folder, "max_cells", lambda: 100)
     with pytest.raises(DataError, match="do not fit into this machine's memory"):

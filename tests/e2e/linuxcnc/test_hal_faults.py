@@ -12,7 +12,7 @@ from errpipe.targets.linuxcnc_hal import COMPONENT, LinuxcncHal
 from tests.e2e import test_one_bad_reading as one_bad_reading
 from tests.e2e.linuxcnc import session
 from tests.e2e.linuxcnc.test_hal_component import stream
-from tests.faults import sequences
+from tests.faults import hal, sequences
 
 pytestmark = session.MARKS
 
@@ -97,6 +97,17 @@ def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_refe
     assert np.all(steps <= slew + PRINT_UM) and size.max() <= 1.0 + 1e-9
     held = (given[:, 3] == 0) & (given[:, 4] == 1) & (given[:, 5] == 0)
     assert held.sum() > 100 and steps[held].max() < PRINT_UM
+
+
+@pytest.mark.slow
+def test_whole_sequences_at_the_pace_of_the_thread_give_the_kernels_bits():
+    """`make faults` runs ten thousand of them."""
+    ran = 0
+    for parts, found in hal.corrections([1, 4, 7, 10]):
+        assert not hal.differ(parts, found) and sequences.judge(parts, found).is_safe()
+        assert hal.differ(parts, np.nextafter(found, np.inf)), "a last bit is seen"
+        ran += 1
+    assert ran == 4
 
 
 def by_reference(made, given: np.ndarray) -> tuple[np.ndarray, int]:
