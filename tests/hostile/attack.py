@@ -39,12 +39,13 @@ def modification_times(folder: Path) -> dict[str, int]:
     return {row.path: row.stat().st_mtime_ns if row.is_file() else 0 for row in rows}
 
 
-def attack(folder: Path, end: float, rng: random.Random) -> tuple[list[Door], list[str]]:
-    """Mutate files until `end`, at least LEAST of them; the doors with what they answered, and what was found."""
+def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door], list[str]]:
+    """Mutate files for so long, at least LEAST of them; the doors with what they answered, and what was found."""
     from errpipe.cli.app import main
 
     (folder.parent / "precious.txt").write_text("precious")
     opened, found = doors(folder), []
+    end = time.monotonic() + seconds
     while time.monotonic() < end or sum(door.tried for door in opened) < LEAST:
         door = rng.choice(opened)
         data = mutations.mutated(door.sound, rng)
@@ -97,7 +98,7 @@ def main_() -> int:
     with tempfile.TemporaryDirectory(prefix="errpipe-attack-") as name:
         top = Path(name)
         (top / "doors").mkdir()
-        opened, found = attack(top / "doors", began + given.seconds, random.Random(given.seed))
+        opened, found = attack(top / "doors", given.seconds, random.Random(given.seed))
         if given.keep is not None:
             given.keep.mkdir(parents=True, exist_ok=True)
             for path in top.glob("found-*"):

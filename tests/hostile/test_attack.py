@@ -21,7 +21,7 @@ from tests.hostile.processes import ALLOWED, forked
 @pytest.mark.slow
 def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
     (tmp_path / "doors").mkdir()
-    opened, found = attack.attack(tmp_path / "doors", time.monotonic() + 20.0, random.Random(11))
+    opened, found = attack.attack(tmp_path / "doors", 20.0, random.Random(11))
     assert found == []
     assert sum(door.tried for door in opened) >= 20
 
