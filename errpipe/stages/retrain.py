@@ -60,6 +60,7 @@ def retrain(
         refused = str(err)
     folder = out / RUN / _giving(pipeline, "recording")
     recording = _artefacts.recording_in(folder)
+    _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
         pipeline,
         out,
@@ -92,7 +93,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         model = _artefacts.read_model(model_folder / _artefacts.MODEL)
         family = _artefacts.family_in(model_folder)
         already_scored = frozenset(s.key for s in scores)
-        scores += retraining.score_new_runs(recording, family, prediction, known, already_scored)
+        copied = frozenset([*retraining.run_contents(old_recording), *(s.content for s in scores)])
+        scores += retraining.score_new_runs(recording, family, prediction, known, already_scored, copied)
         change = _change(old_model, model, recording)
         gates += _table_gates(change, limits)
         gates += [_sensor_gate(old_model, model, allowed), _drift_gate(drift, model)]
@@ -121,11 +123,37 @@ def _giving(pipeline: Pipeline, artefact: str) -> str:
 
 
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
+    from errpipe.formats.manifest_folder import MANIFEST
+
     model = Path(folder) / _giving(pipeline, "error_model") / _artefacts.MODEL
-    if not model.is_file():
-        raise DataError(f"{folder}: no champion here ({model.relative_to(folder)} is missing; run the pipeline first)")
-    recording = _artefacts.recording_in(Path(folder) / _giving(pipeline, "recording"))
-    return _artefacts.read_model(model), recording, jsonfile.fingerprint_bytes(model.read_bytes())
+    recording = Path(folder) / _giving(pipeline, "recording")
+    for path in (model, recording / MANIFEST):
+        if not path.is_file():
+            raise DataError(
+                f"{folder}: no champion here ({path.relative_to(folder)} is missing; run the pipeline first)"
+            )
+    found, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+    try:
+        _predictions(found, rows.take([0]))
+    except DataError as why:
+        raise DataError(
+            f"{model}: {why} (a champion of another version? Run the pipeline into {folder} anew)"
+        ) from None
+    return found, rows, jsonfile.fingerprint_bytes(model.read_bytes())
+
+
+def _same_machine(folder: Path, model: ErrorModel, old: Recording, new: Recording) -> None:
+    """Raises DataError where the champion cannot be of the machine that the recording is of."""
+    names = old.manifest.machine, new.manifest.machine
+    if all(names) and names[0] != names[1]:
+        raise DataError(f"{folder}: the champion is of machine {names[0]!r}, the recording of {names[1]!r}")
+    columns = [n for n in model.columns if n not in new.frame.columns]
+    responses = [c.component for c in model.components if c.component not in new.components()]
+    if columns or responses:
+        raise DataError(
+            f"{folder}: the champion needs {', '.join([*columns, *responses])}, which the recording does not have: of"
+            f" another machine, or of an older pipeline? Run the pipeline into {folder} anew."
+        )
 
 
 def _earlier_scores(path: Path, champion: str) -> list[RunScore]:

@@ -8,6 +8,7 @@ better. However often it is evaluated, the probability that the evidence ever re
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -29,7 +30,10 @@ LEAST_RUNS = 3  # of a group, from which a paired test says something
 
 @dataclass(frozen=True)
 class RunScore:
-    """One new run and component: mean squares (um2) of the response, and of what champion and challenger leave."""
+    """One new run and component: mean squares (um2) of the response, and of what champion and challenger leave.
+
+    content: digest of the run's readings, by which a copy of it is known.
+    """
 
     key: str
     run: str
@@ -39,6 +43,7 @@ class RunScore:
     champion: float
     challenger: float
     rows: int
+    content: str = ""
 
     @property
     def score(self) -> float:
@@ -78,23 +83,41 @@ def run_keys(recording: Recording) -> list[str]:
     return out
 
 
+def run_contents(recording: Recording) -> list[str]:
+    """Digest of each run's numbers, time counted from its first row, in order of appearance: copies share one."""
+    run, time = recording.run_codes(), recording.time()
+    names = [n for n, c in recording.manifest.columns.items() if c.role not in ("run", "group", "time", "ignore")]
+    columns = [recording.array(n) for n in names if n in recording.frame.columns]
+    out = []
+    for code in range(len(recording.run_labels())):
+        rows = np.flatnonzero(run == code)
+        digest = hashlib.sha256(np.round(time[rows] - time[rows[0]], 3).tobytes())
+        for values in columns:
+            digest.update(values[rows].tobytes())
+        out.append(digest.hexdigest())
+    return out
+
+
 def score_new_runs(
     recording: Recording,
     family: Family,
     champion: Mapping[str, np.ndarray],
     known: frozenset[str],
     scored: frozenset[str],
+    copied: frozenset[str] = frozenset(),
 ) -> list[RunScore]:
     """Score every run that is neither known to the champion nor scored already, in order of appearance.
 
     champion: component -> its prediction, (rows,). known: keys of the runs that fitted it; scored: of runs scored on
-    earlier looks. Each batch of new runs is judged by a fit on the known runs and the new ones before it. Raises
-    DataError, NotIdentifiable as the family does.
+    earlier looks; copied: contents of either, whatever a run of the same readings is called now. Each batch of new
+    runs is judged by a fit on the known runs and the new ones before it; a copy fits nothing and is not scored, for a
+    challenger that has seen a run leaves less of it. Raises DataError, NotIdentifiable as the family does.
     """
-    keys, run = run_keys(recording), recording.run_codes()
+    keys, run, contents = run_keys(recording), recording.run_codes(), run_contents(recording)
+    first = [c for c, digest in enumerate(contents) if contents.index(digest) == c]
     seen = measured(recording)
     has_rows = [bool(seen[run == code].any()) for code in range(len(keys))]
-    new = [c for c, key in enumerate(keys) if key not in known and key not in scored and has_rows[c]]
+    new = [c for c in first if keys[c] not in known | scored and contents[c] not in copied and has_rows[c]]
     train = np.isin(run, [c for c, key in enumerate(keys) if key in known or key in scored])
     out: list[RunScore] = []
     for batch in np.array_split(np.array(new, dtype=int), min(BATCHES, len(new)) or 1):
@@ -105,13 +128,18 @@ def score_new_runs(
             train = train | test
             continue
         for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
-            out += _scores(recording, component, judged, champion[component], keys)
+            out += _scores(recording, component, judged, champion[component], keys, contents)
         train = train | test
     return out
 
 
 def _scores(
-    recording: Recording, component: str, left: HeldOut, prediction: np.ndarray, keys: Sequence[str]
+    recording: Recording,
+    component: str,
+    left: HeldOut,
+    prediction: np.ndarray,
+    keys: Sequence[str],
+    contents: Sequence[str],
 ) -> list[RunScore]:
     run, labels = recording.run_codes(), recording.run_labels()
     residual = champion_residual(recording, component, left, prediction)
@@ -121,9 +149,8 @@ def _scores(
         first = int(left.rows[of_run][0])
         groups = {name: str(recording.frame[name].iloc[first]) for name in recording.names("group")}
         nothing, champion, challenger = (float(np.mean(v[of_run] ** 2)) for v in (left.before, residual, left.after))
-        out.append(
-            RunScore(keys[code], labels[code], component, groups, nothing, champion, challenger, int(of_run.sum()))
-        )
+        squares = nothing, champion, challenger
+        out.append(RunScore(keys[code], labels[code], component, groups, *squares, int(of_run.sum()), contents[code]))
     return out
 
 
