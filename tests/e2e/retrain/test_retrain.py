@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -69,12 +71,20 @@ def record(
     (folder / "recording.yaml").write_text(MANIFEST, encoding="utf-8")
 
 
-@pytest.fixture
-def site(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A pipeline, and a champion fitted on the first twelve days."""
-    (tmp_path / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
-    record(tmp_path / "recording", 12)
-    assert main(["run", str(tmp_path / "axis.yaml"), "--out", str(tmp_path / "champion")]) == 0
+    where = tmp_path_factory.mktemp("made")
+    (where / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    record(where / "recording", 12)
+    assert main(["run", str(where / "axis.yaml"), "--out", str(where / "champion")]) == 0
+    return where
+
+
+@pytest.fixture
+def site(made: Path, tmp_path: Path) -> Path:
+    """A copy of it for one test."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
@@ -130,12 +140,6 @@ def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: p
     assert "::warning title=sensor drift::T_nut" in capsys.readouterr().out
 
 
-def test_a_folder_without_a_champion_is_refused(site: Path, capsys: pytest.CaptureFixture) -> None:
-    arguments = ["--champion", str(site / "nowhere"), "--out", str(site / "out")]
-    assert main(["retrain", str(site / "axis.yaml"), *arguments]) == 3
-    assert "no champion here" in capsys.readouterr().err
-
-
 def test_an_earlier_judgement_that_is_none_is_refused_with_its_place(site: Path, capsys) -> None:
     record(site / "recording", 14)
     _, document = retrain(site)
@@ -154,3 +158,38 @@ def test_an_earlier_judgement_that_is_none_is_refused_with_its_place(site: Path,
         assert main(["retrain", str(site / "axis.yaml"), *arguments]) == 6
         said = capsys.readouterr().err
         assert "retrain.json" in said and says in said and "internal" not in said
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "says"),
+    [
+        (lambda at: shutil.rmtree(at), 3, "no champion here"),
+        (lambda at: shutil.rmtree(at / "ingest"), 3, "no champion here (ingest/recording.yaml is missing"),
+        (lambda at: (at / "fit/error_model.json").write_text('{"hello": 1}'), 6, "not an error model"),
+        (lambda at: (at / "ingest/recording.parquet").write_bytes(b"PAR1 x"), 3, "not a Parquet file"),
+        (lambda at: edit(at / "fit/error_model.json", '"scale_expansion"', '"old"'), 3, "of another version?"),
+        (lambda at: edit(at.parent / "recording/recording.yaml", "run: {", "run : {"), 4, ""),
+        (lambda at: (at.parent / "out").mkdir() or (at.parent / "out/retrain.json").write_text("[1]"), 6, "version 1"),
+    ],
+    ids=["none", "no recording", "foreign", "damaged", "older", "no new run", "out is foreign"],
+)
+def test_a_champion_that_is_none_is_refused_by_name(site: Path, capsys: Any, change: Any, code: int, says: str) -> None:
+    change(site / "champion")
+    assert retrain_code(site) == code
+    assert says in capsys.readouterr().err
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+
+
+def test_a_champion_of_another_machine_is_refused(site: Path, capsys: pytest.CaptureFixture) -> None:
+    folder = site / "recording"
+    for path in (folder / "recording.yaml", folder / "recording.csv", site / "axis.yaml"):
+        edit(path, "T_nut", "T_spindle")
+    assert retrain_code(site) == 3
+    assert "the champion needs T_nut, which the recording does not have" in capsys.readouterr().err
+
+
+def retrain_code(site: Path) -> int:
+    return main(["retrain", str(site / "axis.yaml"), "--champion", str(site / "champion"), "--out", str(site / "out")])

@@ -7,8 +7,10 @@ import pandas as pd
 import pytest
 
 from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.fitting.holdout import Fold
+from errpipe.fitting.judging import HeldOut
 from errpipe.validation.input_drift import cusum, sensor_drift
-from errpipe.validation.retraining import Gate, RunScore, decide, e_value
+from errpipe.validation.retraining import Gate, RunScore, decide, e_value, run_contents, run_keys, score_new_runs
 
 
 def score(run: int, champion: float, challenger: float, nothing: float = 100.0, season: str = "winter") -> RunScore:
@@ -57,6 +59,37 @@ def test_any_other_gate_keeps_the_champion() -> None:
     good = [score(k, 16.0, 1.0) for k in range(40)]
     assert decide(good).promote
     assert not decide(good, [Gate("inputs", False, "newly required: T_9")]).promote
+
+
+class Mean:
+    """A family whose model is the mean of the rows that fit it."""
+
+    def judge(self, recording: Recording, fold: Fold) -> dict[str, HeldOut]:
+        y, rows = recording.array("EXX"), np.flatnonzero(fold.test)
+        left = y[rows] - y[fold.train].mean()
+        return {"EXX": HeldOut(fold.label, rows, y[rows], left, np.zeros(rows.size), 0.0)}
+
+
+def test_a_run_that_arrives_twice_is_scored_once_whatever_it_is_called() -> None:
+    """Copied with another label and an hour later; and a copy of a run that fitted the champion."""
+    rng = np.random.default_rng(5)
+    days = {f"day {k}": rng.normal(size=10) for k in range(6)}
+    days |= {"day 4 again": days["day 4"], "day 9": days["day 1"]}
+    parts = [
+        pd.DataFrame({"run": n, "t": 3600.0 * k + np.arange(10.0), "EXX": y}) for k, (n, y) in enumerate(days.items())
+    ]
+    kinds = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    kinds |= {"EXX": Column(role="error", component="EXX", unit="um")}
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=kinds), pd.concat(parts, ignore_index=True))
+    known, contents = frozenset(run_keys(recording)[:3]), run_contents(recording)
+    champion = {"EXX": np.zeros(len(recording))}
+    scores = score_new_runs(recording, Mean(), champion, known, frozenset(), frozenset(contents[:3]))
+    assert [s.run for s in scores] == ["day 3", "day 4", "day 5"]
+    later = {s.content for s in scores}
+    assert (
+        score_new_runs(recording, Mean(), champion, known, frozenset(s.key for s in scores), frozenset(contents)) == []
+    )
+    assert later == set(contents[3:6])
 
 
 def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Recording, np.ndarray]:
