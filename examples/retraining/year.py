@@ -2,6 +2,7 @@
 
     python examples/retraining/year.py OUT [--seed 1] [--every 1]        # the year, through `errpipe retrain`
     python examples/retraining/year.py --quiet-years 200 [--seed 1]      # how often a quiet machine sees a promotion
+    python examples/retraining/year.py --naming 20 [--drift 0.25]        # nights until the drifting sensor is named
 
 The machine is simulated here and shares no code with the models: a screw that expands, a room with seasons, a nut
 that warms with use. In May its bearing is changed, July is hot, in August the nut's sensor begins to drift, and one
@@ -26,7 +27,7 @@ from errpipe.validation.retraining import ALPHA, RunScore, decide, e_value
 KEPT = 60  # nights of recordings that the shop keeps
 FIRST = 30  # nights that fit the first champion
 BEARING, DRIFT, SWAP = 135, 215, 290  # nights: 15 May, 3 August, 17 October
-DRIFT_PER_NIGHT = 0.25  # K
+DRIFT_PER_NIGHT = 0.5  # K; half of that takes more than three nights on one machine in three (docs/registry.md)
 NOISE = 0.8  # um
 STATE = "year.json"  # how far a year has come
 PLACES = np.r_[np.arange(0.0, 601.0, 60.0), np.arange(600.0, -1.0, -60.0)]
@@ -61,8 +62,10 @@ stages:
 """
 
 
-def night(number: int, rng: np.random.Generator, quiet: bool = False) -> dict[str, np.ndarray]:
-    """One night: true deviation and readings at every place. Temperatures in degC, deviation in um."""
+def night(
+    number: int, rng: np.random.Generator, quiet: bool = False, drift: float = DRIFT_PER_NIGHT
+) -> dict[str, np.ndarray]:
+    """One night: true deviation and readings at every place. Temperatures in degC, deviation in um, drift in K."""
     air = 20 + 5 * np.sin(2 * np.pi * (number - 105) / 365) + rng.normal(0, 0.7)
     air += 4.0 * (181 <= number < 212) * (not quiet)  # a hot July
     nut = air + rng.uniform(1.0, 6.0)
@@ -71,7 +74,7 @@ def night(number: int, rng: np.random.Generator, quiet: bool = False) -> dict[st
     true = offset + 10.0 * PLACES / 600 + alpha * 1e-3 * PLACES * (nut - 20)
     shown = {"T_nut": nut, "T_bed": bed, "T_air": air}
     if not quiet:
-        shown["T_nut"] += DRIFT_PER_NIGHT * max(0, number - DRIFT)
+        shown["T_nut"] += drift * max(0, number - DRIFT)
         if number == SWAP:
             shown["T_nut"], shown["T_air"] = shown["T_air"], shown["T_nut"]
     readings = {name: np.round(value + rng.normal(0, 0.05, PLACES.size), 2) for name, value in shown.items()}
@@ -106,14 +109,14 @@ def residual(model: Path, nights: list[dict[str, np.ndarray]]) -> float:
     return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - found) ** 2)))
 
 
-def year(out: Path, seed: int, every: int, until: int = 365) -> dict[str, object]:
+def year(out: Path, seed: int, every: int, until: int = 365, drift: float = DRIFT_PER_NIGHT) -> dict[str, object]:
     """The year: every `every` nights the shop retrains; what happened, and what it was truly worth.
 
     It goes on from the night after the last one where OUT holds the begin of this year.
     """
     rng = np.random.default_rng(seed)
-    nights = [night(k, rng) for k in range(365)]
-    state = _begun(out, seed, every, nights)
+    nights = [night(k, rng, drift=drift) for k in range(365)]
+    state = _begun(out, {"seed": seed, "every": every, "drift": drift}, nights)
     for today in range(state["next"], until, every):
         kept = range(max(0, today - KEPT), today)
         write(out / "recording", {k: nights[k] for k in kept})
@@ -137,19 +140,37 @@ def year(out: Path, seed: int, every: int, until: int = 365) -> dict[str, object
     return state
 
 
-def _begun(out: Path, seed: int, every: int, nights: list[dict[str, np.ndarray]]) -> dict[str, Any]:
+def _begun(out: Path, asked: dict[str, Any], nights: list[dict[str, np.ndarray]]) -> dict[str, Any]:
     """The year as far as it has come: a champion fitted on the first nights where nothing is there yet."""
     if (out / STATE).is_file():
         state = jsonfile.read(out / STATE)
-        if (state["seed"], state["every"]) == (seed, every):
+        if {key: state.get(key) for key in asked} == asked:
             return state
+    _first_champion(out, dict(enumerate(nights[:FIRST])))
+    found: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
+    return found | asked | {"next": FIRST + asked["every"]}
+
+
+def _first_champion(out: Path, nights: dict[int, dict[str, np.ndarray]]) -> None:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     (out / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
-    write(out / "recording", dict(enumerate(nights[:FIRST])))
+    write(out / "recording", nights)
     assert errpipe(["run", str(out / "axis.yaml"), "--out", str(out / "champion")]) == 0
-    found: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
-    return found | {"seed": seed, "every": every, "next": FIRST + every}
+
+
+def nights_until_named(out: Path, seed: int, drift: float, most: int = 14) -> int | None:
+    """Nights of drift after which `errpipe retrain` blames the sensor that drifts; None beyond `most`."""
+    rng = np.random.default_rng(seed)
+    nights = {k: night(k, rng, drift=drift) for k in range(DRIFT + most + 1)}
+    _first_champion(out, {k: nights[k] for k in range(DRIFT - KEPT, DRIFT + 1)})
+    for count in range(1, most + 1):
+        write(out / "recording", {k: nights[k] for k in range(DRIFT + count - KEPT, DRIFT + count + 1)})
+        errpipe(["retrain", str(out / "axis.yaml"), "--champion", str(out / "champion"), "--out", str(out / "retrain")])
+        document = json.loads((out / "retrain/retrain.json").read_text(encoding="utf-8"))
+        if any(d["blamed"] and d["column"] == "T_nut" for d in document["drift"]["inputs"]):
+            return count
+    return None
 
 
 def quiet_year(seed: int) -> bool:
@@ -187,12 +208,19 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="nights between retrainings")
     parser.add_argument("--until", type=int, default=365, help="stop before this night; the same command goes on")
     parser.add_argument("--quiet-years", type=int, default=0)
+    parser.add_argument("--naming", type=int, default=0, help="machines of which the drifting sensor is to be named")
+    parser.add_argument("--drift", type=float, default=DRIFT_PER_NIGHT, help="K a night")
     a = parser.parse_args()
+    if a.naming:
+        found = [nights_until_named(a.out / "naming", 1000 * a.seed + k, a.drift) for k in range(a.naming)]
+        soon = sum(count is not None and count <= 3 for count in found)
+        print(f"{a.drift:g} K a night: named within three nights in {soon} of {a.naming} machines; nights: {found}")
+        return
     if a.quiet_years:
         harmed = sum(quiet_year(1000 * a.seed + k) for k in range(a.quiet_years))
         print(f"{harmed} of {a.quiet_years} quiet years saw a promotion that made the machine worse")
         return
-    print(json.dumps(year(a.out, a.seed, a.every, a.until), indent=1))
+    print(json.dumps(year(a.out, a.seed, a.every, a.until, a.drift), indent=1))
 
 
 if __name__ == "__main__":
