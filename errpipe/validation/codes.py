@@ -24,6 +24,7 @@ Code = Literal[
     "run-per-row",
     "shifted-rows",
     "shrinks-when-warm",
+    "shuffled-rows",
     "temperature-jump",
     "temperature-range",
     "too-fast",
@@ -92,13 +93,17 @@ EXPLANATIONS: dict[str, str] = {
         "The slope of the deviation falls by 5 to 26 um/m for each kelvin of every temperature. Scales and "
         "screws get longer when warm, so the sign is reversed."
     ),
+    "shuffled-rows": (
+        "One run jumps from target to target and has not the shape of the others, which are smooth and alike: its rows "
+        "stand in another order than its positions, or its measurement failed."
+    ),
     "temperature-jump": (
         "A temperature steps by more than 15 K from one row of a run to the next and comes back as suddenly. A sensor "
         "without power reads 85 degC or 0 degC; clean the recording, or give the column the role ignore."
     ),
     "temperature-range": (
-        "A temperature lies outside -30 to 150 degC, or follows another one as degF does. Declare its unit "
-        "(degC, degF, K)."
+        "A temperature lies outside -30 to 150 degC, or follows another one as degF does, or is degC only when "
+        "read as degF: then it is as cold as the other sensors when they are cold. Declare its unit (degC, degF, K)."
     ),
     "too-fast": "Half of all steps are faster than 10 m/s (100 rev/s). Time or position is in another unit.",
     "too-small": (
@@ -107,7 +112,8 @@ EXPLANATIONS: dict[str, str] = {
     ),
     "worse-with-compensation": (
         "Rows with the compensation on (a column of role group, of: compensation, labels on and off) are more "
-        "wrong than those with it off. The sign is reversed in the file or in a parameter of the controller."
+        "wrong than those with it off, or as wrong the other way round. The sign is reversed, or the error that was "
+        "compensated is twice the true one (a radius beside a diameter, a double pass of a laser)."
     ),
     "wrong-axis": "The component belongs to an axis that stands still, or whose position is not recorded.",
 }

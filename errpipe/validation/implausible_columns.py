@@ -212,6 +212,27 @@ def fahrenheit(recording: Recording) -> Iterator[Finding]:
                 evidence = f"it is 1.8 times {other} plus 32"
                 yield Finding("temperature-range", name, evidence, "degF that was declared as degC")
                 break
+            if _is_cold_in_fahrenheit(t[good], u[good]):
+                cold = float(t[good][np.argmin(u[good])])
+                evidence = f"it is {cold:.3g} degC where {other} is coldest, {np.min(u[good]):.3g} degC"
+                yield Finding("temperature-range", name, evidence, "degF that was declared as degC")
+                break
+
+
+COLD_START, WARMING = 3.0, 1.0  # K: between two sensors of a cold machine; least rise of one that warms up
+ALIKE = 0.9  # correlation of two sensors that warm up together
+
+
+def _is_cold_in_fahrenheit(t: np.ndarray, other: np.ndarray) -> bool:
+    """Whether a sensor that is never cool reads, in degF, what another one reads in degC when that is coldest.
+
+    Both must warm up together: a heated bed or a hot motor does not follow its room.
+    """
+    celsius = (t - 32) / 1.8
+    if np.min(t) < COLDEST or np.max(other) > COLDEST or np.ptp(celsius) < WARMING or np.ptp(other) == 0:
+        return False
+    together = float(np.corrcoef(_spread(celsius), _spread(other))[0, 1]) > ALIKE
+    return together and abs(celsius[np.argmin(other)] - np.min(other)) < COLD_START
 
 
 def temperature_of_position(recording: Recording) -> Iterator[Finding]:

@@ -26,6 +26,7 @@ UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
 FEWEST_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
 MOST_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
+ROUNDING = 1e-12  # of a position: a difference of positions that varies by less is constant
 COMMON_SLOPES = (
     (1.0, "error = reading - commanded (these are absolute readings, not deviations)"),
     (-1.0, "another reading (this one is empty, in m beside commands in mm, or absolute with the sign turned)"),
@@ -162,7 +163,8 @@ def reversed_sign(r: Response) -> Finding | None:
         return None
     true = r.per_unit * (rec.array(actual) - rec.array(command))[r.rows]
     good = np.isfinite(true)
-    if good.sum() < FEWEST_STEPS or np.ptp(true[good]) == 0 or np.ptp(r.deviation[good]) == 0:
+    rounding = ROUNDING * r.per_unit * float(np.abs(rec.array(command)[r.rows][good]).max(initial=0.0))
+    if good.sum() < FEWEST_STEPS or min(np.ptp(true[good]), np.ptp(r.deviation[good])) <= rounding:
         return None
     match = float(np.corrcoef(true[good], r.deviation[good])[0, 1])
     slope = _slope(true[good], r.deviation[good])
@@ -237,7 +239,30 @@ def worse_with_compensation(r: Response) -> Finding | None:
                 evidence,
                 "the other sign, here or in the parameter of the controller",
             )
+        turned = _of_the_other(r, on, off)
+        if turned is not None and abs(turned + 1.0) < OVER:
+            evidence = f"with the compensation on the deviation is {turned:.2f} times that without it"
+            meant = "an error declared twice as large as it is (a radius beside a diameter, a double pass of a laser)"
+            return Finding("worse-with-compensation", r.column, evidence, meant)
     return None
+
+
+OVER = 0.15  # about -1: what is left where twice the error was compensated
+
+
+def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
+    """Slope of the mean curve with a compensation over that without it; None where they have not the same shape."""
+    side = np.zeros(r.run.size) if r.direction is None else r.direction
+    place = np.unique(np.stack([np.round(np.asarray(r.position), 3), side], axis=1), axis=0, return_inverse=True)[
+        1
+    ].ravel()
+    shared = np.intersect1d(place[on], place[off])
+    if shared.size < FEWEST_STEPS:
+        return None
+    a, b = (np.array([r.deviation[k & (place == p)].mean() for p in shared]) for k in (off, on))
+    if np.ptp(a) == 0 or np.ptp(b) == 0 or abs(np.corrcoef(a, b)[0, 1]) < 0.9:
+        return None
+    return _slope(a, b)
 
 
 def shifted_rows(r: Response) -> Finding | None:

@@ -124,6 +124,40 @@ def mirrored_rows(r: Response) -> Finding | None:
     )
 
 
+UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; ratio of von Neumann: 2 for values in a random order
+
+
+def shuffled_rows(r: Response) -> Finding | None:
+    """One run without the shape of the others, which are smooth and alike, and as jagged as rows in a random order.
+
+    All runs shuffled need no check: nothing fitted to them is better than nothing on a run that sat out.
+    """
+    labels = np.unique(r.run)
+    if r.position is None or r.component.kind == "force" or labels.size < 4:
+        return None
+    sides = [np.ones(r.run.size, dtype=bool)]
+    if r.direction is not None and np.unique(r.direction).size == 2:
+        sides = [r.direction > 0, r.direction < 0]
+    for side in sides:
+        curves = _curves(r, [side & (r.run == k) for k in labels])
+        if curves is None:
+            continue
+        ratio = np.mean(np.diff(curves, axis=1) ** 2, axis=1) / np.var(curves, axis=1)
+        match = np.corrcoef(curves)
+        for k in np.flatnonzero(ratio > JAGGED):
+            rest = np.arange(labels.size) != k
+            alike = np.min(match[np.ix_(rest, rest)]) > ALIKE and np.max(ratio[rest]) < SMOOTH
+            if (
+                alike
+                and np.max(match[k][rest]) < UNLIKE
+                and curves[k].std() > 0.5 * np.median(curves[rest].std(axis=1))
+            ):
+                name = r.recording.run_labels()[int(labels[k])]
+                evidence = f"run {name} has not the shape of the others and jumps from target to target"
+                return Finding("shuffled-rows", r.column, evidence, "its rows in another order, or a run that failed")
+    return None
+
+
 def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     """Mean deviation of each group at the targets that all share, less its own line; None where it says nothing."""
     levels = np.round(np.asarray(r.position), 3)
@@ -140,4 +174,4 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     return curves if curves.std(axis=1).min() > SMALLEST_UM else None
 
 
-CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows)
+CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows, shuffled_rows)

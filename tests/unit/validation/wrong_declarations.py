@@ -158,6 +158,24 @@ def _compensated() -> Recording:
     return declare(read, {"state": Column(role="group", of="compensation")})
 
 
+def _overcompensated() -> Recording:
+    """A double pass of the laser that was not halved: with its compensation on, the axis is as wrong the other way."""
+    recording = axis_test(warm=False)
+    f = recording.frame
+    on = f.run.isin(["run-4", "run-5"])
+    rest = f.EXX.mean() + 0.6 * np.random.default_rng(5).normal(size=len(f))
+    read = put(recording, EXX=(2 * f.EXX).where(~on, 2 * (rest - f.EXX)), state=np.where(on, "on", "off"))
+    return declare(read, {"state": Column(role="group", of="compensation")})
+
+
+def shuffled(f: pd.DataFrame) -> pd.Series:
+    """The error with the rows of the third run in a random order."""
+    out = f.EXX.copy()
+    rows = np.flatnonzero(f.run == "run-3")
+    out[rows] = f.EXX[np.random.default_rng(8).permutation(rows)].to_numpy()
+    return out
+
+
 def _one_later(f: pd.DataFrame, by: int) -> pd.Series:
     return pd.Series(np.roll(f.EXX.to_numpy(), by))
 
@@ -280,6 +298,7 @@ WRONG: tuple[Wrong, ...] = (
         "commanded minus actual, only temperatures beside", _error(lambda f: -f.EXX), "shrinks-when-warm", "get longer"
     ),
     Wrong("a compensation that is on with the wrong sign", _compensated, "worse-with-compensation", "other sign"),
+    Wrong("an error twice as large as it is, compensated", _overcompensated, "worse-with-compensation", "twice"),
     Wrong("direction turned", _column("dir", lambda f: -f["dir"]), "reversed-direction", "from below"),
     # columns and axes
     Wrong("position and error swapped", _swapped, "as-large-as-travel", "the other way round"),
@@ -311,6 +330,7 @@ WRONG: tuple[Wrong, ...] = (
     ),
     Wrong("kelvin declared as degC", _column("T_nut", lambda f: f.T_nut + 273.15), "temperature-range", "K"),
     Wrong("degF declared as degC", _column("T_nut", lambda f: 1.8 * f.T_air + 33), "temperature-range", "degF"),
+    Wrong("one of two sensors in degF", _column("T_nut", lambda f: 1.8 * f.T_nut + 32), "temperature-range", "degF"),
     Wrong("tenths of a degree", _column("T_nut", lambda f: 10 * f.T_nut), "temperature-range", "tenths"),
     Wrong(
         "spindle speed as a temperature",
@@ -359,6 +379,7 @@ WRONG: tuple[Wrong, ...] = (
         "direction-not-of-motion",
         "counts the rows",
     ),
+    Wrong("errors of one run in a random order", _error(shuffled), "shuffled-rows", "another order"),
     Wrong(
         "errors of a single run one row late",
         lambda: _first_run(lambda f: np.roll(f.EXX, 1)),
@@ -397,7 +418,23 @@ def page() -> str:
         "| a correction of -300 mm at 300 mm | `beyond-limit` | any correction beyond `export: {limit: ...}`, by"
         " default 0.5 mm or 1/1000 of the travel |"
     )
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, "", *UNKNOWABLE, ""])
+
+
+UNKNOWABLE = (
+    "## What a recording cannot show",
+    "",
+    "These are declared at one's own risk: the file of a wrong one could be that of a right one.",
+    "",
+    "* Two temperature sensors in each other's place. A model finds the one that follows the error, under either name;",
+    "  its table then reads the wrong sensor of the machine. Warm each by hand before the export is switched on.",
+    "* A factor of 2 on every reading (radius and diameter, a double pass of a laser that was not halved), without the",
+    "  actual position beside it. It shows as soon as runs with the compensation on are in the recording (above), and",
+    "  at the three points of every checklist.",
+    "* The rows of every run in a random order. Nothing is exported all the same: what is fitted to them is not better",
+    "  than nothing on a run that sat out (exit code 4).",
+    "* The sign, where there are neither both positions nor temperatures nor lost motion: it is asked about.",
+)
 
 
 if __name__ == "__main__":
