@@ -54,7 +54,10 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     if separator == " ":
         cells: Iterable[list[Cell]] = _by_blanks(path, lines)
     else:
-        cells = ([_bare(cell) for cell in row] for row in csv.reader(lines, delimiter=separator))
+        cells = (
+            [(text if text[:1] != "=" else _without_formula(text)) or None for text in map(str.strip, row)]
+            for row in csv.reader(lines, delimiter=separator)
+        )
     try:
         rows = _bounded(cells, path)
     except csv.Error as err:
@@ -83,10 +86,9 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
         yield row
 
 
-def _bare(cell: str) -> Cell:
-    """A cell without blanks around it, and without the formula that keeps a number as text: `="12,5"`."""
-    text = cell.strip()
-    return re.sub(r"^=(\"?)(.*)\1$", r"\2", text) or None
+def _without_formula(text: str) -> str:
+    """`="12,5"`, as spreadsheets keep a number as text, without the formula."""
+    return re.sub(r"^=(\"?)(.*)\1$", r"\2", text)
 
 
 def _figure(word: Cell) -> bool:
