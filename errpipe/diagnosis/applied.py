@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
-from scipy.optimize import least_squares
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.derived import with_motion
@@ -266,6 +265,8 @@ class _Solve:
 
     def _refine(self, rows: np.ndarray, beside: np.ndarray) -> None:
         """Non-linear parameters to where the textbook forms fit best, each within the interval of its finding."""
+        from scipy.optimize import least_squares
+
         spans = [(k, n, *v) for k, b in enumerate(self.blocks) for n, v in b.spans(self.read, self.unit).items()]
         if not spans:
             return

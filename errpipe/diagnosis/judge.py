@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import itertools
 from collections.abc import Callable
 from dataclasses import fields, replace
 
@@ -250,9 +249,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
         recal, names = np.column_stack([recal, each[1]]), [*names, *each[2]]
         sizes, session = np.r_[sizes, np.ones(len(each[2]))], of_row
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
-    every = library.add(np.column_stack([s.columns for s in free_shapes]))
-    edges = np.cumsum([0, *[s.columns.shape[1] for s in free_shapes]])
-    places = [every[a:b] for a, b in itertools.pairwise(edges)]
+    places = [library.add(s.columns) for s in free_shapes]
     return SetUp(
         conditioned, pair, library, decomposition, simulated, pair.mismatch, run, data, prior, nuisance, names, recal,
         sizes, noise_estimate, free_shapes, places, session,

@@ -76,8 +76,8 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "cut_length": ("m", "mm", "km"),
     "size": ("mm", "m", "inch"),
     "uncertainty": ("um", "urad", "mm", "nm", "arcsec", "mrad"),
-    "error": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
-    "simulated": ("um", "urad", "N", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
+    "error": ("um", "urad", "N", "kN", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
+    "simulated": ("um", "urad", "N", "kN", "mm", "nm", "arcsec", "mrad", "N m", "N mm", "N cm", "kN m"),
 }
 
 # Roles whose canonical unit is optional to state (the contract writes them without one).
