@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.diagnosis.coloured import USUAL, Colour, recolour, whiten
-from errpipe.kernels import evidence, noise
+from errpipe.kernels import evidence
 
 AT_ONCE = 64  # columns filtered together
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
@@ -142,8 +142,9 @@ class Table:
             grown = np.zeros((self.n, 2 * last), order="F")
             grown[:, :first] = self.W
             self._store = grown
-        fresh = np.ascontiguousarray(columns, dtype=float)
-        noise.whiten_into(self._store[:, first:last], self.run, fresh, *self.colour.filter())
+        for k in range(first, last, AT_ONCE):
+            fresh = columns[:, k - first : k - first + AT_ONCE]
+            self._store[:, k : min(k + AT_ONCE, last)] = whiten(fresh, self.run, self.colour)
         self.width = last
         return np.arange(first, last)
 

@@ -23,19 +23,6 @@ def whiten(run, columns, phi, theta, gain):
 
 
 @kernel
-def whiten_into(out, run, columns, phi, theta, gain):
-    """As `whiten`, into `out` (rows, k), whose columns lie one after the other; 256 rows at once stay in the cache."""
-    n, k = columns.shape
-    for first in range(0, n, 256):
-        for j in range(k):
-            for i in range(first, min(first + 256, n)):
-                if i == 0 or run[i] != run[i - 1]:
-                    out[i, j] = columns[i, j]
-                else:
-                    out[i, j] = (columns[i, j] - phi * columns[i - 1, j]) / gain + theta * out[i - 1, j]
-
-
-@kernel
 def coloured(run, columns, phi, theta, gain):
     """The inverse of `whiten`: columns (rows, k) as they were before the filter."""
     n, k = columns.shape
