@@ -14,13 +14,15 @@ from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
 
+BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explanation
+
 
 @dataclass(frozen=True)
 class HeldOut:
     """rms on held-out rows; how often the full search's first effect was chosen without them.
 
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
-    `after`, of the findings alone.
+    `after`, of the findings alone; bare, textbook: as `named`, without findings, and of their textbook forms alone.
     """
 
     scheme: str
@@ -30,10 +32,24 @@ class HeldOut:
     named: float
     shaped: float
     names: float
+    bare: float
+    textbook: float
 
     def shape_share(self) -> float:
         """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
         return 1.0 - (self.shaped / max(self.named, 1e-300)) ** 2
+
+    def departing(self) -> float:
+        """Share of the held-out variance that departures from the textbook forms predict beyond these."""
+        return (self.textbook**2 - self.named**2) / max(self.bare**2, 1e-300)
+
+    def textbook_share(self) -> float:
+        """Share of what names predict on held-out rows that their textbook forms alone predict."""
+        return (self.bare**2 - self.textbook**2) / max(self.bare**2 - self.named**2, 1e-300)
+
+    def predicts_whole_runs(self) -> bool:
+        """Do names predict runs that sat out whole? Noise does not, however slow it is."""
+        return "whole runs" in self.scheme and self.names < BETTER * self.before
 
 
 def held_out(case: Case) -> HeldOut:
@@ -49,6 +65,7 @@ def held_out(case: Case) -> HeldOut:
     first = case.explanation.accepted[0].hypothesis.effect if case.explanation.accepted else None
     inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
+    bare, textbook = [], []
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
@@ -73,6 +90,8 @@ def held_out(case: Case) -> HeldOut:
         ways = [(part.active(chosen), judged.columns(names)), _textbook(part, chosen, judged)]
         if remainder.taken:
             ways.append((remainder.active, judged.columns(names, remainder.taken)))
+        bare.append(judged.whitened(part.data, part.active([]), part.noise, judged.columns([]), f))
+        textbook.append(judged.whitened(part.data, ways[1][0], part.noise, ways[1][1], f))
         known = [judged.mean_square(part.data, active, part.noise, columns) for active, columns in ways]
         way = int(np.argmin(known))
         shaped += way == 2
@@ -92,7 +111,10 @@ def held_out(case: Case) -> HeldOut:
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
-    return HeldOut(scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs), rms(alone))
+    return HeldOut(
+        scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs), rms(alone), rms(bare),
+        rms(textbook),
+    )  # fmt: skip
 
 
 def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:

@@ -93,7 +93,6 @@ OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few b
 
 HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
-BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explanation
 
 
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
@@ -151,8 +150,8 @@ def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> boo
     Whole runs share none: there the better one stands, also where the other names nothing.
     """
     if "whole runs" in own.scheme:
-        return usual.after < BETTER * min(own.after, usual.before)
-    better = usual.names < BETTER * min(own.names, usual.before)
+        return usual.after < holdout.BETTER * min(own.after, usual.before)
+    better = usual.names < holdout.BETTER * min(own.names, usual.before)
     return better and (_harms(own) or usual.names < PROVES * usual.before)
 
 
@@ -176,9 +175,8 @@ def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
 
 
 def _predicts_whole_runs(case: Case) -> bool:
-    """Do names predict runs that sat out whole? Noise does not, however slow it is."""
     case.held = holdout.held_out(case)
-    return "whole runs" in case.held.scheme and case.held.names < BETTER * case.held.before
+    return case.held.predicts_whole_runs()
 
 
 def _nothing_named(made: SetUp) -> Case:

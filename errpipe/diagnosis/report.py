@@ -137,11 +137,12 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     margin = min(margin, max(case.over_noise, 0.0))
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
+    noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
     return confidence.Indicators(
         gain=accepted[k].gain,
         margin=margin,
         leftover=case.sigma / max(case.noise_estimate, 1e-12) if proved else 1.0,
-        share=shaped.share,
+        share=shaped.share if proved or noise else 0.0,
         shapes=sum(g for _, g in shaped.shapes),
         others=len(accepted) - 1,
         core=model.core_share(case, k),
@@ -150,7 +151,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         rows=int(case.y.size),
         unreached=unreached(case, case.sigma) if proved else 0.0,
         fast=int(is_fast(case)),
-        wandering=sum(g for s, g in shaped.shapes if not s.of_inputs),
+        wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
         beside=0.0 if proved else _best_shape(case, case.chosen()),
         instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
     )

@@ -14,6 +14,9 @@ from errpipe.domain.diagnosis import Finding, Where
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
 PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold,
 NOISE = 0.2  # and where what is left is a linear Gaussian process
+TEXTBOOK = 0.7  # threshold: share of what names predict on held-out rows below which their form is another's (chosen on
+# trials/first 9535 and 9801, trials/second 9536 and 9802: right names 0.95 or more, novel mechanisms 0.1 to 1)
+DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 WANDERING = 2.0  # threshold: rms of the residual over the noise between neighbours, from which it wanders
 
@@ -25,6 +28,8 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
     must predict held-out rows, or what is left must come in events or in a rhythm.
     """
     share = held.shape_share()
+    if departs(case, held):
+        return max(confidence.unknown(indicators[0]), DEPARTED)
     if indicators:
         p = confidence.unknown(indicators[0])
     else:
@@ -77,8 +82,35 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     return far and bool(case.explanation.accepted) and "whole runs" not in held.scheme
 
 
+def departs(case: Case, held: holdout.HeldOut) -> bool:
+    """Do departures from the textbook forms predict held-out rows as a shape without a name must?
+
+    Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's.
+    """
+    enough = held.departing() >= HELD_OUT_SHARE and held.textbook_share() < TEXTBOOK
+    return bool(case.explanation.accepted) and enough
+
+
+def _departed(case: Case, probability: float) -> Finding:
+    """The finding `unknown` where the inputs of a name are right and its form is not."""
+    h = case.explanation.accepted[0].hypothesis
+    return Finding(
+        effect="unknown",
+        confidence=round(probability, 3),
+        drivers=h.drivers,
+        where=Where(),
+        says=f"Structure goes with {' and '.join(h.drivers)} in a form that no effect of the vocabulary has: what "
+        f"departs from the textbook form of {h.effect.replace('_', ' ')} predicts {case.held.departing():.0%} of the "
+        "held-out variance.",
+        rms_um=float(np.sqrt(max(case.search.scene([]).rms() ** 2 - case.sigma**2, 0.0))),
+        compensable=False,
+    )
+
+
 def finding(case: Case, probability: float) -> Finding:
     """The finding `unknown`: structure that no effect explains, its inputs and its shape."""
+    if departs(case, case.held):
+        return _departed(case, probability)
     shapes = case.remainder.shapes
     drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
         case.recording.name("time") or "row",
