@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
-from errpipe.drivers.evaluation import drive
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._slack import Slack, difference_of_shape, start_states
-from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, scaled, sensors
+from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, sensors
 
 
-class AmbientDrift(Term):
+class AmbientDrift(Driven):
     """The whole machine follows the room, hours later.
 
     Equation   tau dy/dt + y = T_room - T_ref;  deviation = gain * y       [um] = [um/K] * [K]
@@ -50,17 +49,11 @@ class AmbientDrift(Term):
             for sensor in room or [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]:
                 yield cls(sensor=sensor)
 
-    def _driver(self, tau: float) -> Lag:
+    def _driver(self, *nonlinear: float) -> Lag:
+        (tau,) = nonlinear
         return Lag(of=rise_driver(self.sensor, self.reference), tau_up=tau, tau_down=tau)
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(nonlinear[0]), recording)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield from start_states(recording, nonlinear[0], 1.0, 1.0)
         for factor in (0.3, 3.0):  # thick walls have more than one time constant
             yield difference_of_shape(self.basis(recording, nonlinear[0] * factor)[:, 0], base[:, 0]), 0.2
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        (tau,) = self.nonlinear_values(parameters)
-        return (Lowered(scaled(self._driver(tau), parameters["gain"])),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
@@ -10,13 +10,11 @@ from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input, Power
 from errpipe.domain.recording import Recording
-from errpipe.drivers.evaluation import drive
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
-from errpipe.terms._warm import scaled
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
 
 
-class CentrifugalGrowth(Term):
+class CentrifugalGrowth(Driven):
     """A turning spindle swells and its bearings shift: at once with speed, and gone as soon as it stops.
 
     Equation   deviation = shift * (n / n_max)^2                     [um]
@@ -47,11 +45,5 @@ class CentrifugalGrowth(Term):
                 if np.nanmax(values) > max(np.nanmin(values), 0.0):
                     yield cls(column=column, full_speed=float(np.nanmax(values)))
 
-    def _driver(self) -> Power:
+    def _driver(self, *nonlinear: float) -> Power:
         return Power(of=Affine(weights=(1.0 / self.full_speed,), of=(Input(name=self.column),)), exponent=2.0)
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(), recording)[:, None]
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(scaled(self._driver(), parameters["shift"])),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
@@ -10,15 +10,13 @@ from pydantic import Field
 
 from errpipe.domain.driver import Affine, Driver, Input, Power, Product
 from errpipe.domain.recording import Recording
-from errpipe.drivers.evaluation import drive
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack
-from errpipe.terms._warm import scaled
 
 
-class CuttingCompliance(Term):
+class CuttingCompliance(Driven):
     """Tool, spindle and work give way to the cutting force; a slender boring bar with the cube of its overhang.
 
     Equation   deviation = compliance * F * (l / 100 mm)^exponent     [um] = [um/kN] * [kN]
@@ -60,19 +58,13 @@ class CuttingCompliance(Term):
                 if recording.frame[overhang].nunique() > 1:
                     yield cls(force=force, overhang=overhang)
 
-    def _driver(self, *exponent: float) -> Driver:
+    def _driver(self, *nonlinear: float) -> Driver:
         push = Affine(weights=(1e-3,), of=(Input(name=self.force),))
         if self.overhang is None:
             return push
         reach = Affine(weights=(1e-2,), of=(Input(name=self.overhang),))
-        return Product(of=(push, Power(of=reach, exponent=exponent[0])))
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(*nonlinear), recording)[:, None]
+        return Product(of=(push, Power(of=reach, exponent=nonlinear[0])))
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if self.overhang:
             yield recording.array(self.force), 0.4  # compliance beside the bar's
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["compliance"])),)

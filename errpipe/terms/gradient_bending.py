@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input
 from errpipe.domain.recording import Recording
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
-from errpipe.terms._warm import COOLANT_WORDS, scaled, sensors
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
+from errpipe.terms._warm import COOLANT_WORDS, sensors
 
 
-class GradientBending(Term):
+class GradientBending(Driven):
     """A column or bed that is warmer on one side than on the other bends, and the tool leans with it.
 
     Equation   deviation = gain * (T1 - T2)                          [um] = [um/K] * [K]
@@ -50,11 +49,5 @@ class GradientBending(Term):
         places = f"{self.first} {self.second}".lower()
         return -3.0 if any(word in places for word in COOLANT_WORDS) else 0.0  # a fluid is rarely one side of a body
 
-    def _driver(self) -> Affine:
+    def _driver(self, *nonlinear: float) -> Affine:
         return Affine(weights=(1.0, -1.0), of=(Input(name=self.first), Input(name=self.second)))
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return (recording.array(self.first) - recording.array(self.second))[:, None]
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(scaled(self._driver(), parameters["gain"])),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
@@ -12,15 +12,13 @@ from pydantic import Field
 
 from errpipe.domain.driver import Affine, Input, Lag, Power
 from errpipe.domain.recording import Recording
-from errpipe.drivers.evaluation import drive
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, difference_of_shape, start_states
-from errpipe.terms._warm import scaled
 
 
-class SpindleGrowth(Term):
+class SpindleGrowth(Driven):
     """The bearings heat the spindle, which grows: an exponential after each change of speed.
 
     Equation   tau dy/dt + y = (n / n_max)^exponent;  deviation = growth * y
@@ -59,12 +57,10 @@ class SpindleGrowth(Term):
                 if np.nanmax(values) > max(np.nanmin(values), 0.0):
                     yield cls(column=column, full_speed=float(np.nanmax(values)))
 
-    def _driver(self, tau: float, exponent: float) -> Lag:
+    def _driver(self, *nonlinear: float) -> Lag:
+        tau, exponent = nonlinear
         share = Affine(weights=(1.0 / self.full_speed,), of=(Input(name=self.column),))
         return Lag(of=Power(of=share, exponent=exponent), tau_up=tau, tau_down=tau, start="zero")
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(*nonlinear), recording)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         tau, exponent = nonlinear
@@ -76,6 +72,3 @@ class SpindleGrowth(Term):
             yield self.basis(ran_on, *nonlinear)[:, 0] - base[:, 0], 0.3
         for factor, power in itertools.product((1.0, 0.3), (1.0 / 1.5, 1.5)):  # each body has its own friction
             yield difference_of_shape(self.basis(recording, tau * factor, exponent * power)[:, 0], base[:, 0]), 0.15
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters["growth"])),)

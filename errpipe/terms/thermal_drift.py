@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 
+from errpipe.domain.driver import Affine
 from errpipe.domain.recording import Recording
-from errpipe.drivers.evaluation import drive
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._slack import Slack, lagged
-from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
+from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
-class ThermalDrift(Term):
+class ThermalDrift(Driven):
     """A part of the structure grows with its temperature and shifts the tool: an offset that follows a sensor.
 
     Equation   deviation(T) = gain * (T - T_ref)                    [um] = [um/K] * [K]
@@ -46,12 +46,9 @@ class ThermalDrift(Term):
             for sensor in sensors(recording):
                 yield cls(sensor=sensor)
 
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(rise_driver(self.sensor, self.reference), recording)[:, None]
+    def _driver(self, *nonlinear: float) -> Affine:
+        return rise_driver(self.sensor, self.reference)
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         rise = recording.array(self.sensor)
         yield lagged(recording, rise, 300.0, 0.05) - rise, 0.2
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(scaled(rise_driver(self.sensor, self.reference), parameters["gain"])),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
@@ -10,15 +10,14 @@ from pydantic import Field
 
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
-from errpipe.drivers.evaluation import drive
-from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import Driven
 from errpipe.terms._fields import Reference
 from errpipe.terms._slack import Slack
-from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
+from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
-class ThermalInteraction(Term):
+class ThermalInteraction(Driven):
     """Two warm parts act together (a hot spindle in a hot column), or one acts more than in proportion.
 
     Equation   deviation = gain * (T1 - T_ref) * (T2 - T_ref)        [um] = [um/K2] * [K]^2
@@ -51,11 +50,8 @@ class ThermalInteraction(Term):
                 for second in candidates[i:]:
                     yield cls(first=first, second=second)
 
-    def _driver(self) -> Product:
+    def _driver(self, *nonlinear: float) -> Product:
         return Product(of=tuple(rise_driver(s, self.reference) for s in (self.first, self.second)))
-
-    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(), recording)[:, None]
 
     def log_prior_odds(self) -> float:
         return -2.0  # a product is rarer than a sum
@@ -68,6 +64,3 @@ class ThermalInteraction(Term):
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalInteraction]:
         """Rises are counted from the start of each session: what the absolute ones add are sums of the two."""
         return (term.model_copy(update={"reference": None}) for term in cls.bind(recording, component))
-
-    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(scaled(self._driver(), parameters["gain"])),)
