@@ -80,3 +80,60 @@ class MachineErrors:
         """All components times a factor."""
         tables = tuple(t * factor for t in self.tables)
         return MachineErrors(self.chain, self.start, self.step, tables, self.constants * factor)
+
+
+@dataclass(frozen=True)
+class ThreeAxisVolume:
+    """Tool-point deviation of a machine whose axes are all three linear, in one pass over the points.
+
+    Beyond an axis' travel everything that belongs to it keeps its last value, its squareness too.
+    """
+
+    axes: np.ndarray
+    facts: np.ndarray
+    rows: np.ndarray
+    nodes: int
+
+    @classmethod
+    def of(cls, errors: MachineErrors) -> ThreeAxisVolume:
+        """Prepare the arrays. Raises ValueError where an axis is rotary or the spindle is tilted."""
+        chain = errors.chain
+        kind, axis, vec, point, inverse, entries, comp, angle, evec = chain.factors
+        if len(chain.axes) != 3 or (kind == k.TURN).any():
+            raise ValueError("the one-pass form is for three linear axes")
+        tables = np.stack(errors.tables)
+        direction, reference, location = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+        moves = np.flatnonzero(kind == k.MOVE)
+        direction[axis[moves]] = vec[moves]
+        own_first, shift = np.zeros(3, dtype=np.bool_), np.zeros(3)
+        for f in np.flatnonzero(kind == k.ERROR):
+            part = slice(entries[f], entries[f + 1])
+            sign = -1.0 if inverse[f] else 1.0
+            a = int(chain.drives[comp[part][0]])
+            if a >= 0:
+                tables[a] *= sign
+                reference[a] = point[f]
+                own_first[a] = f < moves[axis[moves] == a][0]
+                continue
+            values = errors.constants[comp[part]]
+            turn = (values * angle[part]) @ evec[part] * k.UM
+            if turn.any() and any(chain.components[c][2:] == "S" for c in comp[part]):
+                raise ValueError("the one-pass form has no spindle tilt")
+            shift += sign * (values * ~angle[part]) @ evec[part]
+            for b in axis[moves[moves > f]]:
+                location[b] += sign * np.cross(turn, direction[b])
+        tables[0, :, :3] += shift
+        order = axis[moves][::-1]
+        facts, rows = np.zeros((3, 12)), np.zeros((3, tables.shape[1], 8))
+        for i, a in enumerate(order):
+            facts[i, :9] = np.r_[errors.start[a], 1 / errors.step[a], direction[a], reference[a], own_first[a]]
+            grid = errors.start[a] + errors.step[a] * np.arange(tables.shape[1])
+            rows[i, :, :3] = tables[a, :, :3] + grid[:, None] * location[a]
+            rows[i, :, 4:7] = tables[a, :, 3:] * k.UM
+        return cls(order.astype(np.uintp), facts.ravel(), rows.ravel(), tables.shape[1])
+
+    def __call__(self, q: np.ndarray, tip: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """Deviation (n, 3), um, at q (n, 3) and tip (n, 3), both contiguous float64, mm."""
+        out = np.empty((len(q), 3)) if out is None else out
+        k.linear_axes(q.reshape(-1), tip.reshape(-1), self.axes, self.facts, self.rows, self.nodes, out.reshape(-1))
+        return out
