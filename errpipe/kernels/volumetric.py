@@ -7,7 +7,7 @@ machine coordinates with all axes at zero, so a factor needs no frame of its own
 
 Deviations come out in the workpiece's frame: three shifts in um, then three angles in urad.
 
-Longer than 400 lines: one chain walked in four ways, whose loops share helpers that Numba inlines.
+Longer than 400 lines: the whole volumetric cycle, which Numba compiles and caches as one unit.
 """
 
 from __future__ import annotations
