@@ -25,8 +25,6 @@ class Batch(Recording):
         self.__dict__.update(manifest=manifest, columns=columns, rows=rows, between="held", past=past)
         labels = {n for n, values in columns.items() if hasattr(values, "dictionary")}
         self.__dict__["_arrays"] = {n: values for n, values in columns.items() if n not in labels}
-        if (run := self.name("run")) is not None:
-            self.__dict__.update(zip(("_codes", "run_starts"), _runs(columns[run]), strict=True))
 
     def __len__(self) -> int:
         return int(self.__dict__["rows"])
@@ -34,6 +32,27 @@ class Batch(Recording):
     def names(self, role: str, *, axis: str | None = None, component: str | None = None) -> tuple[str, ...]:
         """Column names of a role that are present in the rows, in manifest order."""
         return tuple(n for n in self.manifest.names(role, axis=axis, component=component) if n in self.columns)
+
+    @cached_property
+    def run_stretches(self) -> tuple[list[str], np.ndarray]:
+        """Run of each stretch of rows of one run, and the first row of each, (stretches,)."""
+        import numpy as np
+
+        name = self.name("run")
+        if name is None:
+            return (["1"], np.zeros(1, dtype=np.int64)) if len(self) else ([], np.zeros(0, dtype=np.int64))
+        index, labels = self.columns[name].indices.to_numpy(), self.columns[name].dictionary.to_pylist()
+        starts = np.flatnonzero(np.r_[index[:1] >= 0, index[1:] != index[:-1]])
+        return [labels[k] for k in index[starts]], starts
+
+    @cached_property
+    def _codes(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        import numpy as np
+
+        runs, starts = self.run_stretches
+        number = {label: k for k, label in enumerate(dict.fromkeys(runs))}
+        codes = np.array([number[label] for label in runs], dtype=np.int64)
+        return np.repeat(codes, np.diff(starts, append=len(self))), tuple(number)
 
     @cached_property
     def frame(self) -> pd.DataFrame:
@@ -68,18 +87,3 @@ def joined(parts: Sequence[Recording]) -> pd.DataFrame:
             pa.chunked_array([v.cast(pa.string()) for v in values]).to_pandas() if text else np.concatenate(values)
         )
     return pd.DataFrame(made, copy=False)
-
-
-def _runs(run: Any) -> tuple[tuple[np.ndarray, tuple[str, ...]], np.ndarray]:
-    """Codes and labels of runs in order of appearance, and where stretches of a run start; run: dictionary array."""
-    import numpy as np
-
-    index = run.indices.to_numpy()
-    starts = np.r_[0, np.flatnonzero(index[1:] != index[:-1]) + 1] if index.size else np.zeros(0, dtype=np.int64)
-    heads = index[starts]
-    order = list(dict.fromkeys(heads.tolist()))
-    code_of = np.empty(max(order, default=-1) + 1, dtype=np.int64)
-    code_of[order] = np.arange(len(order))
-    codes = np.repeat(code_of[heads], np.diff(starts, append=index.size))
-    labels = run.dictionary.to_pylist()
-    return (codes, tuple(labels[k] for k in order)), starts

@@ -355,11 +355,13 @@ class Recording:
         return self._codes[1]
 
     @cached_property
-    def run_starts(self) -> np.ndarray:
-        """First row of each stretch of rows of one run, shape (stretches,)."""
+    def run_stretches(self) -> tuple[list[str], np.ndarray]:
+        """Run of each stretch of rows of one run, and the first row of each, (stretches,)."""
         import numpy as np
 
-        return np.flatnonzero(np.diff(self.run_codes(), prepend=-1))
+        codes, labels = self._codes
+        starts = np.flatnonzero(np.diff(codes, prepend=-1))
+        return [labels[k] for k in codes[starts]], starts
 
     def time(self) -> np.ndarray:
         """Time in s, shape (rows,); the row number where the recording has no time column."""

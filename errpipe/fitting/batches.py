@@ -263,11 +263,12 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
     at, in_run, last = 0, 0, ""
     for batch in map(prepare, source.batches(names)):
         groups = _groups(batch, layout, at)
-        starts = batch.run_starts
+        runs, starts = batch.run_stretches
+        keys = [(run, "") for run in runs]
         if groups is not None:
-            starts = np.union1d(starts, np.flatnonzero(groups[1:] != groups[:-1]) + 1)
-        run, labels = batch.run_codes(), batch.run_labels()
-        keys = [(labels[run[s]], "" if groups is None else str(groups[s])) for s in starts]
+            begins = np.union1d(starts, np.flatnonzero(groups[1:] != groups[:-1]) + 1)
+            of = np.searchsorted(starts, begins, side="right") - 1
+            keys, starts = [(runs[k], str(groups[s])) for k, s in zip(of, begins, strict=True)], begins
         sampled = []
         for label, first, end in _stretches(batch):
             in_run = in_run if label == last else 0
@@ -321,8 +322,8 @@ class _Watched(Recording):
 
 def _stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
     """(run, first row, row after the last) of each stretch of a batch."""
-    codes, labels, starts = batch.run_codes(), batch.run_labels(), batch.run_starts.tolist()
-    return ((labels[codes[s]], s, e) for s, e in zip(starts, [*starts[1:], len(batch)], strict=True))
+    runs, starts = batch.run_stretches
+    return zip(runs, starts.tolist(), [*starts[1:].tolist(), len(batch)], strict=True)
 
 
 def _blocked(scheme: holdout.HoldOut) -> bool:
