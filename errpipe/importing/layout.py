@@ -245,6 +245,8 @@ def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], star
     """Up to three rows right above the data that are a header: words, at least two, or as `_is_header` decides."""
     header_rows: list[int] = []
     for r in range(start - 1, max(start - 4, -1), -1):
+        if header_rows and label(rows[r][0] if rows[r] else None).startswith(("#", "%", "//")):
+            break  # a remark above the header
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
         named = not header_rows and (_is_header(rows[r], numbers, r) if words else _counts_runs(rows[r], numbers, r))

@@ -138,3 +138,9 @@ def test_merged_cells_of_directions_with_a_row_of_units(tmp_path: Path) -> None:
     rows = [f"{x};" + ";".join(str(um(x, r)) for r in (1, 2, 1, 2)) for x in TARGETS]
     text = "\n".join(["Soll;Vorwärts;;Rückwärts;", "[mm];[µm];[µm];[µm];[µm]", *rows])
     assert read(tmp_path, text)[0].size == 36
+
+
+def test_a_remark_above_the_header_is_no_group_of_columns(tmp_path: Path) -> None:
+    above = "# CNC router X, dial 0.01mm"
+    holds(read(tmp_path, table("target_mm,error_um", "{x},{e}", above)))
+    assert "target" in (tmp_path / "rec" / "recording.csv").read_text().splitlines()[0].split(",")
