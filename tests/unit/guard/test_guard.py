@@ -52,6 +52,13 @@ def test_thresholds_scale_with_the_unit(guard):
         )
 
 
+def test_a_warmer_season_is_not_impossible(guard):
+    """Every sensor 18 K above what was learnt from: winter's guard in summer."""
+    winter = simulated_sensors.machine(2, seed=7)
+    summer = Recording(winter.manifest, winter.frame.assign(**{n: winter.array(n) + 18.0 for n in NAMES}))
+    assert not watch.faults(guard, summer).any()
+
+
 def test_too_little_to_learn_from_is_refused():
     with pytest.raises(DataError, match=r"needs two sensors, two groups and 10 hours .* \(found: 6, 1, 8\.0\)"):
         learn.learn(simulated_sensors.machine(1, seed=1))
