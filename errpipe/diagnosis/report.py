@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from errpipe.diagnosis import (
     confidence,
     friction,
+    gains,
     holdout,
     locate,
     model,
@@ -275,19 +277,15 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
         return []
     scene = case.search.scene(case.chosen())
     b, cov = scene.coefficients(), scene.covariance()
-    parameters = []
     m = case.nuisance.index.size
-    for j, name in enumerate(case.names):
-        if name.endswith("in doubt"):
-            continue
-        value, sd = b[j] / case.sizes[j], np.sqrt(cov[j, j]) / case.sizes[j]
+    parameters = []
+    for name, value, sd in _gains(case, b[:m], cov[:m, :m]):
         is_datum = name.startswith("datum")
-        unit = case.pair.unit if is_datum else "1"
-        label = name if is_datum else f"gain of {name} less 1"
-        low, high = float(value - 2 * sd), float(value + 2 * sd)
-        if case.pair.reversed and name == "simulation":
+        low, high = value - 2 * sd, value + 2 * sd
+        if case.pair.reversed and not is_datum:
             value, low, high = -2.0 - value, -2.0 - high, -2.0 - low
-        parameters.append(FoundParameter(name=label, value=float(value), unit=unit, ci95=(low, high)))
+        label, unit = (name, case.pair.unit) if is_datum else (f"gain of {name} less 1", "1")
+        parameters.append(FoundParameter(name=label, value=value, unit=unit, ci95=(low, high)))
     moved = case.recal @ b[:m]
     rms = float(np.std(moved + 2.0 * case.simulated if case.pair.reversed else moved))
     return [
@@ -302,6 +300,19 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
             compensable=False,
         )
     ]
+
+
+def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[str, float, float]]:
+    """(name, value, standard deviation) of each datum, and of the gain less 1 of each effect that the simulation holds.
+
+    An effect's gain is that of the whole with its own on top: of a signal of one effect, neither of the two is known.
+    """
+    labels, rows = gains.totals(case.names, case.sizes)
+    own = np.diag(1.0 / case.sizes)[[j for j, name in enumerate(case.names) if name.startswith("datum")]]
+    for name, row in zip([n for n in case.names if n.startswith("datum")], own, strict=True):
+        yield name, float(row @ b), float(np.sqrt(row @ covariance @ row))
+    for name, row in zip(labels or ["simulation"], rows, strict=True):
+        yield name, float(row @ b), float(np.sqrt(row @ covariance @ row))
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:
