@@ -36,10 +36,17 @@ def writer(store: Registry, key: minisign.SecretKey, text: str, full_after: int 
             continue
 
 
+def _seconds_of_one(folder: Path, key: minisign.SecretKey) -> float:
+    begin, store = time.perf_counter(), Registry(folder, key.public)
+    store.append("7", "promote", b"table", "first", "2026-01-01", key, 0)
+    return time.perf_counter() - begin
+
+
 def campaign(folder: Path, count: int, seed: int, writers: int = 2) -> tuple[int, list[str]]:
     """Entries that were promoted while `count` writers were killed, and what went wrong: nothing, if all is well."""
     rng, key = random.Random(seed), minisign.generate()
     entries, wrong, killed, store, seen = 0, list[str](), 0, Registry(folder, key.public), list[str]()
+    longest = max(0.25, 10 * _seconds_of_one(folder / "first", key))  # s; on a busy machine a promotion takes longer
     while killed < count and not wrong:
         if killed % EVERY < writers:
             entries, seen = entries + len(seen), []
@@ -54,7 +61,7 @@ def campaign(folder: Path, count: int, seed: int, writers: int = 2) -> tuple[int
                 finally:
                     os._exit(1)
             pids.append(pid)
-        time.sleep(rng.uniform(0.0, 0.25))
+        time.sleep(rng.uniform(0.0, longest))
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
