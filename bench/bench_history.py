@@ -1,6 +1,8 @@
 """A fit batch by batch from disk, beside numpy's least squares in memory and bare reading of the same columns.
 
 Times are processor time, over all threads.
+
+    python -m bench.bench_history --million 200       # as many rows through the command, stage by stage (7 GB of disk)
 """
 
 from __future__ import annotations
@@ -83,13 +85,33 @@ def linear_part(folder: Path) -> np.ndarray:
     return solve.least_squares(rows[:, 1:-2], rows[:, -1]).coefficients
 
 
-def stage(folder: Path) -> tuple[float, float]:
-    """(s of processor time, peak MB) of the stages fit and validate by `errpipe run`, in a process of its own."""
+def partitions(folder: Path, millions: int) -> None:
+    """A log at 1 Hz as a machine leaves it, a run a day: files of a million rows (the noise of one is that of all)."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rng, rows, names = np.random.default_rng(1), 1_000_000, [f"part-{n:03d}.parquet" for n in range(millions)]
+    noise = rng.normal(size=(3, rows)) * [[0.02], [0.02], [1.0]]
+    for number, name in enumerate(names):
+        k = number * rows + np.arange(rows)
+        x, nut, bed = 250 + 250 * np.sin(k / 300), 22 + 4 * np.sin(k / 9e4), 21 + 2 * np.sin(k / 15e4)
+        nut, bed = (nut + noise[0]).round(2), (bed + noise[1]).round(2)
+        exx = (3 + 0.01 * x + 0.011 * x * (nut - 20) + 2 * (bed - 20) + noise[2]).round(2)
+        days = k // 86400
+        run = pa.DictionaryArray.from_arrays((days - days[0]).astype("i4"), [f"day {d}" for d in np.unique(days)])
+        numbers = {"x": x, "T_nut": nut, "T_bed": bed, "EXX": exx}
+        single = {n: values.astype("f4") for n, values in numbers.items()}
+        pq.write_table(pa.table({"run": run, "t": k.astype("f8"), **single}), folder / name)
+    (folder / "recording.yaml").write_text(MANIFEST.replace("recording.parquet", ", ".join(names)), "utf-8")
+
+
+def stage(folder: Path, to: str = "validate") -> tuple[float, float]:
+    """(s of processor time, peak MB) of `errpipe run` up to a stage, in a process of its own."""
     terms = json.dumps(TERMS)
-    lines = "pipeline: 1\nstages:\n  - {kind: ingest, recording: .}\n  - kind: fit\n    rows_in_memory: 100000\n"
+    lines = "pipeline: 1\nstages:\n  - {kind: ingest, recording: .}\n  - {kind: clean}\n  - kind: fit\n"
     lines += f"    components: [{{component: EXX, terms: {terms}}}]\n  - {{kind: validate}}\n"
     (folder / "pipeline.yaml").write_text(lines, "utf-8")
-    command = [sys.executable, "-m", "errpipe", "run", "pipeline.yaml", "--out", "../out"]
+    command = [sys.executable, "-m", "errpipe", "run", "pipeline.yaml", "--out", "../out", "--to", to]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     child = subprocess.Popen(command, cwd=folder, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(child.pid, 0)
@@ -97,6 +119,18 @@ def stage(folder: Path) -> tuple[float, float]:
     if child.returncode:
         raise RuntimeError(f"errpipe run ended with {child.returncode}")
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def stage_by_stage() -> list[Figure]:
+    """Each stage of the command on the rows that `--million` asks for."""
+    millions = int(sys.argv[sys.argv.index("--million") + 1])
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "raw"
+        folder.mkdir()
+        partitions(folder, millions)
+        taken = {to: stage(folder, to) for to in ("ingest", "clean", "fit", "validate")}
+    found = [Figure(f"{to}, {millions} million rows", took, "s") for to, (took, _) in taken.items()]
+    return found + [Figure(f"{to}: peak memory", peak, "MB", 0.0, MEMORY_AIM) for to, (_, peak) in taken.items()]
 
 
 def figures() -> list[Figure]:
@@ -117,10 +151,10 @@ def figures() -> list[Figure]:
         Figure("linear fit from disk over bare reading of its columns", ours[0] / bare[0], "x", 0.0, AIM),
         Figure(f"linear fit of {ROWS} rows from disk", ours[0], "s", spread(ours), None, False, "numpy, all in memory",
                numpy[0] / ours[0], **lacks),
-        Figure("ingest, fit and validate by command", whole, "s"),
+        Figure("ingest, clean, fit and validate by command", whole, "s"),
         Figure("peak memory of that command", peak, "MB", 0.0, MEMORY_AIM),
     ]  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main(figures))
+    sys.exit(main(stage_by_stage if "--million" in sys.argv else figures))
