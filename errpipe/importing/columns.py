@@ -31,6 +31,8 @@ KIND_OF_UNIT = {
     "um": "error",
     "urad": "error",
     "arcsec": "error",
+    "mrad": "error",
+    "nm": "error",
 }
 UNKNOWN = "nothing in its name, unit or values says what it is"
 NO_PLACES = ("temperature", "current", "torque", "spindle_speed", "feed", "pressure", "humidity", "time")
@@ -214,7 +216,8 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     """
     texts = [str(c).strip().replace(",", ".") if c not in (None, "") else "" for c in column.cells]
     first = next((t for t in texts if t), None)
-    found = [s for forms in (("ISO 8601", *DATES), DAY_FIRST) if first and (s := _since_first(texts, forms))]
+    usual = ("%M:%S",) if re.search(r"mm:ss", column.header) else ("ISO 8601", *DATES)
+    found = [s for forms in (usual, DAY_FIRST) if first and (s := _since_first(texts, forms))]
     if len(found) > 1 and found[0][2].startswith("%m/"):  # 03/04: the month first or the day: the shorter time
         return min(found, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
     return found[0] if found else None
@@ -244,6 +247,11 @@ def _stamp(text: str, form: str) -> datetime:
     if not re.match(r"\d{4}-\d\d", text):
         raise ValueError(text)
     return datetime.fromisoformat(text.replace("Z", "+00:00"))
+
+
+def is_date(text: str) -> bool:
+    """Whether a text is a date without a time of day."""
+    return _DATE.fullmatch(text) is not None
 
 
 def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:

@@ -22,7 +22,8 @@ NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps an
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
 _AXIS_OF_SHEET = re.compile(
-    r"^([XYZABCUVW])\d?$|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b", re.IGNORECASE
+    r"^([XYZ])\d?$|(?-i:(?:^| )([XYZ])$)|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b",
+    re.IGNORECASE,
 )
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
@@ -119,7 +120,7 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 
 def _axis_of_sheet(name: str) -> list[str]:
-    """The axis that the name of a sheet or file is or holds: `Y`, `Achse Y`, `y-axis_2026`."""
+    """The axis that the name of a sheet or file is or holds: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y`; `b1` is none."""
     found = _AXIS_OF_SHEET.search(name.replace("_", " "))
     return [next(filter(None, found.groups())).upper()] if found else []
 

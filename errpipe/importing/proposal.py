@@ -13,7 +13,7 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import settle, wide
+from errpipe.importing import no_reading, settle, wide
 from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -29,7 +29,7 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     for c in layout.columns:
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
-    _no_reading(layout)
+    no_reading.empty(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
     layout.columns = [part for c in guessing.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     proposal = Proposal(notes=list(layout.notes))
@@ -50,31 +50,6 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     else:
         _long(layout, guesses, axis, options, proposal)
     return proposal
-
-
-LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
-FILLED_IN = re.compile(r"9{3,}(\.9+)?|32767|32768|65535|2147483647")  # written where there is no reading
-
-
-def _no_reading(layout: Layout) -> None:
-    """Numbers that no quantity reaches, and -9999 far beyond the others, become empty cells, with a note.
-
-    Raises DataError for a number in brackets: less than zero, as in accounts, or doubtful.
-    """
-    for c in layout.columns:
-        doubtful = [x for x in c.cells if isinstance(x, str) and re.fullmatch(r"\(\s*\d[\d.,]*\s*\)", x)]
-        if c.numeric and doubtful:
-            raise DataError(f"column {c.header!r}: {doubtful[0]!r}: below zero, or doubtful? (write -1.5, or nothing)")
-        beyond = np.abs(c.values) > LARGEST
-        filled = np.array([FILLED_IN.fullmatch(f"{abs(v):.12g}") is not None for v in c.values])
-        others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])
-        if filled.any() and others.size and np.abs(c.values[filled]).min() > 10.0 * others.max():
-            beyond |= filled
-        if beyond.any():
-            first = c.values[np.argmax(beyond)]
-            c.cells = [None if out else cell for cell, out in zip(c.cells, beyond, strict=True)]
-            c.values = np.where(beyond, np.nan, c.values)
-            layout.notes.append(f"{c.header}: {int(beyond.sum())} values count as no reading (the first: {first:g})")
 
 
 FACTS = {

@@ -27,6 +27,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     """
     parts, sources = [], []
     _refuse_twice(files)
+    _refuse_several_axes(files, options)
     for file in files:
         proposal, source = _of_known_format(Path(file)), "a format with a door of its own"
         if proposal is None:
@@ -47,6 +48,16 @@ def _refuse_twice(files: Sequence[Path]) -> None:
                 first = seen.setdefault(hashlib.file_digest(stream, "sha256").digest(), file)
             if first != file or list(files).count(file) > 1:
                 raise DataError(f"{file}: the same as {first} (a run is imported once)")
+
+
+def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
+    """Raise DataError where the names of files end in several axes: they would become runs of one."""
+    letters = {m[1] for f in files if (m := re.search(r"(?:^|[\s_-])([XYZABC])$", Path(f).stem))}
+    if len(letters) > 1 and options.axis is None:
+        raise DataError(
+            f"{', '.join(Path(f).name for f in files)}: of the axes {', '.join(sorted(letters))}? Import each by "
+            "itself (or say --axis, where they are runs of one)"
+        )
 
 
 def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tuple[Proposal, str]:

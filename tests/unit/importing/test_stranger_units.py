@@ -118,6 +118,9 @@ def test_a_number_that_stands_for_no_reading(tmp_path: Path) -> None:
     lines = table("Run,Target [mm],Error [um]", "{r},{x},{e}").splitlines()
     lines[5] = "1,200,-9999"
     assert np.isnan(read(tmp_path, "\n".join(lines))[1][4])
+    lines[5] = "1,200,1.2.3"
+    with pytest.raises(DataError, match="is no number as the others are"):
+        read(tmp_path, "\n".join(lines))
 
 
 def test_exponents_of_fortran_formulas_and_wide_digits(tmp_path: Path) -> None:
@@ -144,3 +147,20 @@ def test_a_remark_above_the_header_is_no_group_of_columns(tmp_path: Path) -> Non
     above = "# CNC router X, dial 0.01mm"
     holds(read(tmp_path, table("target_mm,error_um", "{x},{e}", above)))
     assert "target" in (tmp_path / "rec" / "recording.csv").read_text().splitlines()[0].split(",")
+
+
+def test_the_axis_in_the_name_of_a_file(tmp_path: Path) -> None:
+    text = table("Target [mm],Error [um]", "{x},{e}")
+    for stem, axis in (("b1", "X"), ("laser_Y", "Y"), ("z-axis", "Z")):
+        (tmp_path / f"{stem}.csv").write_text(text)
+        recording = imported(tmp_path, tmp_path / f"{stem}.csv")
+        assert recording.manifest.columns[recording.names("error")[0]].component == f"E{axis}{axis}"
+    (tmp_path / "laser_X.csv").write_text(text)
+    with pytest.raises(DataError, match="of the axes X, Y"):
+        imported(tmp_path, [tmp_path / "laser_X.csv", tmp_path / "laser_Y.csv"])
+
+
+def test_a_clock_of_minutes_and_seconds(tmp_path: Path) -> None:
+    rows = [f"{i // 3:02d}:{20 * (i % 3):02d},{x},{um(x)}" for i, x in enumerate(TARGETS)]
+    (tmp_path / "f.csv").write_text("\n".join(["Elapsed mm:ss,Target [mm],Error [um]", *rows]))
+    assert imported(tmp_path, tmp_path / "f.csv").array("t").tolist() == [20.0 * i for i in range(9)]

@@ -1,0 +1,40 @@
+"""Cells where there is no reading: emptied where that is sure, asked about where they may be one."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.importing.columns import is_date
+from errpipe.importing.layout import Layout
+
+LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
+FILLED_IN = (999, 999.9, 9999, 9999.9, 9999.99, 99999, 999999, 32767, 32768, 65535, 2147483647)  # written for none
+_IN_BRACKETS = re.compile(r"\(\s*\d[\d.,]*\s*\)")
+_MARKED = re.compile(r"[+-]?\d[\d.,' ]*[.,'][\d.,']*")
+
+
+def empty(layout: Layout) -> None:
+    """Numbers that no quantity reaches, and -9999 far beyond the others, become empty cells, with a note.
+
+    Raises DataError for a number in brackets (less than zero, as in accounts, or doubtful) and for a cell that is no
+    number although it has nothing but digits and marks.
+    """
+    for c in layout.columns:
+        texts = [str(c.cells[i]) for i in np.flatnonzero(np.isnan(c.values))] if c.numeric else []
+        if doubtful := next((x for x in texts if _IN_BRACKETS.fullmatch(x)), None):
+            raise DataError(f"column {c.header!r}: {doubtful!r}: below zero, or doubtful? (write -1.5, or nothing)")
+        if odd := next((x for x in texts if _MARKED.fullmatch(x) and not is_date(x)), None):
+            raise DataError(f"column {c.header!r}: {odd!r} is no number as the others are (mend it, or leave it empty)")
+        beyond = np.abs(c.values) > LARGEST
+        filled = np.isin(np.abs(c.values), FILLED_IN)
+        others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])
+        if filled.any() and others.size and np.abs(c.values[filled]).min() > 10.0 * others.max():
+            beyond |= filled
+        if beyond.any():
+            first = c.values[np.argmax(beyond)]
+            c.cells = [None if out else cell for cell, out in zip(c.cells, beyond, strict=True)]
+            c.values = np.where(beyond, np.nan, c.values)
+            layout.notes.append(f"{c.header}: {int(beyond.sum())} values count as no reading (the first: {first:g})")
