@@ -155,7 +155,7 @@ def test_the_axis_in_the_name_of_a_file(tmp_path: Path) -> None:
         (tmp_path / f"{stem}.csv").write_text(text)
         recording = imported(tmp_path, tmp_path / f"{stem}.csv")
         assert recording.manifest.columns[recording.names("error")[0]].component == f"E{axis}{axis}"
-    (tmp_path / "laser_X.csv").write_text(text)
+    (tmp_path / "laser_X.csv").write_text(text + "0,1.5\n")
     with pytest.raises(DataError, match="of the axes X, Y"):
         imported(tmp_path, [tmp_path / "laser_X.csv", tmp_path / "laser_Y.csv"])
 
