@@ -76,7 +76,7 @@ class Season(Family):
 
         @cache
         def model(groups: tuple[int, ...]) -> ThermalModel:
-            return full_problem.restricted(groups).model(reported=False)
+            return full_problem.restricted(groups).model(alone=False)
 
         def predict(groups: tuple[int, ...]) -> np.ndarray:
             left_out = problem.rows & ~np.isin(problem.group, groups)
