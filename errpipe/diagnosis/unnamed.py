@@ -14,8 +14,11 @@ from errpipe.domain.diagnosis import Finding, Where
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
 PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold,
 NOISE = 0.2  # and where what is left is a linear Gaussian process
-TEXTBOOK = 0.7  # threshold: share of what names predict on held-out rows below which their form is another's (chosen on
-# trials/first 9535 and 9801, trials/second 9536 and 9802: right names 0.95 or more, novel mechanisms 0.1 to 1)
+TEXTBOOK = 0.7  # threshold: share of what names predict on held-out rows that their textbook forms predict,
+ALONE = (
+    0.6  # and of the first one's log Bayes factor that its textbook form has at parameters of its own; below both the
+)
+# form is another's (chosen on trials/first 9535, 9561, 9801 and trials/second 9536, 9562, 9802: of 53 right names none)
 DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 WANDERING = 2.0  # threshold: rms of the residual over the noise between neighbours, from which it wanders
@@ -87,8 +90,25 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
 
     Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's.
     """
-    enough = held.departing() >= HELD_OUT_SHARE and held.textbook_share() < TEXTBOOK
-    return bool(case.explanation.accepted) and enough
+    if not case.explanation.accepted or held.departing() < HELD_OUT_SHARE or held.textbook_share() >= TEXTBOOK:
+        return False
+    return textbook_alone(case) < ALONE
+
+
+def textbook_alone(case: Case) -> float:
+    """Share of the first finding's log Bayes factor that its textbook form has without departures.
+
+    Its non-linear parameters are those that suit the textbook form best.
+    """
+    first, *others = case.explanation.accepted
+    if first.hypothesis.terms[0].gain_sd is not None:
+        return 1.0
+    library, family = case.library, case.library.family(first.index)
+    columns = [library.indices(i)[: library.cores[i]] for i in family]
+    freedoms = [library.freedom_of(i)[: library.cores[i]] for i in family]
+    scored = case.search.scene([(f.index, f.size) for f in others]).score(columns, freedoms, case.search.rows)
+    best = max(s.gain + case.search.prior[i] for i, s in zip(family, scored, strict=True))
+    return float(best / max(first.gain, 1e-9))
 
 
 def _departed(case: Case, probability: float) -> Finding:

@@ -1,0 +1,72 @@
+"""A name needs its textbook form: what goes with the right inputs in another form has none; order of ruling out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import diagnose, judge, unnamed
+from errpipe.diagnosis.holdout import HeldOut
+from errpipe.diagnosis.search import Explanation
+from errpipe.domain.recording import Recording
+
+from .machines import recording
+
+
+def held(bare: float, textbook: float, named: float) -> HeldOut:
+    return HeldOut("40 blocks of neighbouring rows in 5 groups", 3.0, named, 1.0, named, named, named, bare, textbook)
+
+
+@pytest.mark.parametrize(
+    ("textbook", "alone", "departs"), [(1.0, 0.2, False), (2.8, 0.2, True), (2.8, 0.9, False), (1.6, 0.2, False)]
+)
+def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, departs):
+    """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well."""
+    case = SimpleNamespace(explanation=Explanation((None,), np.zeros(1), 1.0))  # type: ignore[arg-type]
+    monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
+    assert unnamed.departs(case, held(3.0, textbook, 1.0)) == departs
+    assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0), 0.0)), held(3.0, textbook, 1.0))
+
+
+def test_the_weakest_of_several_impossible_findings_is_ruled_out_first(monkeypatch):
+    """Beside a loop's lag a dead time has nearly the same form: neither has a possible size while both are there."""
+    out, left = [], [["lag", "dead time"], []]
+    monkeypatch.setattr(judge, "_explained", lambda *_: None)
+    monkeypatch.setattr(judge.plausible, "impossible", lambda case: left.pop(0))
+    monkeypatch.setattr(judge.plausible, "doubtful", lambda case: [])
+    monkeypatch.setattr(judge, "_without", lambda made, m: out.append(m))
+    judge._without_impossible(None, None)  # type: ignore[arg-type]
+    assert out == ["dead time"]
+
+
+def grown(form) -> Recording:
+    """An axis that warms up, measured both ways; `form`: deviation (rows,) at positions and temperatures (rows,)."""
+    rng, i = np.random.default_rng(3), np.arange(320)
+    x = np.tile(np.r_[np.linspace(0, 900, 10), np.linspace(900, 0, 10)], 16)
+    warm = 20 + 9 * (1 - np.exp(-i / 80.0)) + 2 * np.sin(i / 25)
+    columns = {"t": 60.0 * i, "x": x, "T": warm, "E": form(x, warm) + 0.5 * rng.standard_normal(320), "S": 0.0 * x}
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "T": {"role": "temperature", "unit": "degC", "location": "scale"},
+        "E": {"role": "error", "component": "EXX", "unit": "um"},
+        "S": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    return recording(columns, kinds)
+
+
+@pytest.mark.slow
+def test_the_right_inputs_in_a_form_of_their_own_have_no_name():
+    """A scale that buckles from 27 degC on goes with temperature and place, but does not expand in proportion."""
+    for form, named in (
+        (lambda x, warm: 0.004 * (x - 450) * (warm - 20), True),
+        (lambda x, warm: 0.02 * (x - 450) * np.clip(warm - 27, 0, None) * np.sin(x / 140), False),
+    ):
+        (response,) = diagnose(grown(form))[0].responses
+        first = response.findings[0]
+        assert (first.effect == "scale_expansion") == named
+        assert (response.verdict == "unexplained") != named
+        assert named or "form that no effect" in first.says
+        assert named or all(f.confidence < 0.5 for f in response.findings[1:] if f.effect != "recalibration")
