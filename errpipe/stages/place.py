@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from errpipe import files
+from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.errors import DataError, did_you_mean
 
 SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
@@ -35,6 +36,11 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     bad = [n for n in (error, *names) if not pd.api.types.is_numeric_dtype(frame[n]) or frame[n].isna().any()]
     if bad or not names:
         raise DataError(f"{file}: column {bad[0]!r} holds no numbers" if bad else f"{file}: no candidate place")
+    for name in (error, *names):
+        beyond = np.flatnonzero(~(np.abs(frame[name].to_numpy(float)) <= LARGEST_NUMBER))
+        if beyond.size:
+            found = frame[name].iloc[beyond[0]]
+            raise DataError(f"{file}:{beyond[0] + 2}  {name}: found {found:g} (allowed: up to {LARGEST_NUMBER:g})")
     labels = frame[group].astype(str).to_numpy() if group else np.full(len(frame), "all")
     return judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
 

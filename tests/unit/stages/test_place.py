@@ -52,6 +52,15 @@ def test_a_missing_column_is_named(tmp_path, capsys):
     assert code == 3 and "no column 'eror'" in json.dumps(document)
 
 
+@pytest.mark.parametrize(("column", "value"), [("error", "-1e400"), ("near", "inf"), ("far", "1.1e15")])
+def test_an_impossible_number_is_refused_with_its_line(tmp_path, capsys, column, value):
+    frame = pd.read_csv(field(tmp_path)).astype({column: object})
+    frame.loc[7, column] = value
+    frame.to_csv(tmp_path / "wild.csv", index=False)
+    code, document = asked(capsys, "place", str(tmp_path / "wild.csv"))
+    assert code == 3 and f"wild.csv:9  {column}: found " in json.dumps(document)
+
+
 def test_the_heated_bar_of_the_paper_wants_its_sensor_near_035_of_its_length(capsys):
     """A line at each place beside a parabola at the same place: the best line is as good as the best parabola."""
     _, document = asked(capsys, "place", "--bar", "4")
