@@ -57,7 +57,7 @@ def held_out(case: Case) -> HeldOut:
 
     Whether shapes without a name predict held-out rows is decided inside the fitted rows, fold by fold.
     """
-    search, library = case.search, case.library
+    library = case.library
     _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
     judged = case.judged()
     if judged.session is not None:
@@ -69,22 +69,7 @@ def held_out(case: Case) -> HeldOut:
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
-        part = Search(
-            library,
-            search.data.hold_out(f),
-            search.nuisance,
-            search.sigma,
-            search.prior,
-            search.threshold,
-            search.threshold_more,
-            search.rows,
-        )
-        part.weighed = search.weighed
-        if any(finding.hypothesis.mask for finding in case.explanation.accepted):
-            chosen = part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
-        else:
-            chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if first else []
-            chosen = supported_by_held_out(part, chosen, judged)
+        part, chosen = _without(case, f, judged)
         names = [i for i, _ in chosen]
         remainder = admit.remainder(part, library, chosen, case.free_shapes, case.places)
         ways = [(part.active(chosen), judged.columns(names)), _textbook(part, chosen, judged)]
@@ -115,6 +100,28 @@ def held_out(case: Case) -> HeldOut:
         scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs), rms(alone), rms(bare),
         rms(textbook),
     )  # fmt: skip
+
+
+def _without(case: Case, fold: int, judged: LeftOut) -> tuple[Search, list[tuple[int, float]]]:
+    """The search on the rows outside a fold, and the hypotheses, each with its size, that it chooses there."""
+    search = case.search
+    part = Search(
+        case.library,
+        search.data.hold_out(fold),
+        search.nuisance,
+        search.sigma,
+        search.prior,
+        search.threshold,
+        search.threshold_more,
+        search.rows,
+    )
+    part.weighed = search.weighed
+    if any(finding.hypothesis.mask for finding in case.explanation.accepted):
+        return part, part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
+    if not case.explanation.accepted:
+        return part, []
+    chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted]
+    return part, supported_by_held_out(part, chosen, judged)
 
 
 def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:
