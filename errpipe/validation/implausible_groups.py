@@ -130,7 +130,7 @@ UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; ratio of von Neumann: 2 f
 def shuffled_rows(r: Response) -> Finding | None:
     """One run without the shape of the others, which are smooth and alike, and as jagged as rows in a random order.
 
-    All runs shuffled need no check: nothing fitted to them is better than nothing on a run that sat out.
+    Where all runs are shuffled, nobody can know: what holds on a run that sat out is little more than their mean.
     """
     labels = np.unique(r.run)
     if r.position is None or r.component.kind == "force" or labels.size < 4:
