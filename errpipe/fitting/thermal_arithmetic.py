@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 from errpipe.fitting.quantiles import normal_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
@@ -17,6 +18,7 @@ BLOCKS = 5  # inner groups where there are fewer than three runs
 # Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
+LONGEST_HELD = 3  # rows: an empty cell or two of a log; a sensor that is silent for longer is not known
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 
@@ -28,6 +30,30 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
         finite = own_rows[np.isfinite(values[own_rows])][:rows]
         zero[own_rows] = values[finite].mean() if finite.size else np.nan
     return values - zero, zero
+
+
+def held_readings(recording: Recording) -> Recording:
+    """The recording with short holes of its temperatures filled as a controller does: the reading before holds.
+
+    Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD rows stay empty.
+    """
+    names = list(recording.names("temperature"))
+    readings = recording.frame[names]
+    if not readings.isna().to_numpy().any():
+        return recording
+    runs = readings.groupby(recording.run_codes())
+    held, none_yet = runs.ffill(limit=LONGEST_HELD), runs.ffill().isna()
+    held = held.where(~none_yet, runs.bfill(limit=LONGEST_HELD))
+    return recording.with_columns({n: held[n].to_numpy() for n in names}, {})
+
+
+def no_usable_row(recording: Recording, component: str) -> DataError:
+    """What to raise where no row can be fitted: names the emptiest temperature."""
+    empty = recording.frame[list(recording.names("temperature"))].isna().sum()
+    return DataError(
+        f"thermal model of {component}: no row has a deviation and all temperatures, these without a long hole since "
+        f"the start of its run (emptiest: {empty.idxmax()}, no reading in {empty.max()} of {len(recording)} rows)"
+    )
 
 
 def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
@@ -98,18 +124,16 @@ def slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high
     return float(np.clip(np.sum(x[rows] * y[rows]) / below, low, high)) if below > 0 else 0.0
 
 
-def seen_limits(y: np.ndarray) -> tuple[float, float]:
-    """The range of deviations seen and SEEN_BEYOND of its span more, um; zero is always inside."""
-    low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
-    return low - SEEN_BEYOND * (high - low), high + SEEN_BEYOND * (high - low)
-
-
-def limits(y: np.ndarray) -> tuple[float, float]:
+def limits(y: np.ndarray, seen_only: bool = False) -> tuple[float, float]:
     """Lowest and highest deviation that may be predicted, um: gains proved on warming hold for as much cooling.
 
     A gantry frame's first block, fitted on days that only shrank: 7.8 um left, 24 with a limit that follows the sign.
+    seen_only: the range of deviations seen and SEEN_BEYOND of its span more instead; zero is always inside.
     """
-    reach = float(np.abs(y).max()) + SPAN_BEYOND * (max(float(y.max()), 0.0) - min(float(y.min()), 0.0))
+    low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
+    if seen_only:
+        return low - SEEN_BEYOND * (high - low), high + SEEN_BEYOND * (high - low)
+    reach = float(np.abs(y).max()) + SPAN_BEYOND * (high - low)
     return -reach, reach
 
 

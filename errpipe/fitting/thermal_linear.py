@@ -22,7 +22,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_arithmetic import centred, inner_groups, since_start
+from errpipe.fitting.thermal_arithmetic import centred, inner_groups, no_usable_row, since_start
 from errpipe.fitting.thermal_causes import columns
 from errpipe.fitting.thermal_network import stack, triangles
 
@@ -86,7 +86,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     good = np.isfinite(response) & np.isfinite(values).all(axis=1)
     good = good if rows is None else good & rows
     if not good.any():
-        raise DataError(f"thermal model of {component}: no row has a deviation and all temperatures")
+        raise no_usable_row(recording, component)
     group = inner_groups(run, good)
     parts = triangles(values[good], response[good], group[good])
     count = {g: int(np.count_nonzero(good & (group == g))) for g in parts}
@@ -160,6 +160,8 @@ def common_gains(parts: Sequence[tuple[np.ndarray, np.ndarray, float]], strength
             inner = np.linalg.solve(gram + own, np.column_stack([gram, cross]))
             normal_matrix += gram - gram @ inner[:, :-1]
             right += cross - gram @ inner[:, -1]
+        if not normal_matrix.any():  # no sensor moved
+            return np.zeros(size.size)
         total = normal_matrix + strength * np.trace(normal_matrix) / size.size * np.eye(size.size)
         return np.linalg.solve(total, right) / size
 

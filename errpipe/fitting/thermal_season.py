@@ -34,7 +34,7 @@ from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_l
 from errpipe.fitting.design import response_name
 from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, rms, seen_limits, since_start, slope
+from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, no_usable_row, rms, since_start, slope
 from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.thermal_model import Part, ThermalModel
 from errpipe.fitting.validity import box
@@ -102,7 +102,7 @@ class Problem:
         if rows is not None:
             good &= rows
         if not good.any():
-            raise DataError(f"thermal model of {component}: no row has a deviation and all temperatures")
+            raise no_usable_row(recording, component)
         self.rows = good
         self.group = inner_groups(run, good)
         self.groups = [int(g) for g in np.unique(self.group[good])]
@@ -251,8 +251,7 @@ class Problem:
         share = self._share(unseen["core"], judged) if judged.any() else 1.0
         gains = self.solve(self.groups)
         intervals = self._intervals(runs["core"] + runs["correction"], unseen["core"])
-        # wider ones let a failed sensor cost more than 1.3 times
-        limit = seen_limits(y[self.rows]) if alone else limits(y[self.rows])
+        limit = limits(y[self.rows], seen_only=alone)  # wider ones let a failed sensor cost more than 1.3 times
         core, correction, known = self._parts(gains, worth)
         held = d.Clip(of=_sum(core), low=limit[0], high=limit[1])
         trusted = (self._fading(gains, share), held) if alone else (held,)

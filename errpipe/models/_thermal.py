@@ -92,10 +92,11 @@ class ThermalFamily(Family):
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
         """
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import since_start, since_start_of
+        from errpipe.fitting.thermal_arithmetic import held_readings, since_start, since_start_of
         from errpipe.fitting.validity import distance
 
         holdout.check(fold)
+        recording = held_readings(recording)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.datum_rows)
         residual = since - since_start(model.values(recording), recording.run_codes(), self.datum_rows)[0]
@@ -129,7 +130,9 @@ class ThermalFamily(Family):
 
         from errpipe.fitting import thermal_competition, thermal_linear
         from errpipe.fitting.solve import one_thread
+        from errpipe.fitting.thermal_arithmetic import held_readings
 
+        recording = held_readings(recording)
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
             groupings = thermal_competition.groupings(recording, problem.group, problem.groups, self.environment)

@@ -49,8 +49,9 @@ class Season(Family):
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         from errpipe.fitting import thermal_season
+        from errpipe.fitting.thermal_arithmetic import held_readings
 
-        return thermal_season.fit(recording, self.component, self.options, rows)
+        return thermal_season.fit(held_readings(recording), self.component, self.options, rows)
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Season:
@@ -108,10 +109,11 @@ class Season(Family):
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; deviations count from the start of each run."""
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import since_start_of
+        from errpipe.fitting.thermal_arithmetic import held_readings, since_start_of
         from errpipe.fitting.validity import distance
 
         holdout.check(fold)
+        recording = held_readings(recording)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.options.datum_rows)
         residual = since - model.values(recording)

@@ -14,7 +14,7 @@ from sklearn.linear_model import Lasso
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, GateError
 from errpipe.fitting import thermal_competition, thermal_linear
-from errpipe.fitting.thermal_arithmetic import since_start
+from errpipe.fitting.thermal_arithmetic import held_readings, since_start
 from errpipe.models import FAMILIES, family_of, procedure
 from errpipe.models.auto import Auto, competitors
 from errpipe.models.lagged import Lagged
@@ -177,6 +177,25 @@ def test_common_gains_are_least_squares_where_groups_may_not_differ_and_their_me
     pooled = np.linalg.lstsq(np.vstack([x for x, _ in whole]), np.concatenate([y for _, y in whole]), rcond=None)[0]
     assert_allclose(thermal_linear.common_gains(parts, 0.0, 1e-9), pooled, atol=1e-4)
     assert_allclose(thermal_linear.common_gains(parts, 0.0, 1e6), gains.mean(axis=0), atol=1e-3)
+    still = [(np.zeros_like(x), y, n) for x, y, n in parts]
+    assert_allclose(thermal_linear.common_gains(still, 1e-5, 1.0), 0.0)
+
+
+def test_empty_cells_hold_the_reading_before_and_a_start_takes_the_first() -> None:
+    whole = machine(4, runs=3)
+    rng = np.random.default_rng(4)
+    holes = {n: np.where(rng.random(len(whole)) < 0.05, np.nan, whole.array(n)) for n in ("T_room", "T_bed")}
+    first = np.r_[True, np.diff(whole.run_codes()) != 0]
+    holes["T_spindle"] = np.where(first, np.nan, whole.array("T_spindle"))
+    patchy = whole.with_columns(holes, {})
+    before, left = left_in(Rises(component="E_Z").train(patchy), whole)
+    assert left < 0.25 * before
+    filled = held_readings(patchy)
+    assert held_readings(whole) is whole and not np.isnan(filled.array("T_spindle")).any()
+    assert filled.array("T_spindle")[0] == whole.array("T_spindle")[1]
+    silent = whole.with_columns({"T_bed": np.full(len(whole), np.nan)}, {})
+    with pytest.raises(DataError, match="emptiest: T_bed, no reading in 648 of 648 rows"):
+        Rises(component="E_Z").train(silent)
 
 
 def test_one_run_without_temperatures_is_a_clear_message() -> None:
