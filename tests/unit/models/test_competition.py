@@ -22,6 +22,7 @@ from errpipe.models.network import Network
 from errpipe.models.neural import Neural
 from errpipe.models.nothing import Nothing
 from errpipe.models.rises import Rises
+from errpipe.models.season import Season
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
 from errpipe.validation.gate import pass_gate
@@ -127,6 +128,17 @@ def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
     assert grid.columns == ["every run", "every season", "cold or warm starts", *SEASONS, "cold", "warm"]
     assert all(len(row) == len(grid.columns) for row in grid.values)
     assert "um on each run left out" in fitted.summary["E_Z"]
+
+
+@pytest.mark.slow
+def test_the_seasonal_family_competes_without_its_fade() -> None:
+    """Alone it says less of a start far outside of what was seen; a mixture has its own limit."""
+    fitted = machine(1, runs=3, seasons=("winter", "spring"))
+    hot = fitted.with_columns({n: fitted.array(n) + 15.0 for n in fitted.names("temperature")}, {})
+    alone = Season(component="E_Z").train(fitted)
+    mixed = Auto(component="E_Z", among=("season",)).train(fitted)
+    share = {n: rms(m.values(hot)) / rms(m.values(fitted)) for n, m in (("alone", alone), ("mixed", mixed))}
+    assert share["alone"] < 0.85 * share["mixed"], share
 
 
 def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
