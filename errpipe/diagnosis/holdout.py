@@ -57,7 +57,7 @@ def held_out(case: Case) -> HeldOut:
 
     Whether shapes without a name predict held-out rows is decided inside the fitted rows, fold by fold.
     """
-    library = case.library
+    search, library = case.search, case.library
     _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
     judged = case.judged()
     if judged.session is not None:
@@ -69,7 +69,12 @@ def held_out(case: Case) -> HeldOut:
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
-        part, chosen = _without(case, f, judged)
+        part = _without_fold(search, f)
+        if any(finding.hypothesis.mask for finding in case.explanation.accepted):
+            chosen = part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
+        else:
+            chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if first else []
+            chosen = supported_by_held_out(part, chosen, judged)
         names = [i for i, _ in chosen]
         remainder = admit.remainder(part, library, chosen, case.free_shapes, case.places)
         ways = [(part.active(chosen), judged.columns(names)), _textbook(part, chosen, judged)]
@@ -102,26 +107,12 @@ def held_out(case: Case) -> HeldOut:
     )  # fmt: skip
 
 
-def _without(case: Case, fold: int, judged: LeftOut) -> tuple[Search, list[tuple[int, float]]]:
-    """The search on the rows outside a fold, and the hypotheses, each with its size, that it chooses there."""
-    search = case.search
-    part = Search(
-        case.library,
-        search.data.hold_out(fold),
-        search.nuisance,
-        search.sigma,
-        search.prior,
-        search.threshold,
-        search.threshold_more,
-        search.rows,
-    )
+def _without_fold(search: Search, fold: int) -> Search:
+    """The same search, a fold taking no part."""
+    data, known = search.data.hold_out(fold), (search.nuisance, search.sigma, search.prior)
+    part = Search(search.library, data, *known, search.threshold, search.threshold_more, search.rows)
     part.weighed = search.weighed
-    if any(finding.hypothesis.mask for finding in case.explanation.accepted):
-        return part, part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
-    if not case.explanation.accepted:
-        return part, []
-    chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted]
-    return part, supported_by_held_out(part, chosen, judged)
+    return part
 
 
 def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:
