@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
+from errpipe.drivers.sessions import sessions
 
 
 def drive_all(drivers: Sequence[d.Driver], recording: Recording) -> np.ndarray:
@@ -49,6 +51,7 @@ class _Values(dict[str, np.ndarray]):
     def __init__(self, recording: Recording):
         super().__init__()
         self.recording = recording
+        self.derived: dict[Any, np.ndarray] = {"sessions": sessions(recording)}
         self._run = recording.run_codes()
         self._time = recording.time() if recording.name("time") is not None else None
 
