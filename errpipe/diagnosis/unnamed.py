@@ -88,9 +88,13 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
 def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as a shape without a name must?
 
-    Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's.
+    Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's. The
+    decay of a state that a body brought along is part of its form.
     """
-    if not case.explanation.accepted or held.departing() < HELD_OUT_SHARE or held.textbook_share() >= TEXTBOOK:
+    findings = case.explanation.accepted
+    if not findings or any(term.any_start for term in findings[0].hypothesis.terms):
+        return False
+    if held.departing() < HELD_OUT_SHARE or held.textbook_share() >= TEXTBOOK:
         return False
     return textbook_alone(case) < ALONE
 

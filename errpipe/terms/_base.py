@@ -94,6 +94,7 @@ class Term(Frozen, ABC):
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
+    any_start: ClassVar[bool] = False  # a body whose state at the start of a session is unknown, not of another form
     friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
 
     @abstractmethod

@@ -31,6 +31,7 @@ class AmbientDrift(Driven):
     reference: Reference = REFERENCE
     reports_as = "ambient_drift"
     family = "thermal"
+    any_start = True
     rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:

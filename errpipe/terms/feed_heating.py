@@ -42,6 +42,7 @@ class FeedHeating(Term):
     )
     reports_as = "feed_heating"
     family = "thermal"
+    any_start = True
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)

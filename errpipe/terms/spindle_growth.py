@@ -33,6 +33,7 @@ class SpindleGrowth(Driven):
     full_speed: float = Field(description="Speed at which the parameter is stated.", json_schema_extra={"unit": "rpm"})
     reports_as = "spindle_growth"
     family = "thermal"
+    any_start = True
     rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -24,9 +24,15 @@ def held(bare: float, textbook: float, named: float) -> HeldOut:
 )
 def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, departs):
     """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well."""
-    case = SimpleNamespace(explanation=Explanation((None,), np.zeros(1), 1.0))  # type: ignore[arg-type]
+
+    def explained(any_start: bool) -> SimpleNamespace:
+        hypothesis = SimpleNamespace(terms=[SimpleNamespace(any_start=any_start)])
+        finding = SimpleNamespace(hypothesis=hypothesis)
+        return SimpleNamespace(explanation=Explanation((finding,), np.zeros(1), 1.0))  # type: ignore[arg-type]
+
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
-    assert unnamed.departs(case, held(3.0, textbook, 1.0)) == departs
+    assert unnamed.departs(explained(False), held(3.0, textbook, 1.0)) == departs
+    assert not unnamed.departs(explained(True), held(3.0, textbook, 1.0))
     assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0), 0.0)), held(3.0, textbook, 1.0))
 
 
