@@ -20,11 +20,10 @@ import numpy as np
 from errpipe.domain.components import parse
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.kinematics.air import index_change
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 
-# Change of the refractive index of air near 20 degC, 1013 hPa, 50 % (linearised Edlen formula).
-PER_KELVIN, PER_HPA, PER_PERCENT = -0.93e-6, 0.27e-6, -0.0085e-6
 SAME_PLACE = 1e-3  # mm or deg: readings closer than this are of one target
 
 
@@ -44,20 +43,6 @@ class Laser:
     wavelength_corrected: bool = True
     display_air: tuple[float, float, float] | None = None
     zero_each_run: bool = False  # the display was set to zero anew at the start of each run
-
-
-def index_change(temperature=None, pressure=None, humidity=None, since=None) -> np.ndarray | float:
-    """n / n_0 - 1 of the air along a record (degC, hPa, %); n_0 of its first reading, or of the air `since`.
-
-    What was not recorded is taken to be as it was at n_0.
-    """
-    total: np.ndarray | float = 0.0
-    air = ((temperature, PER_KELVIN), (pressure, PER_HPA), (humidity, PER_PERCENT))
-    for k, (values, slope) in enumerate(air):
-        if values is not None:
-            values = np.asarray(values, dtype=float)
-            total = total + slope * (values - (values[np.isfinite(values)][0] if since is None else since[k]))
-    return total
 
 
 def corrected(
@@ -237,6 +222,12 @@ def without_beam_errors(
         )
     if not needs:
         return corrected(position, value, laser)
+    if laser.display_air is not None and not all(_air_columns(recording)[:2]):
+        raise DataError(
+            f"lasers.{component}: display_air takes the air's temperature and pressure of the record, too "
+            f"(found: {', '.join(n for n in _air_columns(recording)[:2] if n) or 'neither'}; a temperature is the "
+            "air's where its location says air)"
+        )
     display = None if laser.display_air is None else _air(recording, rows, laser.display_air)
     return corrected(position, value, laser, air=_air(recording, rows), display=display)
 

@@ -139,8 +139,16 @@ def judge(
             - design[rows][:, own_columns] @ identified.mean[own_columns]
             - readings.nuisance[rows][:, turning] @ setup[turning]
         )
+        if record.component in lasers and lasers[record.component].zero_each_run:
+            before, after = (_without_zeros(v, recording.run_codes()[at]) for v in (before, after))
         out.append(Left(record.component, at, before, after))
     return out
+
+
+def _without_zeros(values: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Values (n,) less the mean of their run: the zero of a run that sat out is nowhere else to be found."""
+    _, number = np.unique(run, return_inverse=True)
+    return values - (np.bincount(number, values) / np.bincount(number))[number]
 
 
 def _components(recording: Recording, rows: np.ndarray) -> set[str]:

@@ -91,6 +91,38 @@ def test_a_laser_zeroed_in_each_run_has_a_zero_per_run():
     assert right.component("EXX", p)[1].max() < 0.3 * wrong.component("EXX", p)[1].max()
 
 
+def test_a_run_that_sits_out_is_judged_without_its_own_zero():
+    """Zeros 20 um apart are no error of the curve: the left-out run stands at its noise, and before at the curve."""
+    from errpipe.models.direct import judge
+
+    chain, _, recording = played_x({}, cycles=3)
+    run = recording.run_codes()
+    assert np.unique(run).size == 3
+    frame = recording.frame.assign(EXX=recording.array("EXX") + np.array([0.0, 27.0, -16.0])[run])
+    moved = Recording(recording.manifest, frame)
+
+    def judged(shown: Recording, zero_each_run: bool) -> tuple[float, float]:
+        lasers = {"EXX": direct.Laser(zero_each_run=zero_each_run)}
+        (left,) = [x for x in judge(chain, shown, run != 1, run == 1, lasers=lasers) if x.component == "EXX"]
+        return float(np.std(left.before)), float(np.sqrt(np.mean(left.after**2)))
+
+    assert judged(moved, True) == pytest.approx(judged(recording, True), rel=0.2)
+    assert judged(moved, True)[1] < 0.2
+    assert judged(moved, False)[1] > 10.0
+
+
+def test_a_display_s_air_takes_the_air_of_the_record():
+    """A temperature that is not said to be the air's is not taken for it, nor passed over."""
+    chain, _, recording = played_x({}, cycles=1)
+    columns = dict(recording.manifest.columns)
+    columns["T_air"] = columns["T_air"].model_copy(update={"location": "beside the beam"})
+    bare = Recording(recording.manifest.model_copy(update={"columns": columns}), recording.frame)
+    lasers = {"EXX": direct.Laser(wavelength_corrected=False, display_air=(20.0, 1013.25, 50.0))}
+    assert solve(chain, recording, lasers=lasers)
+    with pytest.raises(DataError, match=r"display_air takes .* \(found: p_air;"):
+        solve(chain, bare, lasers=lasers)
+
+
 def test_cosine_is_of_the_planted_size():
     """4 mrad over 800 mm reads short by 800 mm x (4e-3)^2 / 2 = 6.4 um at the far end."""
     chain, _, recording = played_x(COSINE, reversal=0.0)
