@@ -70,6 +70,21 @@ def compile_model(
 
     recording: how fast its sensors and axes moved limits readings and corrections.
     """
+    from pydantic import ValidationError
+
+    from errpipe.errors import GateError
+
+    try:
+        return _table_of(model, options, guard, recording)
+    except ValidationError as err:
+        first = err.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise GateError(f"export: no table holds this model: {err.title} {where}: {first['msg']}") from None
+
+
+def _table_of(
+    model: ErrorModel, options: CompileOptions, guard: SensorGuard | None, recording: Recording | None
+) -> CompensationTable:
     from errpipe import __version__, jsonfile, tables
     from errpipe.domain import driver as d
     from errpipe.errors import GateError

@@ -41,7 +41,10 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
         if beyond.size:
             found = frame[name].iloc[beyond[0]]
             raise DataError(f"{file}:{beyond[0] + 2}  {name}: found {found:g} (allowed: up to {LARGEST_NUMBER:g})")
-    labels = frame[group].astype(str).to_numpy() if group else np.full(len(frame), "all")
+    if group and frame[group].isna().any():
+        row = int(np.flatnonzero(frame[group].isna())[0])
+        raise DataError(f"{file}:{row + 2}  {group}: is empty (allowed: the label of the row's duty cycle)")
+    labels = frame[group].astype(str).to_numpy(dtype=object) if group else np.full(len(frame), "all")
     return judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
 
 

@@ -91,6 +91,12 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     else:
         model_folder = out / RUN / _giving(pipeline, "error_model")
         model = _artefacts.read_model(model_folder / _artefacts.MODEL)
+        lacking = [c.component for c in model.components if c.component not in prediction]
+        if lacking:
+            raise DataError(
+                f"the champion has no {', '.join(lacking)}, which the pipeline fits: of an older pipeline? Run the"
+                " pipeline into its folder anew."
+            )
         family = _artefacts.family_in(model_folder)
         already_scored = frozenset(s.key for s in scores)
         copied = frozenset([*retraining.run_contents(old_recording), *(s.content for s in scores)])
@@ -184,6 +190,7 @@ def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarra
     """Component -> the model's deviation on every row, um; last inputs are held over gaps, 0 where nothing is known."""
     import numpy as np
 
+    from errpipe.domain.operations import LARGEST_NUMBER
     from errpipe.domain.recording import Recording
     from errpipe.fitting.components import evaluate
 
@@ -192,7 +199,13 @@ def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarra
     if gaps:
         frame = frame.assign(**frame[gaps].groupby(recording.run_codes()).ffill())
     predicted = evaluate(model, Recording(recording.manifest, frame, recording.between))
-    return {component: np.nan_to_num(values) for component, values in predicted.items()}
+    known = {component: np.nan_to_num(values) for component, values in predicted.items()}
+    for component, values in known.items():
+        if np.abs(values).max(initial=0.0) > LARGEST_NUMBER:
+            raise VerifyError(
+                f"the champion's {component} predicts more than {LARGEST_NUMBER:g} um: its file was changed"
+            )
+    return known
 
 
 def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:

@@ -169,14 +169,27 @@ def test_an_earlier_judgement_that_is_none_is_refused_with_its_place(site: Path,
         (lambda at: (at / "ingest/recording.parquet").write_bytes(b"PAR1 x"), 3, "not a Parquet file"),
         (lambda at: edit(at / "fit/error_model.json", '"scale_expansion"', '"old"'), 3, "of another version?"),
         (lambda at: edit(at.parent / "recording/recording.yaml", "run: {", "run : {"), 4, ""),
+        (lambda at: rewrite(at / "fit/error_model.json", "components", []), 3, "the champion has no EXX"),
+        (lambda at: huge(at / "fit/error_model.json"), 6, "EXX predicts more than 1e+15 um"),
         (lambda at: (at.parent / "out").mkdir() or (at.parent / "out/retrain.json").write_text("[1]"), 6, "version 1"),
     ],
-    ids=["none", "no recording", "foreign", "damaged", "older", "no new run", "out is foreign"],
+    ids=["none", "no recording", "foreign", "damaged", "older", "no new run", "no component", "huge", "out is foreign"],
 )
 def test_a_champion_that_is_none_is_refused_by_name(site: Path, capsys: Any, change: Any, code: int, says: str) -> None:
     change(site / "champion")
     assert retrain_code(site) == code
     assert says in capsys.readouterr().err
+
+
+def rewrite(path: Path, key: str, value: Any) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | {key: value}), encoding="utf-8")
+
+
+def huge(path: Path) -> None:
+    components = json.loads(path.read_text(encoding="utf-8"))["components"]
+    for term in components[0]["terms"]:
+        term["parameters"] = [p | {"value": 1e300} for p in term["parameters"]]
+    rewrite(path, "components", components)
 
 
 def edit(path: Path, old: str, new: str) -> None:

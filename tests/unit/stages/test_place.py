@@ -87,3 +87,12 @@ def test_a_day_is_planned_and_in_the_end_none_is_worth_it(tmp_path, capsys):
     )
     code, document = asked(capsys, "plan-day", str(tmp_path), "--hours", "4", "--noise", "1")
     assert code == 0 and document["result"]["days_done"] == 3 and not document["result"]["worth_it"]
+
+
+def test_a_row_without_a_duty_cycle_is_refused_with_its_line(tmp_path, capsys):
+    path = field(tmp_path)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[6] = "," + lines[6].split(",", 1)[1]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert main(["place", str(path)]) == 3
+    assert f"{path}:7  duty_cycle: is empty" in capsys.readouterr().err

@@ -9,11 +9,13 @@ import pytest
 from errpipe import jsonfile
 from errpipe.domain.driver import First, Input, Lag, remembers, rise
 from errpipe.domain.recording import Recording
+from errpipe.errors import GateError
 from errpipe.fitting.model import ModelSpec, fit
 from errpipe.formats import manifest_folder
 from errpipe.simulation import spindle_drift
 from errpipe.stages import _artefacts
 from errpipe.stages import predict as stage
+from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import batch
 from errpipe.validation import predict as rows
 
@@ -107,3 +109,15 @@ def test_the_files_hold_what_the_whole_prediction_says(model, tmp_path, monkeypa
         assert told["rows"] == len(drift) and told["columns"] == list(whole)
     same(pd.read_parquet(tmp_path / "p.parquet"), whole)
     assert (tmp_path / "p.csv").read_text() == whole.to_csv(index=False, lineterminator="\n")
+
+
+def test_a_model_whose_numbers_no_table_holds_is_refused(model):
+    """A file that was changed by hand: a message, not pydantic's."""
+    (part,) = model.components
+    *others, lag = part.terms
+    changed = lag.model_copy(
+        update={"parameters": tuple(p.model_copy(update={"value": 1e300}) for p in lag.parameters)}
+    )
+    huge = model.model_copy(update={"components": (part.model_copy(update={"terms": (*others, changed)}),)})
+    with pytest.raises(GateError, match="no table holds this model: "):
+        compile_model(huge, CompileOptions())
