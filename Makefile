@@ -32,7 +32,7 @@ demo: $(SETUP) ## run the main job on a simulated machine
 	@$(BIN)/errpipe demo
 
 test: $(SETUP) ## the fast tests
-	@$(PYTEST) -m 'not slow' $(ARGS)
+	@$(PYTEST) -m 'not slow' $(or $(ARGS),-n 2)
 
 test-slow: $(SETUP) ## only the slow tests
 	@$(PYTEST) -m slow $(ARGS)
