@@ -20,9 +20,11 @@ ROOM = (5.0, 45.0)  # degC: a sensor of a machine at rest reads room temperature
 NEAR = 6.0  # K: at the cold start of a run the sensors of a machine agree so far
 APART = 20.0  # K: and a slip sets one apart by more than that
 AIR = {"hPa": (650.0, 1100.0)}  # pressure of the air from sea level to 3500 m
+# Of a slip to the right value: what the wrong unit was.
 RATIOS = {25.4: "inch", 1 / 25.4: "mm in an inch column", 1000.0: "m", 0.001: "um"}
+# Of hPa to what a logger may have written.
 PRESSURES = {1000.0: "bar", 0.01: "Pa", 10.0: "kPa", 1.333224: "mmHg", 33.86389: "inHg"}
-SPEEDS = {60.0: "per minute and per second mixed", 1 / 60.0: "per minute and per second mixed"}
+SPEEDS = {60.0: "per minute and per second mixed", 1 / 60.0: "per minute and per second mixed"}  # of feeds
 EXACT = 0.02  # a ratio of two columns of the same quantity within 2 % of such a factor is that factor
 FEWEST = 20  # rows
 

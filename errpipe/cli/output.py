@@ -20,7 +20,7 @@ from typing import Any
 from errpipe import jsonfile
 from errpipe.errors import ConfigError, UsageError
 
-DOCUMENT = 1
+DOCUMENT = 1  # version of the JSON document around every result
 WIDTH = 80  # columns of the narrowest terminal that people use
 NARROWEST = 28  # columns in which a sentence can be read
 

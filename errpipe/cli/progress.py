@@ -11,7 +11,7 @@ from typing import TextIO
 
 from errpipe.pipeline.step import Step, Talk
 
-_WIDTH = 24
+_WIDTH = 24  # characters of a bar
 _COLUMNS = 79  # of a line that must not wrap, or it could not be taken back
 _SOON = 5.0  # s: what takes no longer needs no word on the time left
 

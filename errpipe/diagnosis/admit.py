@@ -12,7 +12,7 @@ from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 
 ENOUGH = 8.0  # threshold: log Bayes factor from which a shape is accepted
-MOST = 3
+MOST = 3  # shapes accepted beside the names
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,7 @@ NAMING = {
     "leftover": -0.35,
     "fast": -0.42,
 }
+# Coefficients of the same regression for the verdict `unknown`.
 UNKNOWN = {
     "constant": -0.91,
     "gain": -0.07,

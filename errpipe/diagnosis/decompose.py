@@ -10,7 +10,7 @@ from errpipe.diagnosis.evidence import SIZES, Active, Data, Scene, textbook_pena
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
 
-MOST_PARTS = 5
+MOST_PARTS = 5  # effects that a simulation is taken to consist of; more are not told apart by one response
 BEAM = 6  # beam width: states kept at each step
 ALTERNATIVES = 3  # decompositions returned
 MOST_MOVES = 6  # effects tried as an addition to a state

@@ -28,13 +28,13 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import noise, responses
 from errpipe.terms import resolved_times
 
-MOST_TERMS = 3
+MOST_TERMS = 3  # of an equation: more are neither readable nor held out
 MOST_ROWS = 6000  # rows that take part, chosen at random: further rows change the result little
 MOST_BASE = 40  # columns and lags whose products are tried
 LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name; and beyond what names predict
 LIKELY = 0.5  # confidence of a name from which no equation is sought in its place
 MOST_LIKELY = 0.9  # of an equation; below it the share that it predicts
-SURROGATES = 99
+SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
 LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged columns
 LAGGED = (
     *("temperature", "pressure", "humidity", "spindle_speed", "feed"),

@@ -21,7 +21,7 @@ from errpipe.terms import TERMS
 from errpipe.terms.viscous_friction import ViscousFriction
 
 SHARPNESS = (0.0, 0.0025, 0.008, 0.016, 0.024, 0.032, 0.048, 0.064)  # of the highest speed
-BLOCKS = 40
+BLOCKS = 40  # stretches of rows, resampled for standard errors
 BETTER = 0.97  # ratio of held-out rms, two laws to one: threshold below which two laws are accepted
 MAX_LOSS = 1.02  # ratio of held-out rms to the best sharpness's, up to which another one widens the interval
 DOUBT = 4.0  # standard errors by which a parameter must differ between the ways

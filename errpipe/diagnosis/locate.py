@@ -12,10 +12,10 @@ from errpipe.domain.diagnosis import ChangePoint, Regime, Where
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction, position_name
 
-LEAST_ROWS = 10
+LEAST_ROWS = 10  # rows: a regime or stretch with fewer is not reported
 BLOCKS = 120  # stretches of time whose means are searched for changes
 SHORTEST = 3  # blocks between two changes
-MOST_CHANGES = 4
+MOST_CHANGES = 4  # change points reported: more is a drift
 CHANGE = 25.0  # squared contrast, in variances of independent block means, from which a change counts
 
 

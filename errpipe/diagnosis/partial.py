@@ -21,7 +21,7 @@ from errpipe.drivers.motion import axes, position, position_name
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and at most so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
-BINS = 14
+BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
 FEW = 4  # columns up to which a part is tried with its slack columns
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
 MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form

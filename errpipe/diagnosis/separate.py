@@ -8,7 +8,7 @@ import pandas as pd
 from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.recording import Recording
 
-STEPS = 240
+STEPS = 240  # moments of a proposed experiment at which rivals are compared
 REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm
 SURE = 3.0  # standard errors by which the predictions of two rivals must differ
 MOST_READINGS = 20000  # about a shift at one reading per second; a longer measurement is not proposed

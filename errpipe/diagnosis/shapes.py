@@ -18,9 +18,9 @@ from errpipe.kernels import responses
 from errpipe.terms import resolved_times
 
 WANDERING = ("time", "runs", "slope in time", "slope of each run")  # kinds over time or runs, not over an input
-TIME_WAVES = 40
-PLACE_WAVES = 24
-SMOOTH = 8
+TIME_WAVES = 40  # cosines over the recording: down to a fortieth of half its length
+PLACE_WAVES = 24  # cosines over an axis
+SMOOTH = 8  # cosines over any other column
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import correlation_time
 from errpipe.diagnosis.evidence import SIZES, Scene
 
-SURROGATES = 99
+SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
 ENOUGH_RUNS = 10  # fewer runs give too few combinations of signs
 LEAST_BLOCK = 8  # rows: correlation length of the noise
-FEWEST_BLOCKS = 12
+FEWEST_BLOCKS = 12  # blocks that are permuted: fewer give too few orders
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 RARE = 0.005  # largest share of outlying means that count as events instead of noise
 LINE = 30.0  # times the level around it; the largest of a million noise powers stays below 14 times their mean
 MIN_LINE = 0.05  # amplitude of a line, in robust standard deviations of the mismatch; smaller ones are not reported
-MOST_LINES, SLOWEST = 3, 50
+MOST_LINES, SLOWEST = 3, 50  # lines reported; periods within the log below which a line is a drift
 PLACES = 64  # over each axis, whose means by direction are taken off before lines are looked for
 
 

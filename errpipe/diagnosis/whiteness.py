@@ -23,7 +23,7 @@ BINS = 6  # levels of an input between which the residual's mean may differ
 LAGS = 20  # rows apart up to which the order is tested (Ljung-Box)
 SHARES = np.linspace(0.0, 0.15, 16)  # slow shares of the noise tried (public blind trials: 0 to 0.12)
 ALARM = 0.01  # false-alarm rate: share of perfect explanations called structured (measured: see the tests)
-LEAST_IN_RUN = 12
+LEAST_IN_RUN = 12  # rows of a run whose order is tested
 ORDER = "order of the rows"
 ROLES = (
     "position",

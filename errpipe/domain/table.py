@@ -24,12 +24,12 @@ from errpipe.domain import operations
 from errpipe.domain.operations import LARGEST_NUMBER, NotNegative, Number, Positive
 from errpipe.domain.recording import Frozen
 
-MAX_INPUTS = 64
+MAX_INPUTS = 64  # this and the following: limits of the format (schemas/ect-2.md)
 MAX_NODES = 1024
 MAX_OPERANDS = 4096
 MAX_LOOKUP_VALUES = 65536
 MAX_PROFILES = 512
-MAX_VALUES = 1 << 22
+MAX_VALUES = 1 << 22  # of all profiles
 MAX_COMPONENTS = 64
 MAX_PAIRS = 2048
 MAX_OUTPUTS = 64

@@ -13,7 +13,7 @@ from errpipe.fitting.spec import ComponentSpec, ModelSpec, PriorSpec
 
 __all__ = ["ComponentSpec", "ModelSpec", "PriorSpec", "evaluate", "fit", "term_of"]
 
-NORMAL90 = 1.645
+NORMAL90 = 1.645  # standard deviations: half of the central 90 % of a normal distribution
 
 
 def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None, calibrate: bool = True) -> ErrorModel:

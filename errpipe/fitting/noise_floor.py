@@ -6,7 +6,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 
-MAD = 1.4826
+MAD = 1.4826  # median absolute deviation of a normal distribution to its standard deviation
 FEWEST = 20  # pairs; fewer give no estimate
 RELATIVE_STEP = 1e-4  # positions closer than this share of their range are the same target
 

@@ -22,7 +22,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 
 SHIFT = 28800.0  # s: eight hours
-PER_SHIFT = (1, 2, 4, 8, 16)
+PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
 MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (from taste)
 TIE = 0.01  # readings must take at least this share of the held-out error away (from taste)
 PLAUSIBLE = 2.0  # of the largest error on held-out rows: a reading further from the model is not believed (from taste)

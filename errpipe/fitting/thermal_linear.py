@@ -29,7 +29,7 @@ from errpipe.fitting.thermal_network import stack, triangles
 SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over before the next reading
 # Of neighbouring time constants. Chosen on seeds 1 to 3 of `trials.thermal`: 2.5 leaves 2 % more, 4 leaves 8 % more.
 RATIO = 1.8
-MOST_LAGS = 12
+MOST_LAGS = 12  # time constants of each sensor
 SPEED_UNIT = 1e-3  # 1/rpm: a spindle's thousands of rpm then stand beside kelvins
 MOST_DRIVERS = 120  # of all sensors together: a table takes 1024 operations, each lag costs two
 

@@ -15,7 +15,7 @@ from errpipe.domain import driver as d
 from errpipe.fitting import thermal_network
 from errpipe.fitting.thermal_arithmetic import ridge_gains
 
-MOST_KNOTS = 24
+MOST_KNOTS = 24  # start temperatures between which gains are interpolated
 
 
 @dataclass(frozen=True)

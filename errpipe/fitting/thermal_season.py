@@ -43,10 +43,10 @@ CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: width of the kernel over start temperatures in `worth`
 WORTH_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
 WITNESSES = 2.0  # prior of that ratio, in runs with no improvement: one run is little evidence
-WORTH_STEPS = 16
+WORTH_STEPS = 16  # intervals of the table over the start temperature
 FULL_WITHIN = 3.0  # K, mean over sensors: distance between the starts of two held-out seasons that were predicted well
 FADED_AT = 9.0  # K: from here on only FAR_SHARE of the core is used
-FAR_SHARE = 0.6
+FAR_SHARE = 0.6  # of the core that is kept far from every start seen
 INNER_FOLDS = 6  # of runs, where many models are fitted for a competition; a fold per run costs three times as much
 FEWEST_RUNS = 3  # an environment is left out only where so many runs stay to learn from
 

@@ -23,8 +23,8 @@ from errpipe.fitting.quantiles import chi2_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
 from errpipe.kernels import whitening
 
-RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)
-SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)
+RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)  # starting points of the search: correlation of neighbouring rows,
+SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)  # and the share of the noise that is correlated
 MOST_ROWS = 20_000  # rows the noise model is fitted to; further ones change its third digit
 FEWEST_RUNS = 6  # fewer runs say nothing about their spread
 

@@ -36,9 +36,9 @@ name = "ecmc_dat"
 UNITS = {"mm": 1.0, "um": 1e-3, "m": 1e3, "inch": 25.4}  # of UNIT, in mm
 MAX_BYTES = 64 << 20  # a test of 10,000 targets and 100 cycles
 DEFAULT_UNIT = "mm"  # the tool's own
-WAYS = {"REF_DATA_FWD": 1, "REF_DATA_BWD": -1}
+WAYS = {"REF_DATA_FWD": 1, "REF_DATA_BWD": -1}  # direction of approach
 _ENTRY = re.compile(r"(?P<key>[A-Z_]+)(?:\[(?P<index>[\d, ]+)\])?=(?P<value>.*)")
-_SHAPE = {"TGT_DATA": 1, "REF_DATA_FWD": 2, "REF_DATA_BWD": 2}
+_SHAPE = {"TGT_DATA": 1, "REF_DATA_FWD": 2, "REF_DATA_BWD": 2}  # indices of each key
 
 
 class Options(YamlOptions):

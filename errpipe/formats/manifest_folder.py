@@ -35,7 +35,7 @@ name = "manifest"
 MANIFEST = "recording.yaml"
 TABLE = "recording.parquet"
 LABELS = ("run", "group")
-ALLOWED = {"direction": (-1.0, 1.0), "coolant": (0.0, 1.0)}
+ALLOWED = {"direction": (-1.0, 1.0), "coolant": (0.0, 1.0)}  # range of the values of a role
 CHUNK_ROWS = 131_072  # also the row group of what is written, so chunked and whole writing give equal bytes
 
 BYTES_PER_CELL = 100  # at the most that cleaning takes: 5.1 GB for 50 million cells

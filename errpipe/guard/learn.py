@@ -35,7 +35,7 @@ RANGE_SHARE, RANGE_K = 0.5, 25.0
 REACH = 2.0  # times the largest residual of healthy readings
 LIVELY = 0.2  # quantile: a healthy reading is stiller only so much of the time
 FAINTEST = 1e-8  # of the median liveliness: below it a frozen sensor would be noticed after days
-LEAST_HOURS = 10.0
+LEAST_HOURS = 10.0  # h of recording to learn from
 
 
 def learn(

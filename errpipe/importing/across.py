@@ -17,7 +17,7 @@ from errpipe.importing.units import split_header
 from errpipe.importing.wide import run_and_side, statistic
 
 Figures = list[float | None]
-FEWEST_TARGETS = 4
+FEWEST_TARGETS = 4  # positions in a row across; fewer are a table of something else
 _TARGETS = re.compile(r"(target|soll|nominal|position|ziel|cible|目標|目标)", re.IGNORECASE)
 _READINGS = re.compile(r"(deviation|abweich|error|fehler|ecart|scostamento|偏差|误差)", re.IGNORECASE)
 

@@ -15,7 +15,7 @@ from errpipe.importing.units import split_header, unit_of
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
-MOST_REMARKS = 50
+MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 

@@ -8,11 +8,11 @@ Errors against the true value, measured in tests: exp 1 ulp, ln 3 ulp, power 1e-
 
 from __future__ import annotations
 
-LOG2_E = 1.4426950408889634
+LOG2_E = 1.4426950408889634  # 1 / ln 2, rounded to double
 LN2_HIGH = 0.6931471803691238  # ends in enough zero bits for n * LN2_HIGH to be exact here
-LN2_LOW = 1.9082149292705877e-10
-SQRT2 = 1.4142135623730951
-LARGEST_EXPONENT = 700.0
+LN2_LOW = 1.9082149292705877e-10  # the rest of ln 2
+SQRT2 = 1.4142135623730951  # of the mantissa: ln is taken of 1/sqrt(2) to sqrt(2)
+LARGEST_EXPONENT = 700.0  # exp(709.8) overflows
 SMALLEST_BASE = 1e-30  # power() is 0 below it, also in single precision
 
 # 1/13!, 1/12!, ... 1/1!, 1/0!

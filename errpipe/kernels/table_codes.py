@@ -10,5 +10,5 @@ LOST = 1 << 31  # internal: an input that matters is down to its default
 PERIODIC = KEEP = 1
 SLOW_KINDS = 4  # kinds of inputs from here on are shown in thermal cycles
 OFF, ON, HOLD = 0, 1, 2  # modes of a cycle
-LARGEST = 1e30
+LARGEST = 1e30  # as LARGEST_RESULT of domain/table.py
 NOWHERE = 1e31  # where an anchor stands before the first reading

@@ -18,8 +18,8 @@ from errpipe.kernels import kernel
 
 MOVE, TURN, ERROR = 0, 1, 2
 UM = 1e-3  # mm per um; also um per (mm urad)
-URAD = 1e-6
-DEG = np.pi / 180.0
+URAD = 1e-6  # rad
+DEG = np.pi / 180.0  # rad
 U = np.uintp
 
 

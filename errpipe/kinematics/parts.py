@@ -24,7 +24,7 @@ from errpipe.kinematics.chain import Chain
 CIRCLE = np.arange(12) * np.pi / 6  # places of a milled bore, rad
 SIDE = np.sqrt(1 / 8)  # share of the size: three places at 0 and +- SIDE scatter as a line of that length does
 CENTRE, DIAMETER, TURN = 1.0, 2.0, np.sqrt(12.0)  # noise of a fit relative to that of a centre
-TURNS = {"E_A": 0, "E_B": 1, "E_C": 2}
+TURNS = {"E_A": 0, "E_B": 1, "E_C": 2}  # component of the normal's turn that each column holds
 
 
 def features(

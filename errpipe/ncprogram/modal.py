@@ -17,6 +17,7 @@ MOTIONS = ("G0", "G1", "G2", "G3")
 
 # Everything that may stand in a program without moving an axis in a way this module would not see.
 HARMLESS_G = {"G4", "G40", "G61", "G61.1", "G64", "G80", "G94", "G95", "G96", "G97", "G98", "G99", "G69", "G50"}
+# Spindle, coolant, stop, override and end: none moves an axis.
 HARMLESS_M = {f"M{n}" for n in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 30, 48, 49, 50, 51, 52, 53, 60)}
 KNOWN_LETTERS = set("GMFSTPDQHXYZABCIJKR")
 # Of each of these groups one block may hold one code (LinuxCNC's modal groups).

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from errpipe.pipeline.stage import Stage
 
 LOCK = "errpipe.lock"
-VERSION = 1
+VERSION = 1  # of the lock file's layout
 _SCRATCH = ".errpipe"  # folder in OUT for unfinished work
 MAX_INPUT_FILES = 100_000  # below one input: a year of files every five minutes
 

@@ -19,7 +19,7 @@ from errpipe import files, jsonfile
 from errpipe.errors import UsageError, VerifyError
 
 ALGORITHM, PREHASHED, CHECKSUM, NO_PASSWORD = b"Ed", b"ED", b"B2", b"\0\0"
-MAX_KEY_BYTES = 4096
+MAX_KEY_BYTES = 4096  # a key file has two lines
 MAX_SIGNED_BYTES = 1 << 30  # tables have some kB, models some MB
 SUFFIX = ".minisig"
 

@@ -18,8 +18,8 @@ VERDICTS = {
     "missing_physics": "physics is missing",
     "unexplained": "something is there that has no name here",
 }
-LAGS = 40
-MOST_SHAPES = 4
+LAGS = 40  # rows of an autocorrelation figure
+MOST_SHAPES = 4  # findings drawn; the others stand in the table
 # One colour for each finding; they differ in lightness too, and every line is labelled.
 FINDINGS = ("#b3261e", "#1f5fa8", "#2e7d4f", "#7b3fa0", "#20262c")
 UNNAMED = "a shape without a name"

@@ -14,6 +14,7 @@ from errpipe.kinematics.chain import Chain
 from errpipe.simulation import metrology
 from errpipe.simulation.metrology import Run
 
+# Length and offset in mm: rotations show only at different tools.
 TOOLS = ((80.0, (0.0, 0.0, 0.0)), (200.0, (0.0, 0.0, 0.0)), (120.0, (60.0, 40.0, 0.0)))
 POINTS = 150  # of a point cloud, each seen with three tools
 MIN_POSES = 8  # within reach; a rotary test with fewer is left out

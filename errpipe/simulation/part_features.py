@@ -12,7 +12,7 @@ import numpy as np
 
 SIZES = (20.0, 40.0, 40.0, 30.0)  # mm: diameter of a bore, side of a face, by turn
 TURN_NOISE = 1e3  # urad um-1 mm: of a normal, divided by the side of its face
-ANGLES = np.arange(36) * np.pi / 18
+ANGLES = np.arange(36) * np.pi / 18  # rad: 36 points of each bore
 
 Cut = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import splu
 
-CELLS = 200
+CELLS = 200  # finite volumes along the bar
 
 
 @dataclass(frozen=True)

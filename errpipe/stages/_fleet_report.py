@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.pipeline.spec import Pipeline
 
-VERSION = 1
+VERSION = 1  # of the document's layout
 DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.changes import Change, Compensation
 
-VERSION = 1
+VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
 LONGEST_LIST = 12  # lines of one kind in a text; the JSON document has all
 

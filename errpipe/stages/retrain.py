@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["github_annotations", "retrain"]
 
-VERSION = 1
+VERSION = 1  # of the document's layout
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 LEAST_SLOPE = (

@@ -100,7 +100,7 @@ def _report(file: Path) -> dict[str, Any] | None:
     return {"kind": "report", "title": html.unescape(title.group(1)), "errpipe": version.group(1)}
 
 
-MOST_CONTROLLER_BYTES = 4 << 20
+MOST_CONTROLLER_BYTES = 4 << 20  # a larger file is not tried as a controller's
 
 
 def controller_curves(file: Path) -> list[tuple[Any, list[Any]]]:

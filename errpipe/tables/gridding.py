@@ -15,7 +15,7 @@ from errpipe.errors import GateError
 
 SAMPLES = 4096  # for the first look at the curve, and at least as many for the check
 PER_STEP = 16  # samples between two grid points when the error is measured
-MOST_INTERVALS = 16384
+MOST_INTERVALS = 16384  # of a profile
 
 
 def grid(

@@ -60,7 +60,7 @@ MOST = {
 KINDS = ("position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other")
 UNITS = ("um", "urad")
 CORRECTION_UNITS = ("mm", "um", "urad", "deg", "rad")
-NONE = 0xFFFFFFFF
+NONE = 0xFFFFFFFF  # number of an input, node or profile that is not there
 
 # Input flags, node flags, profile flags, pair flags.
 OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 4, 8, 16, 32

@@ -16,7 +16,7 @@ from errpipe.targets._base import TURN, Curve, Line, Plane, Points
 SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
 PER_KELVIN = 2.0  # K on either side for a slope
-MOST_CURVE = 4000
+MOST_CURVE = 4000  # intervals at which a curve is compared with the points written
 MOST_POINTS = 20_000  # of any control's table
 # Into which a turn is divided: steps are whole micrometres (thousandths of a degree), and short binary fractions.
 TURN_INTERVALS = sorted(part << n for part in (1, 3, 5, 9, 15, 45) for n in range(7))

@@ -20,8 +20,8 @@ from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, NothingToAddError, ReadBack, Target, expect
 
-MOST = 1001
-ERROR_UM = 0.1
+MOST = 1001  # nodes of a table
+ERROR_UM = 0.1  # between points, at most
 TENTH_UM = 1e-4  # mm
 
 

@@ -18,7 +18,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Curve, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
-MOST = 1500
+MOST = 1500  # points of a TwinCAT position correction table
 TENTH_UM = 1e-4  # mm
 
 

@@ -19,8 +19,8 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Curve, ReadBack, Target, expect
 
 FILE = "volumetric.csv"
-POINTS = 201
-SCALE = {"um": 1e-3, "urad": 1e-6}
+POINTS = 201  # of each curve
+SCALE = {"um": 1e-3, "urad": 1e-6}  # to mm and rad
 
 
 class BeckhoffVolumetric(Target):

@@ -19,7 +19,7 @@ from errpipe.targets._base import ReadBack, Target, expect
 from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
-_PER_LINE = 16
+_PER_LINE = 16  # bytes
 
 RUNTIME = ("ect.h", "ect.c", "ect_identity.h", "ect_identity.c")
 

@@ -16,8 +16,8 @@ import numpy as np
 from errpipe.targets._base import Curve, expect
 from errpipe.targets._screw_map import ScrewMap
 
-LEAST = 3
-DIGITS = 12
+LEAST = 3  # points of a table
+DIGITS = 12  # significant digits of each number
 
 
 class EcmcLut(ScrewMap):

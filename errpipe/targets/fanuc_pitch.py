@@ -26,7 +26,7 @@ from errpipe.targets._base import CAUTION, TURN, Curve, Points, ReadBack, every_
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
-LARGEST, MOST = 7, 1024
+LARGEST, MOST = 7, 1024  # pulses of one increment; points
 SPARE = 3  # points that a grid laid around the reference may need more than one laid from the end of travel
 FILE = "PITCH.TXT"
 

@@ -35,7 +35,7 @@ COMPONENT, WIRING = "errpipe_inject.comp", "errpipe-inject.hal"
 TABLE, TABLE_HEADER = "inject_table.c", "inject_table.h"
 CORE = ("feedback_inject.h", "feedback_inject.c")
 LEAST_MOST = 0.001  # mm (deg): of the largest correction that the component takes
-PER_LINE = 16
+PER_LINE = 16  # bytes
 
 
 class FeedbackInject(Target):

@@ -21,7 +21,7 @@ from errpipe.targets._base import CAUTION, Curve, expect
 from errpipe.targets._screw_map import ScrewMap
 
 INCH = 25.4  # mm
-STEP = INCH / 2
+STEP = INCH / 2  # of HAAS' table: half an inch
 
 
 class HaasPitch(ScrewMap):

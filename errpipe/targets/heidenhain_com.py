@@ -21,9 +21,9 @@ from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, Points, ReadBack, Target, expect
 
-MOST = 256
+MOST = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
-ERROR_UM = 0.1
+ERROR_UM = 0.1  # between points, at most
 TENTH_UM = 1e-4  # mm (deg): unit of the spacing
 
 

@@ -56,7 +56,7 @@ LEAST_ROOM = {
 }
 _NAMES = {"lookup values": "LOOKUPS", "profile values": "VALUES"}
 _NAMESPACE = uuid.UUID("6f7a3f6e-5a1c-5b8e-9d6a-2f4f7c1f0a11")
-_BYTES_PER_LINE = 24
+_BYTES_PER_LINE = 24  # so that a line stays below 120 characters
 
 
 class IecSt(Target):

@@ -21,7 +21,7 @@ from errpipe.targets._base import Curve, Line, Plane, ReadBack, Target, expect
 
 FILE = "errpipe.cfg"
 MESH = 21  # points along each axis
-LEAST_UM = 0.05
+LEAST_UM = 0.05  # a smaller influence is not written
 SKEWS = {"xy_skew": ("X", "Y"), "xz_skew": ("X", "Z"), "yz_skew": ("Y", "Z")}
 
 

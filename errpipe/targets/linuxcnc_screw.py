@@ -18,7 +18,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
-MOST = 256
+MOST = 256  # points that the motion module keeps of a joint (EMCMOT_COMP_SIZE)
 
 
 class LinuxcncScrew(ScrewMap):

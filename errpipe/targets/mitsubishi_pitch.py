@@ -24,6 +24,7 @@ from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 0.5e-3  # mm: half a unit of output of 1 um
 FILE = "machine_error.txt"
+# Parameter numbers of the first axis.
 KEYS = {"cmpax": 4001, "drcax": 4002, "rdvno": 4003, "mdvno": 4004, "pdvno": 4005, "sc": 4006, "spcdv": 4007}
 FIRST = 4100  # parameter number before division point 1
 LARGEST = 127  # half units that one parameter holds

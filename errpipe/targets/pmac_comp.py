@@ -26,7 +26,7 @@ from errpipe.targets._screw_map import ScrewMap
 COUNTS = 10_000  # per mm (deg)
 PART = 16  # of a count: unit of the entries
 FILE = "comp.pmc"
-PER_LINE = 8
+PER_LINE = 8  # entries
 
 
 class PmacComp(ScrewMap):

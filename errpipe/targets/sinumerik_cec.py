@@ -40,8 +40,8 @@ from errpipe.targets._base import (
     expect,
 )
 
-MOST, TABLES = 200, 8
-ERROR_UM = 0.1
+MOST, TABLES = 200, 8  # points of a table; tables
+ERROR_UM = 0.1  # between points, at most
 SAME_UM = 0.02  # directions closer than this share one table
 PER_PRODUCT = 4  # tables
 PRODUCT_POINTS = 101  # of each table of a product

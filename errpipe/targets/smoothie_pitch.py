@@ -16,7 +16,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
-POINTS = 201
+POINTS = 201  # of an axis
 FILE = "pitch_compensation.dat"
 
 

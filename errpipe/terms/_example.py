@@ -7,7 +7,7 @@ import numpy as np
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.terms._base import Example, Term
 
-ROWS = 480
+ROWS = 480  # of an example recording
 COMPONENTS = {"EXX": "um", "EYX": "um", "E_X": "um", "E_R": "um", "F_X": "N"}
 
 

@@ -9,11 +9,11 @@ import numpy as np
 CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
 FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
 STRONGEST = 12  # waves kept of each signal
-MOST_LINES = 6
+MOST_LINES = 6  # waves of one signal
 APART = 1.0  # turns over the positions covered by which two lines differ at least: nearer ones would cancel each other
 LEAST = 30.0  # power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
 LEAST_BASE = 6.0  # turns of the base within the positions covered: with fewer every line is near some multiple of it
-MOST_ORDER = 100
+MOST_ORDER = 100  # highest multiple of a base that is looked for
 NEAR = 0.35  # turns over the positions covered by which a line may miss a multiple of the base
 NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)

@@ -23,9 +23,9 @@ from errpipe.terms._slack import Slack
 
 SLOWEST_STEP = 0.1  # s; structures vibrate at some Hz and more
 RATIO = 1.03  # between trial frequencies; lightly damped modes are followed by the finer steps around the best
-DAMPINGS = (0.01, 0.03, 0.1)
+DAMPINGS = (0.01, 0.03, 0.1)  # damping ratios tried
 LEAST_DAMPING, HIGHEST_DAMPING = 1e-4, 0.25  # steel alone has more; beyond it no resonance shows in a spectrum
-BLOCKS = 40
+BLOCKS = 40  # stretches of rows, for the spread of a spectrum
 CHANCE = 1e-4  # false-alarm probability; some hundred frequencies are tried
 KEPT = 3  # resonances offered of each binding
 

@@ -23,9 +23,9 @@ from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
 from errpipe.validation import seasons, significance
 
-GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)
-TIE = 0.01
-VERSION = 1
+GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of a model that compete, 0 = do nothing
+TIE = 0.01  # of the held-out rms: the smaller gain wins within it
+VERSION = 1  # of the document's layout
 
 
 def held_out(

@@ -36,6 +36,7 @@ COMMON_SLOPES = (
     (999.0, "readings in um beside commands in mm: convert before subtracting"),
     (-0.5, "a radius beside a diameter"),
 )
+# Of the unit that the deviations may have been in.
 UNITS = ((1e-3, "1000 times smaller"), (1 / 25.4, "25.4 times smaller"), (1e-3 / 25.4, "25400 times smaller"))
 
 

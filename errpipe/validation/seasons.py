@@ -30,7 +30,7 @@ from errpipe.models import Family
 # Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it knows its interval.
 Fitter = Callable[[Recording, str, np.ndarray], Any]
 
-VERSION = 1
+VERSION = 1  # of the document's layout
 RANDOM_FOLDS = 5  # folds of random rows, for the optimism gap
 FIGURES = (  # of each group left out, in the order of the tables
     "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage", "half_width",

@@ -22,9 +22,9 @@ from errpipe.importing.sheet import DoorOptions, Sheet
 DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, halsampler, delimited)
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log belongs in Parquet beside a manifest, which is read in blocks
-HEAD_BYTES = 1 << 16
+HEAD_BYTES = 1 << 16  # that a format is recognised by
 MOST_MEMORY = 3 << 30  # bytes beside what is in use: 256 MB of packed numbers as Python's
-MOST_SECONDS = 120
+MOST_SECONDS = 120  # s
 
 
 def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:

@@ -20,8 +20,8 @@ name = "delimited text"
 suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
 
 SEPARATORS = (";", "\t", "|", ",")
-LONGEST_LINE = 1 << 16
-SAMPLE_LINES = 400
+LONGEST_LINE = 1 << 16  # characters: beyond it a file is no table
+SAMPLE_LINES = 400  # from which the dialect is guessed
 
 
 def sniff(path: Path, head: bytes) -> bool:

@@ -17,7 +17,7 @@ name = "HDF5"
 suffixes = (".h5", ".hdf5", ".hdf", ".nc")
 binary = True
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-MOST_SETS = 200
+MOST_SETS = 200  # data sets of one file
 MOST_COLUMNS = 64  # of a matrix
 
 
