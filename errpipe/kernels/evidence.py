@@ -55,6 +55,121 @@ def backward(chol, b):
 
 
 @kernel
+def _centred_on_active(first, width, where, freedom, block, half, seen, matrix, freed_half, products):
+    """Fill `matrix` (w, w) with a hypothesis' products beside the active columns, and `products` (w,) with what it sees."""
+    m = half.shape[0]
+    for i in range(width):
+        column, free = where[first + i], freedom[first + i]
+        products[i] = free * seen[column]
+        for r in range(m):
+            freed_half[r, i] = free * half[r, column]
+        for j in range(width):
+            matrix[i, j] = block[i * width + j]
+    for r in range(m):
+        for i in range(width):
+            h = freed_half[r, i]
+            for j in range(width):
+                matrix[i, j] -= h * freed_half[r, j]
+
+
+@kernel
+def _tridiagonal(width, matrix, products, off_diagonal, scale, v, p):
+    """Householder: matrix = Q T Q' in place, products become Q' products; each reflection stays in the lower part.
+
+    off_diagonal: of T (w - 1,); scale: 2 / |v|^2 of each reflection, 0 where there is none; v, p: work, (w,).
+    """
+    for c in range(width - 2):
+        scale[c] = 0.0
+        norm = 0.0
+        for i in range(c + 2, width):
+            norm += matrix[i, c] * matrix[i, c]
+        if norm == 0.0:
+            off_diagonal[c] = matrix[c + 1, c]
+            continue
+        top = matrix[c + 1, c]
+        alpha = -np.sqrt(norm + top * top) if top > 0 else np.sqrt(norm + top * top)
+        off_diagonal[c] = alpha
+        v[c + 1] = top - alpha
+        for i in range(c + 2, width):
+            v[i] = matrix[i, c]
+        scale[c] = 2.0 / (norm + v[c + 1] * v[c + 1])
+        _reflect(c, width, matrix, products, scale[c], v, p)
+    if width > 1:
+        off_diagonal[width - 2] = matrix[width - 1, width - 2]
+
+
+@kernel
+def _reflect(c, width, matrix, products, b, v, p):
+    """Apply the reflection v of column c from both sides to what is right of and below it."""
+    for j in range(c + 1, width):
+        p[j] = 0.0
+    for i in range(c + 1, width):
+        factor = b * v[i]
+        for j in range(c + 1, width):
+            p[j] += factor * matrix[i, j]
+    inner = 0.0
+    turned = 0.0
+    for i in range(c + 1, width):
+        inner += p[i] * v[i]
+        turned += v[i] * products[i]
+    inner *= 0.5 * b
+    turned *= b
+    for i in range(c + 1, width):
+        p[i] -= inner * v[i]
+        products[i] -= turned * v[i]
+    for i in range(c + 1, width):
+        vi, pi = v[i], p[i]
+        for j in range(c + 1, width):
+            matrix[i, j] -= vi * p[j] + pi * v[j]
+    for i in range(c + 1, width):
+        matrix[i, c] = v[i]
+
+
+@kernel
+def _log_evidence(width, matrix, off_diagonal, products, size, spare, rows):
+    """Log Bayes factor of one size: a tridiagonal determinant and solve."""
+    a2 = size * size
+    least = 1.0 / a2
+    pivot = max(matrix[0, 0] + least, least)
+    came = products[0]
+    took = came * came / pivot
+    product, logs = a2 * pivot, 0.0
+    for i in range(1, width):
+        factor = off_diagonal[i - 1] / pivot
+        pivot = max(matrix[i, i] + least - off_diagonal[i - 1] * factor, least)
+        came = products[i] - factor * came
+        took += came * came / pivot
+        product *= a2 * pivot
+        if product > 1e250:
+            logs += np.log(product)
+            product = 1.0
+    left = max(spare - took, 1e-9 * spare)
+    return -0.5 * (logs + np.log(product)) - 0.5 * rows * np.log(left / spare)
+
+
+@kernel
+def _coefficients(width, matrix, off_diagonal, scale, products, size, d, x):
+    """Solve (T + 1 / size^2) x = products and turn x back by the reflections; d: work, (w,)."""
+    least = 1.0 / (size * size)
+    d[0], x[0] = max(matrix[0, 0] + least, least), products[0]
+    for i in range(1, width):
+        factor = off_diagonal[i - 1] / d[i - 1]
+        d[i] = max(matrix[i, i] + least - off_diagonal[i - 1] * factor, least)
+        x[i] = products[i] - factor * x[i - 1]
+    x[width - 1] /= d[width - 1]
+    for i in range(width - 2, -1, -1):
+        x[i] = (x[i] - off_diagonal[i] * x[i + 1]) / d[i]
+    for c in range(width - 3, -1, -1):
+        if scale[c] != 0.0:
+            turned = 0.0
+            for i in range(c + 1, width):
+                turned += matrix[i, c] * x[i]
+            turned *= scale[c]
+            for i in range(c + 1, width):
+                x[i] -= turned * matrix[i, c]
+
+
+@kernel
 def scores(which, where, starts, freedom, cores, places, blocks, half, seen, spare, rows, sizes):
     """Log Bayes factor over sizes, the size that fits best, and the textbook form's share at it, of hypotheses.
 
@@ -64,120 +179,30 @@ def scores(which, where, starts, freedom, cores, places, blocks, half, seen, spa
 
     S + I / size^2 is made tridiagonal once (Householder), so that each size costs a few divisions per column.
     """
-    m, tried = half.shape[0], sizes.size
-    widest = 1
+    tried, widest = sizes.size, 1
     for k in which:
         widest = max(widest, starts[k + 1] - starts[k])
-    S = np.empty((widest, widest))
-    H = np.empty((m, widest))
-    u, v, p = np.empty(widest), np.empty(widest), np.empty(widest)
-    d, y, x = np.empty(widest), np.empty(widest), np.empty(widest)
-    e, beta = np.zeros(widest), np.zeros(widest)
-    found = np.empty(tried)
+    matrix, freed_half = np.empty((widest, widest)), np.empty((half.shape[0], widest))
+    products, v, p, d, x = np.empty(widest), np.empty(widest), np.empty(widest), np.empty(widest), np.empty(widest)
+    off_diagonal, scale = np.zeros(widest), np.zeros(widest)
+    logs = np.empty(tried)
     gain, best, share = np.empty(which.size), np.empty(which.size), np.empty(which.size)
     for n in range(which.size):
         k = which[n]
-        first, w = starts[k], starts[k + 1] - starts[k]
-        at = places[k]
-        for i in range(w):
-            column, free = where[first + i], freedom[first + i]
-            u[i] = free * seen[column]
-            for r in range(m):
-                H[r, i] = free * half[r, column]
-            for j in range(w):
-                S[i, j] = blocks[at + i * w + j]
-        for r in range(m):
-            for i in range(w):
-                h = H[r, i]
-                for j in range(w):
-                    S[i, j] -= h * H[r, j]
-        # tridiagonal: S = Q T Q', u becomes Q' u; each reflection stays in v, kept in the lower part of S
-        for c in range(w - 2):
-            beta[c] = 0.0
-            norm = 0.0
-            for i in range(c + 2, w):
-                norm += S[i, c] * S[i, c]
-            if norm == 0.0:
-                e[c] = S[c + 1, c]
-                continue
-            top = S[c + 1, c]
-            alpha = -np.sqrt(norm + top * top) if top > 0 else np.sqrt(norm + top * top)
-            e[c] = alpha
-            v[c + 1] = top - alpha
-            for i in range(c + 2, w):
-                v[i] = S[i, c]
-            b = 2.0 / (norm + v[c + 1] * v[c + 1])
-            beta[c] = b
-            for j in range(c + 1, w):
-                p[j] = 0.0
-            for i in range(c + 1, w):
-                factor = b * v[i]
-                for j in range(c + 1, w):
-                    p[j] += factor * S[i, j]
-            inner = 0.0
-            turned = 0.0
-            for i in range(c + 1, w):
-                inner += p[i] * v[i]
-                turned += v[i] * u[i]
-            inner *= 0.5 * b
-            turned *= b
-            for i in range(c + 1, w):
-                p[i] -= inner * v[i]
-                u[i] -= turned * v[i]
-            for i in range(c + 1, w):
-                vi, pi = v[i], p[i]
-                for j in range(c + 1, w):
-                    S[i, j] -= vi * p[j] + pi * v[j]
-            for i in range(c + 1, w):
-                S[i, c] = v[i]
-        if w > 1:
-            e[w - 2] = S[w - 1, w - 2]
-        top_size = 0
+        first, width = starts[k], starts[k + 1] - starts[k]
+        block = blocks[places[k] : places[k] + width * width]
+        _centred_on_active(first, width, where, freedom, block, half, seen, matrix, freed_half, products)
+        _tridiagonal(width, matrix, products, off_diagonal, scale, v, p)
         for t in range(tried):
-            a2 = sizes[t] * sizes[t]
-            least = 1.0 / a2
-            pivot = max(S[0, 0] + least, least)
-            came = u[0]
-            took = came * came / pivot
-            product, logs = a2 * pivot, 0.0
-            for i in range(1, w):
-                factor = e[i - 1] / pivot
-                pivot = max(S[i, i] + least - e[i - 1] * factor, least)
-                came = u[i] - factor * came
-                took += came * came / pivot
-                product *= a2 * pivot
-                if product > 1e250:
-                    logs += np.log(product)
-                    product = 1.0
-            left = max(spare - took, 1e-9 * spare)
-            found[t] = -0.5 * (logs + np.log(product)) - 0.5 * rows * np.log(left / spare)
-            if found[t] > found[top_size]:
-                top_size = t
+            logs[t] = _log_evidence(width, matrix, off_diagonal, products, sizes[t], spare, rows)
+        top = np.argmax(logs)
         total = 0.0
         for t in range(tried):
-            total += np.exp(found[t] - found[top_size])
-        gain[n] = found[top_size] + np.log(total / tried)
-        best[n] = sizes[top_size]
-        # coefficients at the best size
-        least = 1.0 / (best[n] * best[n])
-        d[0], y[0] = max(S[0, 0] + least, least), u[0]
-        for i in range(1, w):
-            factor = e[i - 1] / d[i - 1]
-            d[i] = max(S[i, i] + least - e[i - 1] * factor, least)
-            y[i] = u[i] - factor * y[i - 1]
-        x[w - 1] = y[w - 1] / d[w - 1]
-        for i in range(w - 2, -1, -1):
-            x[i] = (y[i] - e[i] * x[i + 1]) / d[i]
-        for c in range(w - 3, -1, -1):
-            if beta[c] != 0.0:
-                turned = 0.0
-                for i in range(c + 1, w):
-                    turned += S[i, c] * x[i]
-                turned *= beta[c]
-                for i in range(c + 1, w):
-                    x[i] -= turned * S[i, c]
+            total += np.exp(logs[t] - logs[top])
+        gain[n], best[n] = logs[top] + np.log(total / tried), sizes[top]
+        _coefficients(width, matrix, off_diagonal, scale, products, best[n], d, x)
         core, slack = 0.0, 0.0
-        for i in range(w):
+        for i in range(width):
             carried = freedom[first + i] * x[i]
             if i < cores[k]:
                 core += abs(carried)
