@@ -5,14 +5,13 @@ the straight segments stay within a stated chord error of the wanted path and of
 Directions, units, planes, absolute and incremental, offsets, tool lengths, comments and line numbers stay.
 
 The program streams through: tool points are collected over many blocks, the deviation is asked for all of them at
-once, and memory does not grow with the program. Most blocks of a long program are plain straight moves; these
-are read by one expression, everything else word by word (`blocks`, `modal`).
+once, and memory does not grow with the program. Most blocks of a long program are plain motions; these are read in
+bulk (`kernels.nc_blocks`), everything else word by word (`blocks`, `modal`). Both ways give the same bytes.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,16 +19,25 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
+from errpipe.kernels import nc_blocks
 from errpipe.ncprogram.blocks import MAX_LINE, Block, parse, refuse
-from errpipe.ncprogram.modal import LARGEST_COORDINATE, LINEAR, MM_PER_INCH, ROTARY, Motion, Setup, State, advance
-from errpipe.ncprogram.paths import segments
+from errpipe.ncprogram.modal import (
+    LARGEST_COORDINATE,
+    LARGEST_RADIUS,
+    LINEAR,
+    MM_PER_INCH,
+    MOTIONS,
+    PLANES,
+    ROTARY,
+    Motion,
+    Setup,
+    State,
+    advance,
+)
+from errpipe.ncprogram.paths import MAX_SEGMENTS, segments
 from errpipe.ncprogram.writer import Deviation, Writer
 
-_NUMBER = r"([+-]?(?:\d+\.?\d*|\.\d+))"
-# A straight move of X, Y and Z with at most a line number, G0 or G1, and a feed, each word behind at most one blank.
-_PLAIN_MOVE = re.compile(
-    rf"(N\d+ ?)?(G0?[01](?![\d.]) ?)?(?:X{_NUMBER} ?)?(?:Y{_NUMBER} ?)?(?:Z{_NUMBER} ?)?(F{_NUMBER})?", re.ASCII
-)
+MAX_LINE_BYTES = 16_385  # looked at; a line of 4096 characters is refused, and a character has at most 4 bytes
 
 
 @dataclass(frozen=True)
@@ -45,94 +53,112 @@ class Summary:
 
 def correct(text: str, deviation: Deviation, setup: Setup, **how: Any) -> tuple[str, Summary]:
     """`rewrite` for a program in one text: the corrected program and what was done."""
-    parts: list[str] = []
-    lines = text.split("\n")
-    done = rewrite(lines[:-1] if lines[-1] == "" else lines, parts.append, deviation, setup, **how)
-    return "".join(parts), done
+    parts: list[bytes] = []
+    done = rewrite([text.encode()], parts.append, deviation, setup, **how)
+    return b"".join(parts).decode(), done
 
 
 def rewrite(
-    lines: Iterable[str],
-    write: Callable[[str], object],
+    chunks: Iterable[bytes],
+    write: Callable[[bytes], object],
     deviation: Deviation,
     setup: Setup,
     *,
     chord_error: float = 0.001,
     longest: float = 25.0,
     decimals: int = 4,
+    bulk: bool = True,
 ) -> Summary:
     """Write the corrected program, piece by piece; returns what was done.
 
-    lines: without their line feeds. chord_error: largest distance between a segment and the curve it stands for, mm.
+    chunks: of whole lines in UTF-8. chord_error: largest distance between a segment and the curve it stands for, mm.
     longest: no segment longer than this, mm (the correction is looked at that often). decimals: of a mm; two more of
-    an inch. Raises DataError naming the first line that is not understood: what was written is then worth nothing.
+    an inch. bulk: False reads every block word by word. Raises DataError naming the first line that is not
+    understood: what was written is then worth nothing.
     """
-    reader = _Reader(setup, Writer(write, deviation, setup, decimals), chord_error, longest)
-    number = 0
-    for number, line in enumerate(lines, 1):
-        source = line.removesuffix("\r")
-        try:
-            if not reader.plain_move(number, source):
-                reader.block(number, source)
-        except DataError:
-            reader.writer.flush()  # a refusal further up comes first
-            raise
+    reader = _Reader(setup, Writer(write, deviation, setup, decimals), chord_error, longest, bulk)
+    for chunk in chunks:
+        reader.chunk(chunk)
     reader.writer.flush()
-    done = reader.writer
-    return Summary(number, done.blocks, reader.moves, done.largest, reader.chord_error)
+    done, cursor = reader.writer, reader.cursor
+    return Summary(
+        int(cursor[nc_blocks.LINE]) - 1, done.blocks, int(cursor[nc_blocks.MOVES]), done.largest, reader.chord_error
+    )
 
 
 class _Reader:
-    """Reads lines, keeps the modal state, hands tool points and all other lines to the writer."""
+    """Reads blocks, keeps the modal state, hands tool points and all other lines to the writer.
 
-    def __init__(self, setup: Setup, writer: Writer, chord_error: float, longest: float):
-        self.setup, self.writer, self.limits = setup, writer, (chord_error, longest)
-        self.longest_squared = longest * longest
+    here: (6,) where the axes stand, mm and deg, NaN where that is not known; the state's own position may be older.
+    """
+
+    def __init__(self, setup: Setup, writer: Writer, chord_error: float, longest: float, bulk: bool):
+        self.setup, self.writer, self.limits, self.bulk = setup, writer, (chord_error, longest), bulk
         self.state = State(position=_start(setup))
-        self.at: list[float | None] = list(self.state.position)  # of the state, kept apart because it changes often
-        self.moves, self.chord_error = 0, 0.0
+        self.here = np.array(self.state.position, dtype=float)
+        self.cursor = np.array([0, 1, 0, 0, -1, 0], dtype=np.int64)
+        self.room = np.empty(len(nc_blocks.LETTERS)), np.empty(len(self.here))
+        self.chord_error = 0.0
+        self.mode = self._mode()
         self.writer.take_over(self.state)
 
-    def plain_move(self, number: int, source: str) -> bool:
-        """Read a plain straight move from a known place; False where the line is anything else."""
-        match = _PLAIN_MOVE.fullmatch(source) if len(source) <= MAX_LINE else None
-        if match is None or None in self.at[:3] or self.state.ended:
-            return False
-        label, code, x, y, z, feed, _ = match.groups()
-        state, at = self.state, self.at
-        motion = state.motion if code is None else "G1" if "1" in code else "G0"
-        if (x is None and y is None and z is None) or motion not in ("G0", "G1"):
-            return False
-        scale = MM_PER_INCH if state.inch else 1.0
-        x0, y0, z0 = end = at[:3]
-        for n, word in ((0, x), (1, y), (2, z)):
-            if word is not None:
-                value = float(word)
-                if not -LARGEST_COORDINATE <= value <= LARGEST_COORDINATE:
-                    return False
-                end[n] = value * scale if state.absolute else end[n] + value * scale  # type: ignore[operator]
-        if motion == "G1":
-            away = (end[0] - x0) ** 2 + (end[1] - y0) ** 2 + (end[2] - z0) ** 2  # type: ignore[operator]
-            if away > self.longest_squared:
-                return False
-        if code is not None and motion != state.motion:
-            self.state = replace(state, motion=motion)
-        at[:3] = end
-        prefix = (label or "") + (code or "") + (feed or "")
-        if (label and (code or feed)) or (code and feed):
-            prefix = " ".join(part.rstrip() for part in (label, code, feed) if part)
-        self.writer.point(end, (x is not None, y is not None, z is not None), prefix.rstrip(), number, source)
-        self.moves += 1
-        return True
+    def chunk(self, chunk: bytes) -> None:
+        """Read whole lines. Raises DataError for the first that is not understood or where the table has no value."""
+        first = int(self.cursor[nc_blocks.LINE])
+        self.writer.begin(chunk, lambda number: _source(chunk.split(b"\n")[number - first]))
+        data, self.cursor[nc_blocks.POSITION] = np.frombuffer(chunk, dtype=np.uint8), 0
+        while (at := int(self.cursor[nc_blocks.POSITION])) < len(chunk):
+            if self.bulk and not self.state.ended and self._plain_blocks(data):
+                self.writer.flush()
+            elif int(self.cursor[nc_blocks.POSITION]) == at:
+                end = chunk.find(b"\n", at)
+                end = len(chunk) if end < 0 else end
+                try:
+                    self._block(int(self.cursor[nc_blocks.LINE]), _source(chunk[at:end]))
+                except DataError:
+                    self.writer.flush()  # a refusal further up comes first
+                    raise
+                self.cursor[nc_blocks.POSITION] = end + 1
+                self.cursor[nc_blocks.LINE] += 1
+        self.writer.flush()
 
-    def block(self, number: int, source: str) -> None:
+    def _plain_blocks(self, data: np.ndarray) -> bool:
+        """Read plain blocks as far as they go; True where the writer must make room for more."""
+        cursor, writer = self.cursor, self.writer
+        cursor[nc_blocks.ROW], cursor[nc_blocks.TEXT] = before = writer.used, writer.texts
+        full, error = nc_blocks.read(data, cursor, self.here, self.mode, writer.rows, *self.room)
+        _, _, writer.used, writer.texts, motion, _ = cursor.tolist()
+        self.chord_error = max(self.chord_error, error)
+        if before[0] != writer.used and MOTIONS[motion] != self.state.motion:
+            self.state = replace(self.state, motion=MOTIONS[motion])
+        return full and writer.used > 0
+
+    def _mode(self) -> nc_blocks.Mode:
+        """The modal state as the bulk reader takes it."""
+        state, (chord_error, longest) = self.state, self.limits
+        self.cursor[nc_blocks.MOTION] = MOTIONS.index(state.motion) if state.motion else -1
+        return nc_blocks.Mode(
+            MM_PER_INCH if state.inch else 1.0,
+            state.absolute,
+            *(LINEAR.index(letter) for letter in PLANES[state.plane]),
+            not state.arc_absolute,
+            float(longest),
+            float(chord_error),
+            MAX_SEGMENTS,
+            LARGEST_COORDINATE,
+            LARGEST_RADIUS,
+            MAX_LINE,
+        )
+
+    def _block(self, number: int, source: str) -> None:
         """Read any line word by word. Raises DataError for what is not understood."""
         block = parse(number, source)
-        before = replace(self.state, position=tuple(self.at))
+        before = replace(self.state, position=tuple(None if v != v else v for v in self.here.tolist()))
         self.state, motion = advance(block, before, self.setup)
-        self.at = list(self.state.position)
         if block.delete and self.state != before:
             raise refuse(number, source, "a motion or mode that a block delete switch may skip")
+        self.here[:] = [math.nan if v is None else v for v in self.state.position]
+        self.mode = self._mode()
         self.writer.take_over(self.state)
         if motion is None:
             self.writer.line(source)
@@ -141,7 +167,7 @@ class _Reader:
         self.chord_error = max(self.chord_error, error)
         self._refuse_unknown(block, points)
         self.writer.path(block, points, _prefix(block, motion))
-        self.moves += 1
+        self.cursor[nc_blocks.MOVES] += 1
 
     @staticmethod
     def _refuse_unknown(block: Block, points: np.ndarray) -> None:
@@ -149,6 +175,14 @@ class _Reader:
         if missing:
             where = f"where {' and '.join(missing)} stands is not known yet (say --start x,y,z)"
             raise refuse(block.line, block.source, where)
+
+
+def _source(raw: bytes) -> str:
+    """The text of a line. Raises DataError where it is none."""
+    try:
+        return raw[:MAX_LINE_BYTES].decode().removesuffix("\r")
+    except UnicodeDecodeError as err:
+        raise DataError(f"not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
 
 
 def _prefix(block: Block, motion: Motion) -> str:

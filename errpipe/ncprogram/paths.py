@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
 
+from errpipe.kernels import nc_blocks
 from errpipe.ncprogram.blocks import Block, refuse
 from errpipe.ncprogram.modal import LINEAR, PLANES, ROTARY, Motion
 
@@ -24,11 +24,9 @@ def segments(block: Block, motion: Motion, chord_error: float, longest: float) -
     elif motion.mode == "G0" or np.isnan(start[:3]).any() or np.isnan(end[:3]).any():
         return end[None, :], 0.0
     else:
-        length = float(np.linalg.norm(end[:3] - start[:3]))
-        pieces = _allowed(block, max(1, math.ceil(length / longest)))
-        share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
-        points, error = start + share * (end - start), 0.0
-        points[-1] = end
+        points = np.empty((_allowed(block, nc_blocks.straight_pieces(start, end, longest)), len(end)))
+        nc_blocks.straight_points(start, end, len(points), points)
+        error = 0.0
     for n, letter in enumerate(ROTARY, len(LINEAR)):
         if len(points) > 1 and np.isnan(start[n]) and block.value(letter) is not None:
             raise refuse(block.line, block.source, f"where {letter} stands is not known yet (move it with G0 first)")
@@ -39,26 +37,12 @@ def _arc(
     block: Block, motion: Motion, start: np.ndarray, end: np.ndarray, chord_error: float, longest: float
 ) -> tuple[np.ndarray, float]:
     assert motion.centre is not None
-    first, second, through = (LINEAR.index(letter) for letter in PLANES[motion.plane])
-    a = math.atan2(start[second] - motion.centre[1], start[first] - motion.centre[0])
-    b = math.atan2(end[second] - motion.centre[1], end[first] - motion.centre[0])
-    sweep = (b - a) % (2 * math.pi) if motion.mode == "G3" else -((a - b) % (2 * math.pi))
-    same = math.hypot(*(end[[first, second]] - start[[first, second]])) < 1e-9
-    sweep = (2 * math.pi if motion.mode == "G3" else -2 * math.pi) if same else sweep
-    sweep += math.copysign(2 * math.pi * (motion.turns - 1), sweep)
-    r0 = math.hypot(start[first] - motion.centre[0], start[second] - motion.centre[1])
-    r1 = math.hypot(end[first] - motion.centre[0], end[second] - motion.centre[1])
-    widest = 2 * math.acos(max(1 - min(chord_error / max(r0, r1, 1e-9), 1.0), -1.0))
-    widest = max(widest, 1e-9)  # rad: the cosine of less is 1 in double precision
-    pieces = max(4, math.ceil(abs(sweep) / widest), math.ceil(abs(sweep) * max(r0, r1) / longest))
-    share = np.linspace(0.0, 1.0, _allowed(block, pieces) + 1)[1:]
-    radius, angle = r0 + share * (r1 - r0), a + share * sweep
-    points = start + share[:, None] * (end - start)
-    points[:, first] = motion.centre[0] + radius * np.cos(angle)
-    points[:, second] = motion.centre[1] + radius * np.sin(angle)
-    points[:, through] = start[through] + share * (end[through] - start[through])
-    points[-1] = end
-    return points, max(r0, r1) * (1 - math.cos(abs(sweep) / pieces / 2))
+    first, second, _ = (LINEAR.index(letter) for letter in PLANES[motion.plane])
+    where = start, end, *motion.centre, first, second
+    shape = nc_blocks.arc_shape(*where, motion.mode == "G3", motion.turns, chord_error, longest)
+    points = np.empty((_allowed(block, shape[-1]), len(end)))
+    nc_blocks.arc_points(*where, shape, points)
+    return points, nc_blocks.chord_error_of(shape)
 
 
 def _allowed(block: Block, pieces: int) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from errpipe.errors import DataError
+from errpipe.kernels import nc_blocks
 from errpipe.ncprogram.blocks import Block, refuse
 from errpipe.ncprogram.modal import LINEAR, MM_PER_INCH, ROTARY, Setup, State, offset_of
 
@@ -14,142 +15,163 @@ from errpipe.ncprogram.modal import LINEAR, MM_PER_INCH, ROTARY, Setup, State, o
 Deviation = Callable[[np.ndarray, float], np.ndarray]
 
 ITERATIONS = 4  # fixed-point steps; each gains a factor of the deviation's slope, about 1e4
-MAX_POINTS = 50_000  # held at a time: about 20 MB
+MAX_POINTS = 50_000  # held at a time: about 20 MB with their text
+FARTHEST = 1e9  # mm; more has no decimals left to write in double precision. Increments can add up to it.
 _AXES = LINEAR + ROTARY
+_BITS = 1 << np.arange(len(_AXES))
 
 
 class Writer:
     """Collects tool points and lines in their order; writes them corrected.
 
     emitted: position per axis as last written, in program units, so that increments carry no rounding forward.
+    rows: the tool points to come, of which `used` are taken, with `texts` bytes of text.
     """
 
-    def __init__(self, write: Callable[[str], object], deviation: Deviation, setup: Setup, decimals: int):
+    def __init__(self, write: Callable[[bytes], object], deviation: Deviation, setup: Setup, decimals: int):
         self.write, self.deviation, self.setup, self.decimals = write, deviation, setup, decimals
         self.emitted: list[float | None] | None = None
         self.state = State()
         self.blocks, self.largest = 0, 0.0
-        self._clear()
+        self.lines: list[tuple[int, bytes]] = []  # (points before it, line that stays as it is)
+        self.source_of: Callable[[int], str] = str
+        self.rows = _room(MAX_POINTS, 0)
+        self.used = self.texts = 0
 
-    def _clear(self) -> None:
-        self.points: list[Sequence[float | None]] = []
-        self.rotary: dict[int, list[float]] = {}  # number of a point -> its A, B, C, NaN where not written
-        self.given: list[tuple[bool, bool, bool]] = []
-        self.prefix: list[str] = []
-        self.comments: dict[int, str] = {}
-        self.sources: list[tuple[int, str]] = []
-        self.lines: list[tuple[int, str]] = []  # (points before it, line that stays as it is)
+    def begin(self, chunk: bytes, source_of: Callable[[int], str]) -> None:
+        """The next lines come from here. source_of: the text of a line by its number, for refusals."""
+        self.flush()
+        self.source_of = source_of
+        # Leading words gain a blank where they had none, and a G1 in place of an arc that is in force.
+        if self.rows.bytes.size < 2 * len(chunk):
+            self.rows = self.rows._replace(bytes=np.empty(2 * len(chunk) + 10_000, dtype=np.uint8))
 
     def take_over(self, state: State) -> None:
         """The modal state in which the following points are meant."""
         if self.emitted is None:
             self.emitted = list(state.position)
-        frame = ("offset", "tool_length", "inch", "absolute")
-        if any(getattr(state, key) != getattr(self.state, key) for key in frame):
+        old = self.state
+        if (state.offset, state.tool_length, state.inch, state.absolute) != (
+            old.offset,
+            old.tool_length,
+            old.inch,
+            old.absolute,
+        ):
             self.flush()
-            self.emitted = _moved(self.emitted, self.state, state, self.setup)
+            self.emitted = _moved(self.emitted, old, state, self.setup)
         self.state = state
 
     def line(self, source: str) -> None:
         """A line that stays as it is."""
-        self.lines.append((len(self.points), source))
-        if len(self.lines) >= MAX_POINTS:
-            self.flush()
-
-    def point(
-        self, point: Sequence[float | None], given: tuple[bool, bool, bool], prefix: str, number: int, source: str
-    ) -> None:
-        """One tool point, part coordinates, mm; given: axes that the block names; number, source: for refusals."""
-        self.points.append(point)
-        self.given.append(given)
-        self.prefix.append(prefix)
-        self.sources.append((number, source))
-        if len(self.points) >= MAX_POINTS:
-            self.flush()
+        self.lines.append((self.used, source.encode() + b"\n"))
 
     def path(self, block: Block, points: np.ndarray, prefix: str) -> None:
         """The tool points of a block, shape (n, 6), NaN for a rotary axis that is not known."""
-        x, y, z, *rotary = (block.value(letter) is not None for letter in _AXES)
-        if block.comments:
-            self.comments[len(self.points)] = " ".join(block.comments)
-        for n, point in enumerate(points):
-            if any(rotary):
-                self.rotary[len(self.points)] = np.where(rotary, point[3:], np.nan).tolist()
-            self.points.append(point[:3])
-            self.given.append((x, y, z))
-            self.prefix.append(prefix if n == 0 else "")
-            self.sources.append((block.line, block.source))
-        if len(self.points) >= MAX_POINTS:
+        if self.used and self.used + len(points) > len(self.rows.points):
             self.flush()
+        if len(points) > len(self.rows.points):
+            self.rows = _room(len(points), self.rows.bytes.size)
+        rows, own = self.rows, slice(self.used, self.used + len(points))
+        leading, comment = prefix.encode(), " ".join(block.comments).strip().encode()
+        middle, end = self.texts + len(leading), self.texts + len(leading) + len(comment)
+        rows.bytes[self.texts : end] = np.frombuffer(leading + comment, dtype=np.uint8)
+        rows.points[own], rows.number[own], rows.text[own] = points, block.line, 0
+        rows.given[own] = sum(1 << n for n, letter in enumerate(_AXES) if block.has(letter))
+        rows.text[self.used] = self.texts, middle, end
+        self.used, self.texts = own.stop, end
 
     def flush(self) -> None:
         """Write all that was collected. Raises DataError where the table has no value."""
-        texts = self._moves() if self.points else []
-        out: list[str | None] = []
-        done = 0
+        text, ends = self._moves() if self.used else (b"", [])
+        out, done = [], 0
         for before, line in self.lines:
-            out += texts[done:before]
-            out.append(line)
-            done = before
-        out += texts[done:]
-        kept = [text for text in out if text is not None]
-        self.blocks += len(kept)
-        if kept:
-            self.write("\n".join(kept) + "\n")
-        self._clear()
+            upto = ends[before - 1] if before else 0
+            out += [text[done:upto], line]
+            done = upto
+        self.blocks += len(self.lines)
+        if out or text:
+            self.write(b"".join([*out, text[done:]]))
+        self.lines, self.used, self.texts = [], 0, 0
 
-    def _moves(self) -> list[str | None]:
-        """The text of every point; None where nothing is left to write."""
+    def _moves(self) -> tuple[bytes, list[int]]:
+        """The lines of all points (none where nothing is left to write), and where the line of each ends."""
         assert self.emitted is not None
-        commands = self._commands(np.array(self.points, dtype=float))
+        points, given = self.rows.points[: self.used], self.rows.given[: self.used, None] & _BITS != 0
         scale, decimals = (MM_PER_INCH, self.decimals + 2) if self.state.inch else (1.0, self.decimals)
-        values = np.round(commands / scale, decimals) + 0.0
+        values = np.round(self._commands(points[:, :3]) / scale, decimals) + 0.0
         first = [np.nan if v is None else v for v in self.emitted[:3]]
         last = np.vstack([first, values[:-1]])
-        shown = values if self.state.absolute else np.round(values - last, decimals) + 0.0
-        if np.isnan(shown).any():
-            number, source = self.sources[0]
-            raise refuse(number, source, "an increment from a place that is not known")
-        wanted = np.array(self.given) | (values != last)
-        self.emitted[:3] = [float(v) for v in values[-1]]
-        columns = []
-        for n, letter in enumerate(LINEAR):
-            texts = (f"{letter}%.{decimals}f\n" * len(shown) % tuple(shown[:, n].tolist())).split("\n")
-            columns.append([t if w else "" for t, w in zip(texts, wanted[:, n].tolist(), strict=False)])
-        rows: list[str | None] = [" ".join(filter(None, parts)) for parts in zip(self.prefix, *columns, strict=True)]
-        for row, angles in self.rotary.items():
-            rows[row] = f"{rows[row]} {self._angles(angles)}".strip()
-        for row, comment in self.comments.items():
-            rows[row] = f"{rows[row]} {comment}".strip()
-        return [text or None for text in rows]
+        linear = values if self.state.absolute else np.round(values - last, decimals) + 0.0
+        if np.isnan(linear).any():
+            raise self._refusal(0, "an increment from a place that is not known")
+        if np.abs(linear).max() > FARTHEST:
+            raise self._refusal(int(np.abs(linear).max(axis=1).argmax()), "a place beyond any machine")
+        self.emitted[:3] = values[-1].tolist()
+        shown = np.where(given[:, :3] | (values != last), linear, np.nan)
+        shown = np.hstack([shown, self._angles(points[:, 3:], given[:, 3:])])
+        out = np.empty(self.texts + len(shown) * len(_AXES) * (16 + decimals), dtype=np.uint8)
+        ends = np.empty(len(shown), dtype=np.int64)
+        places = np.array([decimals] * 3 + [self.decimals] * 3)
+        self.blocks += nc_blocks.write(shown, places, self.rows.text, self.rows.bytes, out, ends)
+        return out[: ends[-1]].tobytes(), ends.tolist() if self.lines else []
+
+    def _refusal(self, row: int, why: str) -> DataError:
+        number = int(self.rows.number[row])
+        return refuse(number, self.source_of(number), why)
 
     def _commands(self, points: np.ndarray) -> np.ndarray:
         """Commands in part coordinates whose tool points are `points`, mm. Raises DataError outside the table."""
         length = self.state.tool_length
-        x, y, z = offset_of(Block(*self.sources[0]), self.setup, self.state.offset)
+        if self.state.offset not in self.setup.offsets:
+            number = int(self.rows.number[0])
+            offset_of(Block(number, self.source_of(number)), self.setup, self.state.offset)
+        x, y, z = self.setup.offsets[self.state.offset]
         zero = np.array([x, y, z + length])
         wanted = points + zero
-        command = wanted.copy()
+        command, bad = wanted, np.zeros(len(points), dtype=bool)
         for _ in range(ITERATIONS):
             command = wanted - self.deviation(command, length)
-            bad = np.flatnonzero(~np.isfinite(command).all(axis=1))
-            if bad.size:
-                number, source = self.sources[bad[0]]
-                raise DataError(f"line {number}: the table has no value here: {source.strip()!r}")
+            bad |= ~np.isfinite(command).all(axis=1)
+        if bad.any():
+            number = int(self.rows.number[bad.argmax()])
+            raise DataError(f"line {number}: the table has no value here: {self.source_of(number).strip()!r}")
         self.largest = max(self.largest, float(np.abs(command - wanted).max()))
         return command - zero
 
-    def _angles(self, angles: Sequence[float] | np.ndarray) -> str:
-        """Words of the rotary axes, which are not corrected."""
+    def _angles(self, angles: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """Words of the rotary axes, which are not corrected, NaN where there is none. Shapes (n, 3)."""
         assert self.emitted is not None
-        words = []
-        for n, angle in enumerate(angles, len(LINEAR)):
-            if not np.isnan(angle):
-                last, value = self.emitted[n], round(float(angle), self.decimals) + 0.0
-                shown = value if self.state.absolute or last is None else round(value - last, self.decimals) + 0.0
-                words.append(f"{_AXES[n]}{shown:.{self.decimals}f}")
-                self.emitted[n] = value
-        return " ".join(words)
+        shown = np.full(angles.shape, np.nan)
+        for n in np.flatnonzero(given.any(axis=0)):
+            rows, before = given[:, n] & ~np.isnan(angles[:, n]), self.emitted[3 + n]
+            values = rounded(angles[rows, n], self.decimals)
+            if not self.state.absolute:
+                steps = rounded(np.diff(values), self.decimals)
+                first = values[:1] if before is None else rounded(values[:1] - before, self.decimals)
+                shown[rows, n] = np.concatenate([first, steps])
+            else:
+                shown[rows, n] = values
+            self.emitted[3 + n] = float(values[-1])
+        return shown
+
+
+def rounded(values: np.ndarray, decimals: int) -> np.ndarray:
+    """Values to the nearest decimal as it is written, which `np.round` misses beside a tie; no negative zero."""
+    scaled = values * 10.0**decimals
+    out = np.rint(scaled) / 10.0**decimals
+    ties = np.abs(np.abs(scaled - np.floor(scaled)) - 0.5) < 1e-5 + 1e-14 * np.abs(scaled)
+    out[ties] = [round(v, decimals) for v in values[ties].tolist()]
+    return out + 0.0
+
+
+def _room(points: int, text: int) -> nc_blocks.Rows:
+    return nc_blocks.Rows(
+        np.empty((points, len(_AXES))),
+        np.empty(points, dtype=np.int64),
+        np.empty(points, dtype=np.int64),
+        np.empty((points, 3), dtype=np.int64),
+        np.empty(text, dtype=np.uint8),
+    )
 
 
 def _moved(emitted: list[float | None], before: State, after: State, setup: Setup) -> list[float | None]:

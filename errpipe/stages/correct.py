@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
 MOVED = ("X", "Y", "Z")
-MAX_LINE_BYTES = 16_385  # of the program; a line of 4096 characters is refused, and a character has at most 4 bytes
+CHUNK = 1_000_000  # bytes of the program read at a time
 MAX_PRINTED_BYTES = 8_000_000  # of a program that goes to standard output
 MAX_LENGTH = 1e5  # mm; of an offset, a tool, a start
 
@@ -42,22 +42,22 @@ def correct(
     deviation = deviation_of(compensation_table, readings)
     setup = setup_of(offsets, tools, start)
 
-    def rewritten(write: Callable[[str], object]) -> Summary:
+    def rewritten(write: Callable[[bytes], object]) -> Summary:
         from errpipe.ncprogram.correct import rewrite
 
         try:
-            return rewrite(lines_of(program), write, deviation, setup, chord_error=chord_error, longest=longest)
+            return rewrite(chunks_of(program), write, deviation, setup, chord_error=chord_error, longest=longest)
         except DataError as err:
             mark = "," if str(err).startswith("line ") else ":"
             raise DataError(f"{program}{mark} {err}") from None
 
-    parts: list[str] = []
+    parts: list[bytes] = []
     if out is None:
         _refuse_large(program)
         summary = rewritten(parts.append)
     else:
         with files.whole(Path(out)) as stream:
-            summary = rewritten(lambda text: stream.write(text.encode()))
+            summary = rewritten(stream.write)
     result: dict[str, Any] = {
         "moves": summary.moves,
         "blocks_in": summary.blocks_in,
@@ -70,23 +70,32 @@ def correct(
     if fading := outside_validity(compensation_table, readings):
         result["outside_what_was_measured"] = fading
     if out is None:
-        corrected = "".join(parts)
+        corrected = b"".join(parts).decode()
         return {**result, "program": corrected, "says": corrected.rstrip("\n")}
     return {**result, "written": str(out)}
 
 
-def lines_of(program: Path) -> Iterator[str]:
-    """The program's lines without their line feeds, one at a time. Raises DataError where it is not a text file."""
+def chunks_of(program: Path) -> Iterator[bytes]:
+    """The program in pieces of whole lines. Raises DataError where it cannot be read.
+
+    A line too long for any program comes in pieces, the first of which is refused.
+    """
     from errpipe import files
 
+    rest = b""
     try:
         with files.open_regular(Path(program)) as stream:
-            while raw := stream.readline(MAX_LINE_BYTES):
-                yield raw.decode().removesuffix("\n")
+            while piece := stream.read(CHUNK):
+                lines, feed, rest = (rest + piece).rpartition(b"\n")
+                if feed:
+                    yield lines + feed
+                elif len(rest) >= CHUNK:
+                    yield rest
+                    rest = b""
+            if rest:
+                yield rest
     except FileNotFoundError:
         raise DataError("there is no such file (an NC program is needed)") from None
-    except UnicodeDecodeError as err:
-        raise DataError(f"not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
     except OSError as err:
         raise DataError(files.why(err)) from None
 
