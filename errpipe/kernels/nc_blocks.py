@@ -7,18 +7,27 @@ ten, both exact in double precision, so the quotient is the number that Python r
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from errpipe.kernels import bare_kernel
+from errpipe.kernels.nc_paths import (
+    arc_points,
+    arc_shape,
+    centre_from_radius,
+    chord_error_of,
+    distance,
+    radii_agree,
+    straight_pieces,
+    straight_points,
+)
 
 POSITION, LINE, ROW, TEXT, MOTION, MOVES = range(6)  # what the cursor holds, see `read`
 LETTERS = "XYZABCIJKRGNFS"
 _G, _N = LETTERS.index("G"), LETTERS.index("N")
 _SLOT = np.full(128, -1, dtype=np.int64)
-_SLOT[[ord(letter) for letter in LETTERS]] = np.arange(len(LETTERS))
+_SLOT[[[ord(letter) for letter in LETTERS], [ord(letter) for letter in LETTERS.lower()]]] = np.arange(len(LETTERS))
 _AXES, _CENTRE = 0b111111, 0b1111 << 6  # bits of X to C, of I, J, K and R
 _ROTARY = 3  # the first of these axes
 _POWER = np.array([float(f"1e{n}") for n in range(23)])  # larger ones are not exact
@@ -117,12 +126,24 @@ def _comment(data, at, end):
 
 
 @bare_kernel
-def _words(data, at, end, value, out, used):
+def _group(code, mode):
+    """Modal group of a G code that changes nothing but the motion, -1 of another."""
+    if code == 0.0 or code == 1.0 or code == 2.0 or code == 3.0:
+        return 0
+    if code == 19.0 - mode.through:
+        return 1
+    if code == (21.0 if mode.scale == 1.0 else 20.0):
+        return 2
+    return 3 if code == (90.0 if mode.absolute else 91.0) else -1
+
+
+@bare_kernel
+def _words(data, at, end, mode, value, out, used):
     """Words of a block to `value`, leading ones to `out`: (end of these, motion or -1, bits of the words, comment).
 
     The end is -1 where the block is not plain. comment: where it begins and ends in `data`.
     """
-    seen, motion, start = 0, -1, used
+    seen, groups, motion, start = 0, 0, -1, used
     while at < end:
         c = data[at]
         if c == 32 or c == 9:
@@ -131,18 +152,21 @@ def _words(data, at, end, value, out, used):
         if c == 40 or c == 59:
             return used, motion, seen, at, _comment(data, at, end)
         slot = _SLOT[c] if c < 128 else -1
-        if slot < 0 or seen >> slot & 1 or (slot == _N and seen):
+        if slot < 0 or (seen >> slot & 1 and slot != _G) or (slot == _N and seen):
             return -1, motion, seen, at, at
         number, after = _number(data, at + 1, end)
         if after < 0:
             return -1, motion, seen, at, at
         seen |= 1 << slot
         value[slot] = number
+        group = -1
         if slot == _G:
-            motion = int(number) if 0.0 <= number <= 3.0 else -1
-            if motion != number or data[at + 1] == 45:
+            group = _group(number, mode)
+            if group < 0 or groups >> group & 1 or data[at + 1] == 45:
                 return -1, motion, seen, at, at
-        if slot >= _G and not (slot == _G and motion > 1):
+            groups |= 1 << group
+            motion = int(number) if group == 0 else motion
+        if slot >= _G and not (group == 0 and motion > 1):
             if used > start:
                 out[used] = 32
                 used += 1
@@ -167,33 +191,6 @@ def _goal(value, seen, here, mode, goal):
 
 
 @bare_kernel
-def distance(x, y):
-    """Length of a vector in a plane."""
-    return math.sqrt(x * x + y * y)
-
-
-@bare_kernel
-def centre_from_radius(x0, y0, x1, y1, radius, clockwise):
-    """Centre of the arc between two places, and whether there is one. A negative radius takes the longer way."""
-    chord = distance(x1 - x0, y1 - y0)
-    if chord == 0.0 or chord > 2 * abs(radius) + 1e-6:
-        return 0.0, 0.0, False
-    height = math.sqrt(max(radius * radius - chord * chord / 4, 0.0))
-    side = 1.0 if (radius > 0) != clockwise else -1.0
-    return (
-        (x0 + x1) / 2 + side * height * (-(y1 - y0) / chord),
-        (y0 + y1) / 2 + side * height * ((x1 - x0) / chord),
-        True,
-    )
-
-
-@bare_kernel
-def radii_agree(at_start, at_end):
-    """Whether the radii of an arc's two ends, mm, are the same: within 0.0254 mm or 0.1 % (LinuxCNC)."""
-    return abs(at_start - at_end) <= max(0.0254, 1e-3 * at_start)
-
-
-@bare_kernel
 def _centre(value, seen, here, goal, mode, clockwise):
     """Centre of an arc in its plane, and whether its words say one."""
     a, b = mode.first, mode.second
@@ -211,64 +208,6 @@ def _centre(value, seen, here, goal, mode, clockwise):
     x, y = here[a] + i, here[b] + j
     agree = radii_agree(distance(here[a] - x, here[b] - y), distance(goal[a] - x, goal[b] - y))
     return x, y, agree and seen & _CENTRE != 0
-
-
-@bare_kernel
-def arc_shape(here, goal, x, y, first, second, counter, turns, chord_error, longest):
-    """Angle at the start and swept, radii at both ends, segments: straight ones stay within `chord_error` of the arc.
-
-    A radius that changes makes a spiral. At least four segments, none longer than `longest`.
-    """
-    turn = 2 * math.pi
-    a = math.atan2(here[second] - y, here[first] - x)
-    b = math.atan2(goal[second] - y, goal[first] - x)
-    sweep = (b - a) % turn if counter else -((a - b) % turn)
-    if distance(goal[first] - here[first], goal[second] - here[second]) < 1e-9:
-        sweep = turn if counter else -turn
-    sweep += math.copysign(turn * (turns - 1), sweep)
-    r0 = distance(here[first] - x, here[second] - y)
-    r1 = distance(goal[first] - x, goal[second] - y)
-    widest = 2 * math.acos(max(1 - min(chord_error / max(r0, r1, 1e-9), 1.0), -1.0))
-    widest = max(widest, 1e-9)  # rad: the cosine of less is 1 in double precision
-    pieces = max(4.0, math.ceil(abs(sweep) / widest), math.ceil(abs(sweep) * max(r0, r1) / longest))
-    return a, sweep, r0, r1, int(pieces)
-
-
-@bare_kernel
-def straight_pieces(here, goal, longest):
-    """How many segments of at most `longest` a straight line is split into."""
-    x, y, z = goal[0] - here[0], goal[1] - here[1], goal[2] - here[2]
-    return max(1, int(math.ceil(math.sqrt(x * x + y * y + z * z) / longest)))
-
-
-@bare_kernel
-def straight_points(here, goal, pieces, out):
-    """Ends of the segments of a straight line, all axes in step."""
-    for k in range(pieces - 1):
-        share = (k + 1) * (1.0 / pieces)
-        for n in range(here.size):
-            out[k, n] = here[n] + share * (goal[n] - here[n])
-    for n in range(here.size):
-        out[pieces - 1, n] = goal[n]
-
-
-@bare_kernel
-def arc_points(here, goal, x, y, first, second, shape, out):
-    """Ends of the segments of an arc of this `arc_shape`; the axes outside its plane in step."""
-    a, sweep, r0, r1, pieces = shape
-    straight_points(here, goal, pieces, out)
-    for k in range(pieces - 1):
-        share = (k + 1) * (1.0 / pieces)
-        radius, angle = r0 + share * (r1 - r0), a + share * sweep
-        out[k, first] = x + radius * math.cos(angle)
-        out[k, second] = y + radius * math.sin(angle)
-
-
-@bare_kernel
-def chord_error_of(shape):
-    """Largest distance between an arc and its segments."""
-    _, sweep, r0, r1, pieces = shape
-    return max(r0, r1) * (1 - math.cos(abs(sweep) / pieces / 2))
 
 
 @bare_kernel
@@ -324,7 +263,7 @@ def read(data, cursor, here, mode, rows, value, goal):
         if end - begin > mode.line:
             break
         text, row = cursor[TEXT], cursor[ROW]
-        used, motion, seen, remark, remark_end = _words(data, begin, end, value, rows.bytes, text)
+        used, motion, seen, remark, remark_end = _words(data, begin, end, mode, value, rows.bytes, text)
         if used < 0 or remark_end < 0 or not seen & _AXES:
             break
         motion = motion if motion >= 0 else cursor[MOTION]
@@ -355,20 +294,21 @@ def read(data, cursor, here, mode, rows, value, goal):
 @bare_kernel
 def _digits(value, decimals, out, used):
     """Append a number of at most 15 digits that was rounded to so many decimals."""
-    whole = np.int64(np.rint(abs(value) * _POWER[decimals]))
+    whole, ten = np.uint64(np.rint(abs(value) * _POWER[decimals])), np.uint64(10)
     if value < 0.0:
         out[used] = 45
         used += 1
-    size, rest = 1, whole // 10
-    while rest > 0 or size <= decimals:
-        size, rest = size + 1, rest // 10
+    size, above = 1, ten
+    while above <= whole or size <= decimals:
+        size, above = size + 1, above * ten
     size += decimals > 0  # the point
-    for k in range(size):
-        if k == decimals and decimals > 0:
-            out[used + size - 1 - k] = 46
+    for k in range(used + size - 1, used - 1, -1):
+        if k == used + size - 1 - decimals and decimals > 0:
+            out[k] = 46
         else:
-            out[used + size - 1 - k] = 48 + whole % 10
-            whole //= 10
+            rest = whole // ten
+            out[k] = whole - rest * ten + np.uint64(48)
+            whole = rest
     return used + size
 
 

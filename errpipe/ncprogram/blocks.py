@@ -9,6 +9,8 @@ from errpipe.errors import DataError
 
 MAX_LINE = 4096  # characters; LinuxCNC reads 255 of them
 _WORD = re.compile(r"([A-Za-z])[ \t]*([+-]?(?:\d+\.?\d*|\.\d+))", re.ASCII)
+_COMMENT = re.compile("[();]")
+_CONTROL = re.compile("[\x00-\x08\x0a-\x1f\x7f\x85\u2028\u2029]")
 _REFUSED = {"[": "an expression in brackets", "#": "a parameter", "{": "a template mark"}
 
 
@@ -61,7 +63,7 @@ def parse(line: int, source: str) -> Block:
     """Read one line. Raises DataError for expressions, parameters, O-words, ragged words and unclosed comments."""
     if len(source) > MAX_LINE:
         raise refuse(line, source, f"a line of {len(source)} characters (at most {MAX_LINE})")
-    if any((ord(c) < 32 and c != "\t") or ord(c) in (127, 0x85, 0x2028, 0x2029) for c in source):
+    if _CONTROL.search(source):
         raise refuse(line, source, "a control character in the line")
     text = source.strip(" \t")
     delete = text.startswith("/")
@@ -86,6 +88,8 @@ def parse(line: int, source: str) -> Block:
 
 def _comments(line: int, source: str, text: str) -> tuple[str, tuple[str, ...]]:
     """The text without its comments, and these. What follows a semicolon outside brackets is one comment."""
+    if not _COMMENT.search(text):
+        return text, ()
     kept, comments, at = [], [], 0
     while at < len(text):
         if text[at] == ";":

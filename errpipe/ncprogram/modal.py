@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from errpipe.kernels import nc_blocks
+from errpipe.kernels import nc_paths
 from errpipe.ncprogram.blocks import Block, refuse
 
 MM_PER_INCH = 25.4
@@ -244,9 +244,9 @@ def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[flo
         centre = ((i or 0.0) * scale, (j or 0.0) * scale)
     else:
         centre = (a0 + (i or 0.0) * scale, b0 + (j or 0.0) * scale)
-    start_radius = nc_blocks.distance(a0 - centre[0], b0 - centre[1])
-    end_radius = nc_blocks.distance(a1 - centre[0], b1 - centre[1])
-    if not nc_blocks.radii_agree(start_radius, end_radius):
+    start_radius = nc_paths.distance(a0 - centre[0], b0 - centre[1])
+    end_radius = nc_paths.distance(a1 - centre[0], b1 - centre[1])
+    if not nc_paths.radii_agree(start_radius, end_radius):
         radii = f"the arc's radius is {start_radius:.4f} mm at its start, {end_radius:.4f} at its end"
         raise refuse(block.line, block.source, radii)
     return centre
@@ -255,8 +255,8 @@ def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[flo
 def _centre_from_radius(
     block: Block, start: tuple[float, float], end: tuple[float, float], radius: float, clockwise: bool
 ) -> tuple[float, float]:
-    x, y, exists = nc_blocks.centre_from_radius(*start, *end, radius, clockwise)
+    x, y, exists = nc_paths.centre_from_radius(*start, *end, radius, clockwise)
     if not exists:
-        chord = nc_blocks.distance(end[0] - start[0], end[1] - start[1])
+        chord = nc_paths.distance(end[0] - start[0], end[1] - start[1])
         raise refuse(block.line, block.source, f"no arc of radius {radius:g} mm joins its ends, {chord:.4f} mm apart")
     return x, y

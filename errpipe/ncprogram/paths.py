@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from errpipe.kernels import nc_blocks
+from errpipe.kernels import nc_paths
 from errpipe.ncprogram.blocks import Block, refuse
 from errpipe.ncprogram.modal import LINEAR, PLANES, ROTARY, Motion
 
@@ -24,8 +24,8 @@ def segments(block: Block, motion: Motion, chord_error: float, longest: float) -
     elif motion.mode == "G0" or np.isnan(start[:3]).any() or np.isnan(end[:3]).any():
         return end[None, :], 0.0
     else:
-        points = np.empty((_allowed(block, nc_blocks.straight_pieces(start, end, longest)), len(end)))
-        nc_blocks.straight_points(start, end, len(points), points)
+        points = np.empty((_allowed(block, nc_paths.straight_pieces(start, end, longest)), len(end)))
+        nc_paths.straight_points(start, end, len(points), points)
         error = 0.0
     for n, letter in enumerate(ROTARY, len(LINEAR)):
         if len(points) > 1 and np.isnan(start[n]) and block.value(letter) is not None:
@@ -39,10 +39,10 @@ def _arc(
     assert motion.centre is not None
     first, second, _ = (LINEAR.index(letter) for letter in PLANES[motion.plane])
     where = start, end, *motion.centre, first, second
-    shape = nc_blocks.arc_shape(*where, motion.mode == "G3", motion.turns, chord_error, longest)
+    shape = nc_paths.arc_shape(*where, motion.mode == "G3", motion.turns, chord_error, longest)
     points = np.empty((_allowed(block, shape[-1]), len(end)))
-    nc_blocks.arc_points(*where, shape, points)
-    return points, nc_blocks.chord_error_of(shape)
+    nc_paths.arc_points(*where, shape, points)
+    return points, nc_paths.chord_error_of(shape)
 
 
 def _allowed(block: Block, pieces: int) -> int:

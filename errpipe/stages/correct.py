@@ -189,7 +189,7 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
             names = tuple(axes[axis] for axis in moving)
             evaluators[length] = [batch.Positions(variant, names, readings) for variant in variants]
         coordinates = points[:, columns]
-        corrections = np.mean([evaluate(coordinates) for evaluate in evaluators[length]], axis=0)
+        corrections = sum(evaluate(coordinates) for evaluate in evaluators[length]) / len(variants)
         out = np.zeros_like(points)
         for number, axis, factor in outputs:
             out[:, "XYZ".index(axis)] += corrections[:, number] * factor
