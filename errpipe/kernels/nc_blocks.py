@@ -213,10 +213,10 @@ def _centre(value, seen, here, goal, mode, clockwise):
 @bare_kernel
 def _turning_from_nowhere(seen, here):
     """Whether a rotary axis is named of which nobody knows where it stands."""
+    nowhere = False
     for n in range(_ROTARY, here.size):
-        if seen >> n & 1 and here[n] != here[n]:
-            return True
-    return False
+        nowhere |= bool(seen >> n & 1 and here[n] != here[n])
+    return nowhere
 
 
 @bare_kernel

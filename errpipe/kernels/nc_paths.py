@@ -62,7 +62,7 @@ def arc_shape(here, goal, x, y, first, second, counter, turns, chord_error, long
 def straight_pieces(here, goal, longest):
     """How many segments of at most `longest` a straight line is split into."""
     x, y, z = goal[0] - here[0], goal[1] - here[1], goal[2] - here[2]
-    return max(1, int(math.ceil(math.sqrt(x * x + y * y + z * z) / longest)))
+    return max(1, math.ceil(math.sqrt(x * x + y * y + z * z) / longest))
 
 
 @bare_kernel

@@ -137,17 +137,20 @@ class _Reader:
         """The modal state as the bulk reader takes it."""
         state, (chord_error, longest) = self.state, self.limits
         self.cursor[nc_blocks.MOTION] = MOTIONS.index(state.motion) if state.motion else -1
+        first, second, through = (LINEAR.index(letter) for letter in PLANES[state.plane])
         return nc_blocks.Mode(
-            MM_PER_INCH if state.inch else 1.0,
-            state.absolute,
-            *(LINEAR.index(letter) for letter in PLANES[state.plane]),
-            not state.arc_absolute,
-            float(longest),
-            float(chord_error),
-            MAX_SEGMENTS,
-            LARGEST_COORDINATE,
-            LARGEST_RADIUS,
-            MAX_LINE,
+            scale=MM_PER_INCH if state.inch else 1.0,
+            absolute=state.absolute,
+            first=first,
+            second=second,
+            through=through,
+            centres=not state.arc_absolute,
+            longest=float(longest),
+            chord_error=float(chord_error),
+            segments=MAX_SEGMENTS,
+            coordinate=LARGEST_COORDINATE,
+            radius=LARGEST_RADIUS,
+            line=MAX_LINE,
         )
 
     def _block(self, number: int, source: str) -> None:

@@ -189,7 +189,8 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
             names = tuple(axes[axis] for axis in moving)
             evaluators[length] = [batch.Positions(variant, names, readings) for variant in variants]
         coordinates = points[:, columns]
-        corrections = sum(evaluate(coordinates) for evaluate in evaluators[length]) / len(variants)
+        first, *others = (evaluate(coordinates) for evaluate in evaluators[length])
+        corrections = sum(others, first) / len(variants)
         out = np.zeros_like(points)
         for number, axis, factor in outputs:
             out[:, "XYZ".index(axis)] += corrections[:, number] * factor
