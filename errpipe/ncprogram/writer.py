@@ -128,7 +128,7 @@ class Writer:
             offset_of(Block(number, self.source_of(number)), self.setup, self.state.offset)
         x, y, z = self.setup.offsets[self.state.offset]
         zero = np.array([x, y, z + length])
-        wanted = points + zero
+        wanted = np.asfortranarray(points + zero)  # by axis: as the table takes them
         command, bad = wanted, np.zeros(len(points), dtype=bool)
         for _ in range(ITERATIONS):
             command = wanted - self.deviation(command, length)

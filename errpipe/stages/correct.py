@@ -188,13 +188,13 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
             readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
             names = tuple(axes[axis] for axis in moving)
             evaluators[length] = [batch.Positions(variant, names, readings) for variant in variants]
-        coordinates = points[:, columns]
-        first, *others = (evaluate(coordinates) for evaluate in evaluators[length])
-        corrections = sum(others, first) / len(variants)
-        out = np.zeros_like(points)
+        coordinates = np.ascontiguousarray(points.T[columns])
+        first, *others = (evaluate.rows(coordinates) for evaluate in evaluators[length])
+        corrections = sum(others, first) / len(variants) if others else first
+        out = np.zeros(points.shape[::-1])
         for number, axis, factor in outputs:
-            out[:, "XYZ".index(axis)] += corrections[:, number] * factor
-        return out
+            out["XYZ".index(axis)] += corrections[number] * factor
+        return out.T
 
     return deviation
 
