@@ -1,7 +1,7 @@
 """How fast NC programs are corrected: python -m bench.bench_correct.
 
-MB of program read, and written, per second of processor, by a table of 21 components; seed 1. What is written grows where
-moves are split into segments (25 mm, chord error 1 um), so the second figure then says more.
+MB of program read, and written, per second of processor, by a table of 21 components; seed 1. What is written
+grows where moves are split into segments (25 mm, chord error 1 um), so the second figure then says more.
 """
 
 from __future__ import annotations
@@ -29,18 +29,20 @@ Lines = Callable[[np.random.Generator], str]
 def short_moves(rng: np.random.Generator) -> str:
     """Steps of about 0.5 mm along a smooth path."""
     path = 200 + 100 * np.sin(np.cumsum(rng.uniform(0, 0.005, (2000, 3)), axis=0) + np.arange(3))
-    return "".join("G1 X%.3f Y%.3f Z%.3f F800\n" % tuple(row) for row in path)
+    return "".join(f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f} F800\n" for x, y, z in path)
 
 
 def five_axes(rng: np.random.Generator) -> str:
     """The same with two rotary axes and line numbers."""
     path = 200 + 100 * np.sin(np.cumsum(rng.uniform(0, 0.005, (2000, 5)), axis=0) + np.arange(5))
-    return "".join("N%d G1 X%.3f Y%.3f Z%.3f A%.3f B%.3f\n" % (n, *row) for n, row in enumerate(path))
+    words = [" ".join(f"{axis}{v:.3f}" for axis, v in zip("XYZAB", row, strict=True)) for row in path]
+    return "".join(f"N{n} G1 {row}\n" for n, row in enumerate(words))
 
 
 def long_moves(rng: np.random.Generator) -> str:
     """Moves of 200 mm to and fro, each of eight or nine segments."""
-    return "".join("G1 X%d.%03d Y%.3f\n" % (100 + 200 * (n % 2), n % 7, y) for n, y in enumerate(rng.uniform(0, 9, 2000)))
+    ends = enumerate(rng.uniform(0, 9, 2000))
+    return "".join(f"G1 X{100 + 200 * (n % 2)}.{n % 7:03} Y{y:.3f}\n" for n, y in ends)
 
 
 def arcs(rng: np.random.Generator) -> str:
