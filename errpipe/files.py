@@ -13,6 +13,7 @@ import re
 import stat
 import tempfile
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path, PurePosixPath
 from typing import IO
 
@@ -27,6 +28,9 @@ _KINDS = {
     stat.S_IFBLK: "is a device",
     stat.S_IFSOCK: "is a socket",
 }
+
+
+_to_disk = ContextVar("to_disk", default=True)
 
 
 def open_regular(path: Path, follow: bool = True) -> IO[bytes]:
@@ -99,10 +103,20 @@ def inside(folder: Path, name: str, error: type[ErrpipeError]) -> Path:
 
 
 @contextlib.contextmanager
+def scratch() -> Iterator[None]:
+    """Files of this block are not waited for until they are on disk: who moves them to their place does that."""
+    before = _to_disk.set(False)
+    try:
+        yield
+    finally:
+        _to_disk.reset(before)
+
+
+@contextlib.contextmanager
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """A stream whose bytes become the file `path`, at once and on disk, when the block ends without an error.
 
-    A file that holds these bytes already is not touched. Raises OSError with the file's name, also where the disk
+    Within `scratch` nothing waits for the disk. A file that holds these bytes already is not touched. Raises OSError with the file's name, also where the disk
     is full; what was there before then stays.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,7 +125,8 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
         with os.fdopen(handle, "wb") as stream:
             yield stream
             stream.flush()
-            os.fsync(stream.fileno())
+            if _to_disk.get():
+                os.fsync(stream.fileno())
         if path.is_file() and filecmp.cmp(temporary, path, shallow=False):
             os.unlink(temporary)
             return

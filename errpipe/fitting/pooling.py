@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from errpipe.fitting.quantiles import chi2_quantile
 
@@ -78,8 +79,6 @@ def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
 
 def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
     """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-
     if len(estimates) < 2:
         return []
     limit = chi2_quantile(1.0 - level, estimates[0].size)

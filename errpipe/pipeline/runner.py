@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from errpipe import jsonfile
+from errpipe import files, jsonfile
 from errpipe.errors import ConfigError, DataError, UsageError, VerifyError
 from errpipe.files import inside
 from errpipe.pipeline.graph import ancestors, reads_of
@@ -201,7 +201,8 @@ class _Work:
             stages={slot: {name: self.out / name for name in names} for slot, names in links.items()},
             progress=lambda fraction, text: talk.progress(stage.label, fraction, text),
         )
-        summary = dict(stage.run(context) or {})
+        with files.scratch():
+            summary = dict(stage.run(context) or {})
         jsonfile.dumps(summary)  # raises before anything is published where a stage's summary cannot be written
         outputs = {path.relative_to(folder).as_posix(): hash_file(path) for path in _all_files(folder)}
         lacking = sorted(set(stage.outputs()) - set(outputs))

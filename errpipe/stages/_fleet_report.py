@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
 
 VERSION = 1  # of the document's layout
+WRITERS = 8  # files that wait for the disk at a time
 DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
 
 
@@ -71,8 +73,22 @@ def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, 
     return out
 
 
+def model_of(result: Mapping[str, Any], out: Path) -> ErrorModel | None:
+    """The model of one machine's run, None where it has none. What the report imports comes with the first one."""
+    import errpipe.fitting.pooling  # noqa: F401
+
+    if not result["model"] or result["state"] == "failed":
+        return None
+    return _artefacts.read_model(out / "machines" / result["name"] / result["model"])
+
+
 def write_report(
-    title: str, pool: bool, types: Mapping[str, str], results: Sequence[Mapping[str, Any]], out: Path
+    title: str,
+    pool: bool,
+    types: Mapping[str, str],
+    results: Sequence[Mapping[str, Any]],
+    models: Mapping[str, ErrorModel | None],
+    out: Path,
 ) -> dict[str, Any]:
     """Write fleet.json and fleet.md, and the pooled models where asked for; the document."""
     keep = ("name", "state", "message", "responses", "drift", "model")
@@ -82,7 +98,7 @@ def write_report(
         "title": title,
         "machines": sorted(rows, key=_sort_key),
         "drifting": [{"name": r["name"], **d} for r in rows for d in r["drift"]],
-        "types": [_type(name, rows, out, pool) for name in sorted(set(types.values()))],
+        "types": [_type(name, rows, models, out, pool) for name in sorted(set(types.values()))],
     }
     jsonfile.write(out / DOCUMENT, document)
     jsonfile.write_text(out / PAGE, "\n".join([*lines(document), ""]))
@@ -95,15 +111,13 @@ def _sort_key(row: Mapping[str, Any]) -> tuple[int, float, str]:
     return (("failed", "refused", "done").index(row["state"]), -largest_rms, row["name"])
 
 
-def _type(name: str, rows: Sequence[Mapping[str, Any]], out: Path, pool: bool) -> dict[str, Any]:
+def _type(
+    name: str, rows: Sequence[Mapping[str, Any]], of_machines: Mapping[str, ErrorModel | None], out: Path, pool: bool
+) -> dict[str, Any]:
     """Machines of a type that are alike, and its pooled parameters."""
     from errpipe.fitting import pooling
 
-    models = {
-        r["name"]: _artefacts.read_model(out / "machines" / r["name"] / r["model"])
-        for r in rows
-        if r["type"] == name and r["model"] and r["state"] != "failed"
-    }
+    models = {r["name"]: m for r in rows if r["type"] == name and (m := of_machines[r["name"]]) is not None}
     by_response = {}
     for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
         names, keys, estimates, covariances = _estimates(models, component)
@@ -121,8 +135,9 @@ def _type(name: str, rows: Sequence[Mapping[str, Any]], out: Path, pool: bool) -
                 for machine, (mean, covariance) in zip(names, shrunk, strict=True):
                     models[machine] = with_parameters(models[machine], component, mean, covariance)
     if pool:
-        for machine, model in models.items():
-            jsonfile.write(out / POOLED / machine / _artefacts.MODEL, _artefacts.model_json(model))
+        paths = [out / POOLED / machine / _artefacts.MODEL for machine in models]
+        with ThreadPoolExecutor(WRITERS) as writers:
+            list(writers.map(jsonfile.write, paths, map(_artefacts.model_json, models.values())))
     return {"type": name, "responses": by_response}
 
 

@@ -10,7 +10,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Literal
@@ -68,7 +68,7 @@ def fleet(
     """
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
-    from errpipe.stages._fleet_report import write_report
+    from errpipe.stages._fleet_report import model_of, write_report
 
     spec: Fleet = yamlfile.load(Path(file), Fleet)
     root = Path(file).parent.absolute()
@@ -77,12 +77,16 @@ def fleet(
     load_pipeline(pipeline, STAGES, sets=tasks[0][2])  # a pipeline that cannot be read is said once, not once a machine
     run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
     results: dict[str, dict[str, Any]] = {}
-    for result in run:
-        results[result["name"]] = result
-        progress(len(results) / len(tasks), f"{result['name']}: {result['state']}")
+    with ThreadPoolExecutor(1) as reader:  # models are read while other machines run
+        models = {}
+        for result in run:
+            name = result["name"]
+            results[name], models[name] = result, reader.submit(model_of, result, Path(out))
+            progress(len(results) / len(tasks), f"{name}: {result['state']}")
     ordered = [results[task[1]] for task in tasks]
     types = {m.name: m.type for m in machines_of(spec, root)}
-    document = write_report(spec.title, spec.pool, types, ordered, Path(out))
+    read = {name: model.result() for name, model in models.items()}
+    document = write_report(spec.title, spec.pool, types, ordered, read, Path(out))
     rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
     jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
     return document | {"times": {r["name"]: {k: r[k] for k in ("seconds", "peak_mb", "attempts")} for r in ordered}}
