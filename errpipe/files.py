@@ -116,8 +116,8 @@ def scratch() -> Iterator[None]:
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """A stream whose bytes become the file `path`, at once and on disk, when the block ends without an error.
 
-    Within `scratch` nothing waits for the disk. A file that holds these bytes already is not touched. Raises OSError with the file's name, also where the disk
-    is full; what was there before then stays.
+    Within `scratch` nothing waits for the disk. A file that holds these bytes already is not touched. Raises OSError
+    with the file's name, also where the disk is full; what was there before then stays.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=".tmp")

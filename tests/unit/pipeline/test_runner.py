@@ -44,6 +44,26 @@ def test_a_first_run_does_all_and_a_second_nothing(where: Path) -> None:
     assert {p: p.stat().st_mtime_ns for p in (where / "out").rglob("*.json")} == times
 
 
+def test_every_output_waits_for_the_disk_once_before_it_is_in_its_place(
+    where: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced, moved, whole = [], [], (os.fsync, os.replace)
+
+    def fsync(number: int) -> None:
+        synced.append(os.fstat(number).st_ino)
+        whole[0](number)
+
+    def replace(source: Any, target: Any) -> None:
+        if Path(target).suffix == ".json" and ".errpipe" not in Path(target).parts:
+            moved.append((os.stat(source).st_ino, synced.count(os.stat(source).st_ino)))
+        whole[1](source, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace)
+    go(where)
+    assert len(moved) >= 4 and {times for _, times in moved} == {1}
+
+
 def test_a_plan_of_nothing_writes_nothing(where: Path) -> None:
     assert [action for action, *_ in would(where).values()] == ["run"] * 4
     assert not (where / "out").exists()
