@@ -115,7 +115,7 @@ def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
         return Autoregression(np.zeros(0), 0.0)
     lagged = np.column_stack([left[rows - k] for k in range(1, most + 1)])
     products, seen = lagged.T @ lagged, lagged.T @ left[rows]
-    products.flat[:: most + 1] *= 1.0 + 1e-10
+    products.flat[:: most + 1] = products.diagonal() * (1.0 + 1e-10) + 1e-300
     edges = np.linspace(0, rows.size, int(np.clip(rows.size // EVEN_ROWS, 1, EVEN_PARTS)) + 1).astype(int)
     best = None
     for order in range(most + 1):

@@ -19,7 +19,7 @@ BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explana
 
 @dataclass(frozen=True)
 class HeldOut:
-    """rms on held-out rows; how often the full search's first effect was chosen without them.
+    """rms on held-out rows; of each finding, in which share of the folds its effect was chosen without them.
 
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
     `after`, of the findings alone; bare, textbook: as `named`, without findings, and of their textbook forms alone.
@@ -28,7 +28,7 @@ class HeldOut:
     scheme: str
     before: float
     after: float
-    agreement: float
+    agreement: tuple[float, ...]
     named: float
     shaped: float
     names: float
@@ -37,7 +37,7 @@ class HeldOut:
 
     def shape_share(self) -> float:
         """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
-        return 1.0 - (self.shaped / max(self.named, 1e-300)) ** 2
+        return 1.0 - (self.shaped / self.named) ** 2 if self.named > 0 else 0.0
 
     def departing(self) -> float:
         """Share of the held-out variance that departures from the textbook forms predict beyond these."""
@@ -62,7 +62,7 @@ def held_out(case: Case) -> HeldOut:
     judged = case.judged()
     if judged.session is not None:
         scheme += f"; the datum of each from its first {ZEROED} rows, which do not count"
-    first = case.explanation.accepted[0].hypothesis.effect if case.explanation.accepted else None
+    effects = [f.hypothesis.effect for f in case.explanation.accepted]
     inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
     bare, textbook = [], []
@@ -73,7 +73,7 @@ def held_out(case: Case) -> HeldOut:
         if any(finding.hypothesis.mask for finding in case.explanation.accepted):
             chosen = part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
         else:
-            chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if first else []
+            chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if effects else []
             chosen = supported_by_held_out(part, chosen, judged)
         names = [i for i, _ in chosen]
         remainder = admit.remainder(part, library, chosen, case.free_shapes, case.places)
@@ -95,15 +95,16 @@ def held_out(case: Case) -> HeldOut:
         )
         columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
         with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))
-        same.append(first is None or first in [library.hypotheses[i].effect for i in names[:1]])
+        again = {library.hypotheses[i].effect for i in names}
+        same.append([effect in again for effect in effects])
         del part  # frees its products before those of the next fold are formed
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
     return HeldOut(
-        scheme, rms(before), rms(after), float(np.mean(same)), rms(named), rms(with_inputs), rms(alone), rms(bare),
-        rms(textbook),
+        scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs), rms(alone),
+        rms(bare), rms(textbook),
     )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     datums = own_datums(case, [])
     chance = significance.chance(case)
     findings = [f.model_copy(update=_surrogate_test(case, f)) for f in findings]
-    if held.after > unnamed.SMALLER * held.before:
+    if not unnamed.borne_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.with_directional_law(findings, law) if law else findings
@@ -148,7 +148,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         shapes=sum(g for _, g in shaped.shapes),
         others=len(accepted) - 1,
         core=model.core_share(case, k),
-        agreement=held.agreement,
+        agreement=held.agreement[k],
         rank=k,
         rows=int(case.y.size),
         unreached=unreached(case, case.sigma) if proved else 0.0,

@@ -85,6 +85,15 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     return far and bool(case.explanation.accepted) and "whole runs" not in held.scheme
 
 
+def borne_out(case: Case, held: holdout.HeldOut) -> bool:
+    """Do names reduce what held-out rows show beyond the noise between neighbours?
+
+    In a long log an effect may be smaller than the noise of a single row.
+    """
+    beyond = [max(rms**2 - case.noise_estimate**2, 0.0) for rms in (held.after, held.before)]
+    return held.after < held.before and beyond[0] <= SMALLER**2 * beyond[1]
+
+
 def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as a shape without a name must?
 

@@ -105,7 +105,7 @@ class Frame:
             return None
         explained = float(np.sum((u.T @ self.left) ** 2))
         unexplained = float(self.left @ self.left) - explained
-        f = (explained / count) / (unexplained / (self.free - count))
+        f = (explained / count) / (max(unexplained, 1e-300) / (self.free - count))  # nothing may be left at all
         p = float(fdtrc(count, self.free - count, f))
         return WhitenessTest(against=against, how=how, statistic=f, dof=count, p=p)
 

@@ -14,7 +14,8 @@ from errpipe.terms._base import Parameter
 from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
 from errpipe.terms._search import Signals
 
-TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart
+TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart,
+BENT = 0.5  # and from which the bend of its first order shows
 
 
 Orders = Annotated[
@@ -48,9 +49,9 @@ def total(x: np.ndarray, period: float, orders: tuple[float, ...], parameters: M
     return columns(x, period, orders) @ np.array(gains)
 
 
-def turn(recording: Recording, axis: str) -> tuple[float, ...]:
-    """One turn of a rotary axis that made nearly one, after which all repeats."""
-    return (TURN,) if is_rotary(recording, axis) and np.ptp(position(recording, axis)) > NEARLY * TURN else ()
+def turn(recording: Recording, axis: str, share: float = BENT) -> tuple[float, ...]:
+    """One turn of a rotary axis that made more than this share of one, after which all repeats."""
+    return (TURN,) if is_rotary(recording, axis) and np.ptp(position(recording, axis)) > share * TURN else ()
 
 
 def seen(
@@ -63,6 +64,6 @@ def seen(
     x = position(recording, axis)[signals.rows]
     if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= FEW_PLACES:
         return
-    span, turned = float(np.ptp(x)), (*known, *turn(recording, axis))
+    span, turned = float(np.ptp(x)), (*known, *turn(recording, axis, NEARLY))
     for base, orders, stated in combs(lines(x, signals.values[0]), span, [1.0 / p for p in turned]):
         yield 1.0 / base / orders[0], orders, stated

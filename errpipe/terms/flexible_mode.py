@@ -128,14 +128,14 @@ class FlexibleMode(Term):
         from scipy.optimize import minimize
 
         def loss(at: np.ndarray) -> float:
-            damping = min(float(np.exp(at[1])), HIGHEST_DAMPING)
+            damping = float(np.exp(min(at[1], np.log(HIGHEST_DAMPING))))
             return -self._explained(recording, signals, frequency * float(np.exp(at[0])), damping)
 
         start = [[0.0, np.log(d)] for d in (0.03, 0.03, 0.1)]
         start[1][0] = 0.01
         simplex = {"initial_simplex": start, "maxfev": 60, "xatol": 1e-4, "fatol": 0.0}
         found = minimize(loss, start[0], method="Nelder-Mead", options=simplex).x
-        return frequency * float(np.exp(found[0])), min(float(np.exp(found[1])), HIGHEST_DAMPING)
+        return frequency * float(np.exp(found[0])), float(np.exp(min(found[1], np.log(HIGHEST_DAMPING))))
 
     def _explained(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> float:
         """Sum of squares of the mismatch that a mode explains beyond what goes with the motion itself."""

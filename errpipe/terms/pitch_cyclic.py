@@ -70,6 +70,8 @@ class PitchCyclic(Term):
         """Several orders of one wave, as the mismatch shows them."""
         for axis in () if is_radial(component) else axes_acting(recording, as_positioning(component)):
             stated = drive_periods(recording.manifest.axis(axis))
+            for period in waves.turn(recording, axis):  # a disc off centre and oval
+                yield cls(axis=axis, orders=(1.0, 2.0), fixed={"period": period}), (period,)
             for period, orders, known in waves.seen(recording, axis, signals, stated):
                 yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
 

@@ -81,6 +81,6 @@ class TorqueRipple(Term):
 
 
 def stated(recording: Recording, axis: str) -> tuple[float, ...]:
-    """Periods of the axis' drive and motor that the manifest states."""
+    """Periods of the axis' drive and motor that the manifest states, and one turn of a rotary axis."""
     known = recording.manifest.axis(axis)
-    return tuple(dict.fromkeys((*pole_periods(known), *drive_periods(known))))
+    return tuple(dict.fromkeys((*pole_periods(known), *drive_periods(known), *waves.turn(recording, axis))))
