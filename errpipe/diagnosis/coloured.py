@@ -34,6 +34,7 @@ SHARES = (0.06, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97,
 MOST_LAGS = 24  # of an autoregression
 EVEN_ROWS, EVEN_PARTS = 50, 16  # least rows and most parts of a recording in which noise has a size of its own
 EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which they come in events,
+JUMP_ROWS, LEAST_JUMPS = (2, 4, 8, 16), 50  # rows of a mean; increments, below which their kurtosis is chance
 BUMP = 40.0  # power of half an octave over the least of slower ones from which a rhythm stands in it: of wandering gaps
 # of real repetitions 7 of 8 stay below both, of 72 novel mechanisms (both generators and the third, seeds 771 to 773) 8
 LEAST_ROWS = 8  # of a spectrum with two half octaves: fewer rows show neither events nor a rhythm
@@ -96,10 +97,7 @@ class Autoregression(NamedTuple):
 
     def comes_in_events(self) -> bool:
         """Are the innovations heavier in their tails than noise of one kind has them?"""
-        if not self.innovations.size:
-            return False
-        centred = self.innovations - self.innovations.mean()
-        return float(np.mean(centred**4)) >= EVENTS * (float(np.mean(centred**2)) ** 2 + 1e-300)
+        return _heavy_tails(self.innovations)
 
 
 def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
@@ -129,6 +127,27 @@ def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
     return best
 
 
+def jumps(left: np.ndarray, run: np.ndarray) -> bool:
+    """Are increments of means over 2 to 16 rows heavier in their tails than noise has them?
+
+    Those of a linear Gaussian process are normal at every scale; from row to row measuring noise hides what jumps.
+    """
+    for width in JUMP_ROWS:
+        stretches = [np.flatnonzero(run == r) for r in np.unique(run)]
+        means = [left[s[: s.size // width * width]].reshape(-1, width).mean(axis=1) for s in stretches]
+        if _heavy_tails(np.concatenate([np.diff(m) for m in means]), LEAST_JUMPS):
+            return True
+    return False
+
+
+def _heavy_tails(values: np.ndarray, least: int = 1) -> bool:
+    """Is the kurtosis of at least so many values that of events?"""
+    if values.size < least:
+        return False
+    centred = values - values.mean()
+    return float(np.mean(centred**4)) >= EVENTS * (float(np.mean(centred**2)) ** 2 + 1e-300)
+
+
 def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
     """Is a residual (rows,) a linear Gaussian process without a rhythm: coloured noise, a random walk?
 
@@ -136,7 +155,7 @@ def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
     """
     if left.size < LEAST_ROWS:
         return True
-    if autoregression(left, run).comes_in_events():
+    if autoregression(left, run).comes_in_events() or jumps(left, run):
         return False
     power = np.abs(np.fft.rfft((left - left.mean()) * np.hanning(left.size)))[2:] ** 2
     edges = np.unique(np.geomspace(1, power.size, int(2 * np.log2(max(power.size, 2))) + 2).astype(int) - 1)

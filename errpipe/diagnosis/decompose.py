@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,17 +60,22 @@ class Decomposition:
     plain: bool = False
 
 
+Held = Callable[[Decomposition, int], list[Decomposition]]
+
+
 def decompose(
     simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray, noise: float
-) -> list[Decomposition]:
+) -> tuple[list[Decomposition], Held | None]:
     """Parts added, exchanged and dropped while the evidence grows; the likeliest sets of effects, best first.
 
-    noise: rms of the measuring noise, below which the decomposition stops.
+    noise: rms of the measuring noise, below which the decomposition stops. Beside them: how to ask whether the signal
+    may hold a certain effect, None where it holds no physics.
     """
     run = library.table.run
     if _one_level_per_run(simulated, run):
-        return [Decomposition((), 1.0, simulated - simulated.mean(), 0.0)]
-    return _Work(simulated, library, recording, rows, noise).run()
+        return [Decomposition((), 1.0, simulated - simulated.mean(), 0.0)], None
+    work = _Work(simulated, library, recording, rows, noise)
+    return work.run(), work.holding if not work.still else None
 
 
 def _one_level_per_run(simulated: np.ndarray, run: np.ndarray) -> bool:
@@ -156,6 +162,19 @@ class _Work:
                 break
             beam = best
         return [self._result(state, worth) for worth, state in self._different(beam)]
+
+    def holding(self, d: Decomposition, i: int) -> list[Decomposition]:
+        """The likeliest ways in which the signal may hold a hypothesis, at any of its parameters.
+
+        It stands beside the parts of a decomposition, or in the place of one of them.
+        """
+        ways = []
+        for out in (None, *d.parts):
+            kept = [(p.index, 1.0) for p in d.parts if p is not out and p.index not in self.library.family(i)]
+            if len(kept) < MOST_PARTS:
+                states = [self._tuned([*kept, (k, 1.0)]) for k in self.library.family(i)]
+                ways.append(max(((self._worth(state), state) for state in states), key=lambda w: w[0]))
+        return [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""

@@ -103,8 +103,8 @@ def held_out(case: Case) -> HeldOut:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
     return HeldOut(
-        scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs), rms(alone),
-        rms(bare), rms(textbook),
+        scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs),
+        rms(alone), rms(bare), rms(textbook),
     )  # fmt: skip
 
 

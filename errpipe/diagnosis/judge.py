@@ -234,9 +234,9 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     noise_estimate = first_noise(pair.mismatch, run)
     data = Data(library.table, pair.mismatch)
     plain = parts.static(simulated, library, raw, conditioned, rows)
-    alternatives = [plain] if plain else parts.decompose(simulated, library, conditioned, rows, noise_estimate)
+    held = ([plain], None) if plain else parts.decompose(simulated, library, conditioned, rows, noise_estimate)
     decomposition, (nuisance, names, recal, sizes) = recalibration.likeliest(
-        alternatives, simulated, library, data, noise_estimate
+        *held, simulated, library, data, noise_estimate
     )
     prior = recalibration.log_prior(library, decomposition)
     of_row = sessions(conditioned)[rows]

@@ -79,17 +79,28 @@ def _weaker_prior(search: Search, d: parts.Decomposition, effects: set[str]) -> 
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 
 
-def likeliest(alternatives: list[parts.Decomposition], simulated, library, data: Data, noise_estimate: float):
-    """The decomposition that makes signal and mismatch likeliest together, with its recalibration."""
-    scored = []
-    for d in alternatives:
+def likeliest(
+    alternatives: list[parts.Decomposition], holding: parts.Held | None, simulated, library, data: Data, noise: float
+):
+    """The decomposition that makes signal and mismatch likeliest together, with its recalibration.
+
+    What seems to be missing may be in the simulation under other names, with another gain: a decomposition that holds
+    it is tried, too.
+    """
+
+    def scored(d: parts.Decomposition):
         nuisance, names, columns, sizes = recalibration(simulated, d, library)
-        worth = TRUST * d.worth
-        if len(alternatives) > 1:
-            search, e = settled(library, data, nuisance, log_prior(library, d), noise_estimate)
-            worth += _worth(search, e, gains.totals(names, sizes)[1])
-        scored.append((worth, (d, (nuisance, names, columns, sizes))))
-    return max(scored, key=lambda t: t[0])[1]
+        search, e = settled(library, data, nuisance, log_prior(library, d), noise)
+        worth = TRUST * d.worth + _worth(search, e, gains.totals(names, sizes)[1])
+        return worth, (d, (nuisance, names, columns, sizes)), e.accepted
+
+    if holding is None and len(alternatives) == 1:
+        return alternatives[0], recalibration(simulated, alternatives[0], library)
+    best = max(map(scored, alternatives), key=lambda t: t[0])
+    for finding in best[2] if holding else ():
+        others = map(scored, holding(best[1][0], finding.index))
+        best = max(best, *others, key=lambda t: t[0])
+    return best[1]
 
 
 def recalibration(

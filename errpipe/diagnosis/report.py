@@ -43,13 +43,16 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    wandering = case.over_noise < 0.0  # as likely that nothing is missing and the noise wanders
-    sized = [UNPROVED if wandering else UNSIZED if plausible.no_size(m) else 1.0 for m in made]
+    wandering = [case.over_noise < 0.0 or s.wandering > s.gain for s in indicators]  # noise that wanders is as likely
+    sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else 1.0 for m, w in zip(made, wandering, strict=True)]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
-    findings, verdict = _verdict(case, findings, p_unknown, unnamed.unexplained(case, held))
+    nameless = unnamed.unexplained(case, held)
+    if findings and unnamed.borne_out(case, held) and max(f.sure() for f in findings) < unnamed.UNLIKELY:
+        p_unknown, nameless = max(p_unknown, unnamed.PROVISIONAL), True
+    findings, verdict = _verdict(case, findings, p_unknown, nameless)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
         contribution["unknown"], after = unnamed.with_shapes(case)
     floor = float(
@@ -256,12 +259,12 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
     return h, b[1:] / scale
 
 
-def _verdict(case: Case, findings: list[Finding], p_unknown: float, unexplained: bool) -> tuple[list[Finding], str]:
+def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bool) -> tuple[list[Finding], str]:
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
     doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or unexplained):
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or nameless):
         named = [unnamed.capped(f, 1.0 - p_unknown) for f in findings]
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
