@@ -68,7 +68,7 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
             block = search.library.block(f.index, conditioned, rows)
             contribution = block @ b[first : first + block.shape[1]]
             first += block.shape[1]
-            active = np.abs(contribution) > 0.1 * np.abs(contribution).max()
+            active = np.abs(contribution) >= 0.1 * np.abs(contribution).max()
             size = float(np.sqrt(np.mean(contribution[active] ** 2)))
             sizes.append(0.0 if size < _least_size(search.library, f.index, held) else size / search.sigma)
         too_small = [k for k, size in enumerate(sizes) if size < MIN_SIZE[min(k, 1)]]

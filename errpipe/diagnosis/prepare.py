@@ -41,6 +41,7 @@ class Pair:
         return -values if self.reversed else values
 
 
+SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
 REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
 
 
@@ -84,6 +85,7 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
         raise DataError(f"{component}: only {rows.size} different rows (at least {LEAST_ROWS})")
     if np.nanstd(recording.array(error)[rows]) == 0:
         raise DataError(f"{component}: the recorded value never changes")
+    mismatch[np.abs(mismatch) < SAME * np.nanstd(recording.array(error)[rows])] = 0.0
     turned = _is_reversed(recording.array(error)[rows], recording.array(twin)[rows])
     if turned:
         mismatch = recording.array(error) + recording.array(twin)

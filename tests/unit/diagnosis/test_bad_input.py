@@ -67,3 +67,11 @@ def test_missing_cells_and_repeated_rows_change_nothing():
     frame.loc[200:206, "EXX"] = np.nan
     frame = frame.iloc[np.sort(np.r_[np.arange(len(frame)), [50, 51, 300]])].reset_index(drop=True)
     assert diagnose(Recording(case.manifest, frame))[0].responses[0].findings[0].effect == "backlash"
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(0.0, "no_mismatch"), (1e-13, "no_mismatch"), (3.0, "recalibrate")])
+def test_a_simulation_that_repeats_the_recording(off, verdict):
+    """Nothing at all is left to judge: no division by it, and nothing said about it."""
+    case = spindle()
+    case = changed(case, E_Z_sim=case.array("E_Z") - off)
+    assert diagnose(case)[0].responses[0].verdict == verdict

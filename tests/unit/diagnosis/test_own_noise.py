@@ -107,7 +107,9 @@ def test_events_and_rhythms_are_no_linear_process():
     rng, run, i = np.random.default_rng(6), np.zeros(900, dtype=int), np.arange(900)
     decays = sum(np.where(i >= a, 12.0 * np.exp(-(i - a) / 15.0), 0.0) for a in (90, 350, 410, 700))
     beat = 3.0 * np.sin(2 * np.pi * i / 60 + 2.0 * np.sin(i / 300))
-    for structure in (decays, beat):
+    steps = sum(np.where((i >= a) & (i < a + 40), 3.5, 0.0) for a in (120, 500, 760))  # hidden from row to row
+    assert not coloured.autoregression(steps + rng.standard_normal(900), run).comes_in_events()
+    for structure in (decays, beat, steps):
         assert not coloured.is_linear_noise(structure + rng.standard_normal(900), run)
 
 

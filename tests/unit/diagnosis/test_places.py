@@ -51,6 +51,18 @@ def test_a_wave_beside_another_one_that_the_simulation_holds():
     assert {p.name: p.value for p in said.findings[0].parameters}["period"] == pytest.approx(180.0)
 
 
+@pytest.mark.parametrize("reach", [360.0, 270.0])
+def test_two_orders_of_a_turn_are_one_wave_and_no_scale(reach):
+    """A disc off centre and oval, of a table that need not make its whole turn."""
+    turn = np.pi / 180
+    said = positioning(
+        np.arange(0.0, reach + 1, 10), "C", "deg", "ECC",
+        lambda c: 10 * np.sin(turn * c + 0.7) + 5 * np.sin(2 * turn * c + 0.3), lambda c: 0.0 * c,
+    )  # fmt: skip
+    assert said.findings[0].effect == "pitch_cyclic" and said.findings[0].confidence > 0.8
+    assert {p.name: p.value for p in said.findings[0].parameters}["period"] == pytest.approx(360.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("turns", [6.3, 9.1])
 def test_a_wave_of_one_pass_of_75_places_is_no_noise(turns):

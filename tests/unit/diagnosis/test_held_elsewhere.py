@@ -1,0 +1,34 @@
+"""What a simulation may hold under another name; what held-out rows bear out beyond the noise of a row."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import decompose, hypotheses, unnamed
+from errpipe.diagnosis.prepare import condition
+
+from .machines import spindle
+
+
+def test_an_effect_takes_the_place_of_the_part_that_stands_in_for_it():
+    case = condition(spindle())
+    rows = np.arange(len(case))
+    library = hypotheses.build(case, "E_Z", rows)
+    (first, *_), holding = decompose.decompose(3.0 * (case.array("T_bed") - 20.0), library, case, rows, 0.3)
+    drift = next(i for i, h in enumerate(library.hypotheses) if h.drivers == ("T_bed",) and not h.nonlinear[0])
+    growth = next(i for i, h in enumerate(library.hypotheses) if h.drivers == ("rpm",))
+    assert library.hypotheses[drift].effect in [p.hypothesis.effect for p in first.parts]
+    for i in (drift, growth):
+        ways = holding(first, i)
+        assert all(library.hypotheses[i].effect in [p.hypothesis.effect for p in d.parts] for d in ways)
+    assert ways[0].leftover < 0.05  # beside the drift, not in its place
+    assert decompose.decompose(np.zeros(rows.size), library, case, rows, 0.3)[1] is None
+
+
+@pytest.mark.parametrize(("after", "noise", "stands"), [(1.0, 1.0, True), (1.0, 0.2, False), (1.3, 1.0, False)])
+def test_names_are_judged_by_what_they_leave_beyond_the_noise_of_a_row(after, noise, stands):
+    held = SimpleNamespace(before=1.23, after=after)
+    assert unnamed.borne_out(SimpleNamespace(noise_estimate=noise), held) is stands
