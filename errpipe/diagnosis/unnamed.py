@@ -19,7 +19,6 @@ ALONE = (
     0.6  # and of the first one's log Bayes factor that its textbook form has at parameters of its own; below both the
 )
 # form is another's (chosen on trials/first 9535, 9561, 9801 and trials/second 9536, 9562, 9802: of 53 right names none)
-NOTHING = 0.1  # the same where the state at the start is unknown, whose decay is part of the form
 DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
@@ -104,10 +103,9 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     decay of a state that a body brought along is part of its form.
     """
     findings = case.explanation.accepted
-    if not findings or held.departing() < HELD_OUT_SHARE:
+    if not findings or any(term.any_start for term in findings[0].hypothesis.terms):
         return False
-    any_start = any(term.any_start for term in findings[0].hypothesis.terms)
-    if held.textbook_share() >= (NOTHING if any_start else TEXTBOOK):
+    if held.departing() < HELD_OUT_SHARE or held.textbook_share() >= TEXTBOOK:
         return False
     return textbook_alone(case) < ALONE
 
