@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,6 +93,15 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     return LinearProblem(recording, tuple(nodes), len(names), values, response, good, group, parts, count, len(heat))
 
 
+def extended(problem: LinearProblem, nodes: Sequence[d.Driver], datum_rows: int) -> LinearProblem:
+    """The same problem with further drivers behind its own, of the same sensors."""
+    rows, group = problem.rows, problem.group
+    further = centred(columns(problem.recording, nodes), problem.recording.run_codes(), datum_rows, 1.0)
+    values = np.column_stack([problem.values, further])
+    parts = triangles(values[rows], problem.response[rows], group[rows])
+    return replace(problem, drivers=(*problem.drivers, *nodes), values=values, triangle=parts)
+
+
 def spindle_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
     """Speed (either sense of rotation) and its square through lags, 1000 rpm; none without a speed."""
     name = recording.name("spindle_speed")
@@ -130,6 +139,22 @@ def ridge(
     with one_thread():
         scaled_gains = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
     return scaled_gains / size
+
+
+def ridge_path(
+    design: np.ndarray, response: np.ndarray, rows: float, strengths: Sequence[float], scale: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Ridge gains of a triangle for each strength (above 0), (strengths, p); one singular value decomposition.
+
+    scale: 1, (p,); a column of unit rms is held down by the strength times its square.
+    """
+    size = np.sqrt(np.sum(design**2, axis=0) / rows)
+    size = np.where(size > 0, size, 1.0) * scale
+    with one_thread():
+        left, values, right = np.linalg.svd(design / size, full_matrices=False)
+    shown = left.T @ response
+    kept = [values / (values**2 + strength * rows) * shown for strength in strengths]
+    return np.asarray(np.array(kept) @ right / size)
 
 
 def mean_of_sensors(design: np.ndarray, response: np.ndarray) -> np.ndarray:

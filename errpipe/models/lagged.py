@@ -40,10 +40,12 @@ class Lagged(ThermalFamily):
             name = f"lagged, lasso {LASSO[number]:g}"
             return linear(f"{family}, lasso", name, problem, lambda groups: path(groups)[number], LASSO[number])
 
-        def ridge(strength: float) -> Entrant:
-            def gains(groups: tuple[int, ...]) -> np.ndarray:
-                return t.ridge(*problem.stacked(groups, width), strength)
+        @cache
+        def shrunk(groups: tuple[int, ...]) -> np.ndarray:
+            return t.ridge_path(*problem.stacked(groups, width), RIDGE)
 
-            return linear(f"{family}, ridge", f"lagged, ridge {strength:g}", problem, gains, strength)
+        def ridge(number: int) -> Entrant:
+            name = f"lagged, ridge {RIDGE[number]:g}"
+            return linear(f"{family}, ridge", name, problem, lambda groups: shrunk(groups)[number], RIDGE[number])
 
-        return [*map(lasso, range(len(LASSO))), *map(ridge, RIDGE)]
+        return [*map(lasso, range(len(LASSO))), *map(ridge, range(len(RIDGE)))]

@@ -1,0 +1,128 @@
+"""Gains times lagged rises, and times products of how fast one sensor warms with how warm another one is.
+
+Films grow with speed, so what a kelvin does depends on whether the machine runs. No sensor says so, but the rate at
+which it warms does. The state equation of such a machine is bilinear,
+
+    d theta / dt = (A + s W) theta + B u          theta: rises, s: speed, u: heat
+
+and the part of theta that W makes is, to first order, lagged products of s and theta (Volterra series of second order;
+Rugh 1981, Nonlinear System Theory, chapter 3). The sensors' rates stand for s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from errpipe.models._thermal import ThermalFamily, linear
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain import driver as d
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
+
+# Of columns of unit rms, and how many times less a product of unit rms may do. The competition chooses both.
+RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+SCALES = (1.0, 3.0, 10.0)
+MOST_SENSORS = 8  # products are twice the square of it
+# Window of a rate, as a share of a run, in shortest time constants at least. 300 to 1800 s of runs of 6 to 9 h left
+# within 1 % of each other on seed 7301 of `trials.thermal` (18 machines).
+WINDOW, LEAST_WINDOW = 0.02, 2.0
+LATE = 0.25  # which of the recording's time constants a product also acts through, as a share of their number
+
+
+class Bilinear(ThermalFamily):
+    """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
+
+    family: Literal["bilinear"] = Field("bilinear", description="Model family.")
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """Every setting; none of one run, of more sensors than `MOST_SENSORS`, or where nothing can be lagged.
+
+        Within a single run nothing shows that a product holds on another day.
+        """
+        import numpy as np
+
+        from errpipe.fitting import thermal_linear as t
+
+        taus = t.time_constants(problem.recording, problem.plain)
+        if problem.one_run or problem.plain > MOST_SENSORS or not taus:
+            return ()
+        features = _Products.of(problem.recording.names("temperature"), taus)
+        whole = t.extended(problem, features.columns(), self.datum_rows)
+        width, count = len(problem.drivers), len(whole.drivers)
+
+        @cache
+        def path(groups: tuple[int, ...], scale: float) -> np.ndarray:
+            scales = np.r_[np.ones(width), np.full(count - width, scale)]
+            return t.ridge_path(*whole.stacked(groups, count), RIDGE, scales)
+
+        def entrant(scale: float, number: int) -> Entrant:
+            def gains(groups: tuple[int, ...]) -> np.ndarray:
+                return path(groups, scale)[number]
+
+            def rises(groups: tuple[int, ...]) -> Any:
+                known = gains(groups)[:width]
+                return tuple((name, float(g), node) for g, node in zip(known, problem.drivers, strict=True) if g)
+
+            def parts(groups: tuple[int, ...]) -> Any:
+                return (*rises(groups), ("products", 1.0, features.sum(gains(groups)[width:])))
+
+            name = f"bilinear, ridge {RIDGE[number]:g}, products {scale:g}"
+            one = linear(self.family_name(), name, whole, gains, RIDGE[number])
+            return replace(one, parts=parts, linear=rises)
+
+        return [entrant(scale, number) for scale in SCALES for number in range(len(RIDGE))]
+
+
+class _Products(NamedTuple):
+    """Rates and rises of the sensors, K, and the time constant through which their products act late, s."""
+
+    rates: tuple[d.Driver, ...]
+    rises: tuple[d.Driver, ...]
+    late: float
+
+    @classmethod
+    def of(cls, names: Sequence[str], taus: Sequence[float]) -> _Products:
+        """Time constants are those of the recording's grid, so that a table shares the lags with other families."""
+        from errpipe.domain import driver as d
+
+        least = max(WINDOW * taus[-1], LEAST_WINDOW * taus[0])
+        window = min(taus, key=lambda tau: abs(tau - least))
+        rises = tuple(d.rise(n) for n in names)
+        slow = (d.Lag(of=x, tau_up=window, tau_down=window, start="zero") for x in rises)
+        rates = tuple(d.Affine(weights=(1.0, -1.0), of=pair) for pair in zip(rises, slow, strict=True))
+        return cls(rates, rises, taus[int(LATE * len(taus))])
+
+    def columns(self) -> list[d.Driver]:
+        """Every product, and every product late; K2."""
+        from errpipe.domain import driver as d
+
+        plain: list[d.Driver] = [d.Product(of=(rate, x)) for rate in self.rates for x in self.rises]
+        return plain + [self._lagged(node) for node in plain]
+
+    def sum(self, gains: np.ndarray) -> d.Driver:
+        """Gains (um/K2) times the columns, with one product per sensor and a single lag."""
+        from errpipe.domain import driver as d
+
+        at_once, late = gains.reshape(2, len(self.rates), len(self.rises))
+        both = (self._sum(at_once), self._lagged(self._sum(late)))
+        return d.Affine(weights=(1.0, 1.0), of=both)
+
+    def _sum(self, gains: np.ndarray) -> d.Driver:
+        from errpipe.domain import driver as d
+
+        by_rate = (d.Affine(weights=tuple(map(float, row)), of=self.rises) for row in gains)
+        products = tuple(d.Product(of=pair) for pair in zip(self.rates, by_rate, strict=True))
+        return d.Affine(weights=(1.0,) * len(products), of=products)
+
+    def _lagged(self, of: d.Driver) -> d.Driver:
+        from errpipe.domain import driver as d
+
+        return d.Lag(of=of, tau_up=self.late, tau_down=self.late, start="zero")
