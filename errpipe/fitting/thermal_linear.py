@@ -31,6 +31,9 @@ SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over 
 RATIO = 1.8
 MOST_LAGS = 12  # time constants of each sensor
 SPEED_UNIT = 1e-3  # 1/rpm: a spindle's thousands of rpm then stand beside kelvins
+# Window of a rate, as a share of a run, in shortest time constants at least. 300 to 1800 s of runs of 6 to 9 h left
+# within 1 % of each other on seed 7301 of `trials.thermal` (18 machines).
+RATE_WINDOW, LEAST_WINDOW = 0.02, 2.0
 MOST_DRIVERS = 120  # of all sensors together: a table takes 1024 operations, each lag costs two
 
 
@@ -100,6 +103,18 @@ def extended(problem: LinearProblem, nodes: Sequence[d.Driver], datum_rows: int)
     values = np.column_stack([problem.values, further])
     parts = triangles(values[rows], problem.response[rows], group[rows])
     return replace(problem, drivers=(*problem.drivers, *nodes), values=values, triangle=parts)
+
+
+def rates(problem: LinearProblem) -> tuple[d.Driver, ...]:
+    """How much each sensor has warmed within a window, K; none where nothing can be lagged."""
+    names = problem.recording.names("temperature")
+    taus = time_constants(problem.recording, len(names))
+    if not taus:
+        return ()
+    least = max(RATE_WINDOW * taus[-1], LEAST_WINDOW * taus[0])
+    window = min(taus, key=lambda tau: abs(tau - least))  # of the grid, so that a table has the lag anyway
+    slow = (d.Lag(of=d.rise(n), tau_up=window, tau_down=window, start="zero") for n in names)
+    return tuple(d.Affine(weights=(1.0, -1.0), of=(d.rise(n), late)) for n, late in zip(names, slow, strict=True))
 
 
 def spindle_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:

@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 SCALES = (1.0, 3.0, 10.0)
 MOST_SENSORS = 8  # products are twice the square of it
-# Window of a rate, as a share of a run, in shortest time constants at least. 300 to 1800 s of runs of 6 to 9 h left
-# within 1 % of each other on seed 7301 of `trials.thermal` (18 machines).
-WINDOW, LEAST_WINDOW = 0.02, 2.0
 LATE = 0.25  # which of the recording's time constants a product also acts through, as a share of their number
 
 
@@ -54,7 +51,8 @@ class Bilinear(ThermalFamily):
         taus = t.time_constants(problem.recording, problem.plain)
         if problem.one_run or problem.plain > MOST_SENSORS or not taus:
             return ()
-        features = _Products.of(problem.recording.names("temperature"), taus)
+        rises = problem.drivers[: problem.plain]
+        features = _Products(t.rates(problem), rises, taus[int(LATE * len(taus))])
         whole = t.extended(problem, features.columns(), self.datum_rows)
         width, count = len(problem.drivers), len(whole.drivers)
 
@@ -67,16 +65,16 @@ class Bilinear(ThermalFamily):
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return path(groups, scale)[number]
 
-            def rises(groups: tuple[int, ...]) -> Any:
+            def linear_part(groups: tuple[int, ...]) -> Any:
                 known = gains(groups)[:width]
                 return tuple((name, float(g), node) for g, node in zip(known, problem.drivers, strict=True) if g)
 
             def parts(groups: tuple[int, ...]) -> Any:
-                return (*rises(groups), ("products", 1.0, features.sum(gains(groups)[width:])))
+                return (*linear_part(groups), ("products", 1.0, features.sum(gains(groups)[width:])))
 
             name = f"bilinear, ridge {RIDGE[number]:g}, products {scale:g}"
             one = linear(self.family_name(), name, whole, gains, RIDGE[number])
-            return replace(one, parts=parts, linear=rises)
+            return replace(one, parts=parts, linear=linear_part)
 
         return [entrant(scale, number) for scale in SCALES for number in range(len(RIDGE))]
 
@@ -87,18 +85,6 @@ class _Products(NamedTuple):
     rates: tuple[d.Driver, ...]
     rises: tuple[d.Driver, ...]
     late: float
-
-    @classmethod
-    def of(cls, names: Sequence[str], taus: Sequence[float]) -> _Products:
-        """Time constants are those of the recording's grid, so that a table shares the lags with other families."""
-        from errpipe.domain import driver as d
-
-        least = max(WINDOW * taus[-1], LEAST_WINDOW * taus[0])
-        window = min(taus, key=lambda tau: abs(tau - least))
-        rises = tuple(d.rise(n) for n in names)
-        slow = (d.Lag(of=x, tau_up=window, tau_down=window, start="zero") for x in rises)
-        rates = tuple(d.Affine(weights=(1.0, -1.0), of=pair) for pair in zip(rises, slow, strict=True))
-        return cls(rates, rises, taus[int(LATE * len(taus))])
 
     def columns(self) -> list[d.Driver]:
         """Every product, and every product late; K2."""
