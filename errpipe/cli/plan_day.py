@@ -8,24 +8,39 @@ import typer
 
 from errpipe.cli._arguments import Json
 
+_By = typer.Option([], "--by", metavar="GROUP", help="Its labels name a duty cycle; default: duty_cycle. Repeatable.")
+
 
 def command(
     recording: Path = typer.Argument(None, metavar="RECORDING", help="Folder of the days recorded so far."),
-    speed: float = typer.Option(None, "--speed", min=1.0, help="Highest spindle speed, rpm."),
-    hours: float = typer.Option(8.0, "--hours", min=0.5, max=48.0, help="Length of a day."),
-    noise: float = typer.Option(1.0, "--noise", min=1e-3, help="Standard deviation of a reading, um."),
-    standing: float = typer.Option(0.0, "--standing", min=0.0, max=1.0, help="Least share at rest."),
+    log: Path = typer.Option(None, "--log", metavar="FOLDER", help="Recording of temperatures: further duty cycles."),
+    component: str = typer.Option(None, "--component", help="The error that is modelled, such as E_D."),
+    by: list[str] = _By,
+    least: float = typer.Option(
+        None, "--least", min=0.0, help="Stop below so many um rms taken away; default: a reading's noise."
+    ),
+    speed: float = typer.Option(None, "--speed", min=1.0, help="Plan speeds up to this one, rpm."),
+    hours: float = typer.Option(8.0, "--hours", min=0.5, max=48.0, help="Length of a day of speeds."),
+    noise: float = typer.Option(1.0, "--noise", min=1e-3, help="Standard deviation of a reading, um, for speeds."),
+    standing: float = typer.Option(0.0, "--standing", min=0.0, max=1.0, help="Least share at rest, for speeds."),
     json: bool = Json,
 ) -> None:
     """Say which thermal duty cycle to run next, and what it brings.
 
-    Speeds that teach a model of spindle heat most; stops when another day would hardly change its predictions.
+    Of a recording with temperatures and measured errors: the duty cycle after which errors are expected to be predicted
+    best in all states recorded or logged. With --speed: spindle speeds that teach a model of spindle heat most. Either
+    stops when another day would hardly change the predictions.
 
     \b
     Example:
+      errpipe plan-day recording
       errpipe plan-day --speed 6000 --hours 4
     """
     from errpipe.cli.output import print_result, stage_module
 
-    document, lines = stage_module("plan_day").plan_day(recording, speed, hours, noise, standing)
+    stage = stage_module("plan_day")
+    if speed is None and recording is not None and stage.has_errors(recording):
+        document, lines = stage.from_errors(recording, log, component, by, least)
+    else:
+        document, lines = stage.from_speeds(recording, speed, hours, noise, standing)
     print_result("plan-day", document, lines, as_json=json)

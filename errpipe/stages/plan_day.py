@@ -1,16 +1,153 @@
-"""The most informative next duty cycle, and the expected uncertainty after it."""
+"""The most informative next duty cycle: of those recorded or logged, or, before any was, of spindle speeds."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import DataError
 
+if TYPE_CHECKING:
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.duty_cycles import DutyCycles
+
+NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
 LEAST_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
+MOST_LINES = 12  # candidates that are printed; the document has all
 
 
-def plan_day(
+def has_errors(folder: Path) -> bool:
+    """Whether a recording has a temperature and an error."""
+    from errpipe.formats import manifest_folder
+
+    recording = manifest_folder.read(folder)
+    return bool(recording.names("temperature") and recording.names("error"))
+
+
+def from_errors(
+    folder: Path, log: Path | None, component: str | None, by: Sequence[str], least: float | None
+) -> tuple[dict[str, Any], list[str]]:
+    """The next duty cycle of a recording with temperatures and measured errors, and what it is expected to bring.
+
+    log: a recording of temperatures alone: further duty cycles to choose from, further states that count. by: groups
+    whose labels name a duty cycle (default: duty_cycle, else run). least: rms, um, that a cycle must take away
+    (default: the noise of a reading). Raises DataError where the recording does not say what is asked for.
+    """
+    from errpipe.fitting.duty_cycles import DutyCycles
+    from errpipe.formats import manifest_folder
+
+    recording = manifest_folder.read(folder)
+    chosen = _component(folder, recording, component)
+    if log is not None:
+        recording = _joined(recording, manifest_folder.read(log), log)
+    cycles = DutyCycles.of(recording, chosen)
+    document, lines = _document(chosen, cycles, _candidates(recording, cycles, by), _least(recording, cycles, least))
+    unit = recording.manifest.columns[str(recording.name("error", component=chosen))].unit or "um"
+    return document | {"unit": unit}, [line.replace("{unit}", unit) for line in lines]
+
+
+def _document(
+    component: str, cycles: DutyCycles, candidates: dict[str, list[int]], least: float
+) -> tuple[dict[str, Any], list[str]]:
+    """The document and its lines. candidates: runs by label."""
+    known = cycles.learn(cycles.measured)
+    before, rest = cycles.expected(known), cycles.irreducible(known)
+    rows = []
+    for label, runs in candidates.items():
+        after = cycles.expected(known, runs)
+        done = sum(r in cycles.measured for r in runs)
+        brings = max(before**2 - after**2, 0.0) ** 0.5
+        rows.append({"duty_cycle": label, "runs": len(runs), "measured": done, "after": after, "takes_away": brings})
+    rows.sort(key=lambda row: row["after"])
+    worth = rows[0]["takes_away"] > least
+    document = {
+        "plan_day": 2,
+        "component": component,
+        "runs": len(cycles.runs),
+        "measured": len(cycles.measured),
+        "unknown_before": before,
+        "not_taught": rest,
+        "least": least,
+        "worth_it": worth,
+        "next": rows[0]["duty_cycle"] if worth else None,
+        "candidates": rows,
+    }
+    lines = [
+        f"{component}: {len(cycles.measured)} of {len(cycles.runs)} runs measured; expected rms error of a prediction over"
+        f" all of them {(before**2 + rest**2) ** 0.5:.3g} {{unit}}:",
+        f"{before:.3g} {{unit}} from gains not known well enough, {rest:.3g} that no further run teaches",
+    ]
+    for row in rows[:MOST_LINES]:
+        lines.append(
+            f"{row['duty_cycle']} ({row['measured']} of {row['runs']} runs measured): gains {before:.3g} ->"
+            f" {row['after']:.3g}, takes away {row['takes_away']:.3g} {{unit}}"
+        )
+    if worth:
+        return document, [*lines, f"run next: {document['next']}"]
+    return document, [*lines, f"no further duty cycle is worth it: none takes away more than {least:.3g} {{unit}} rms"]
+
+
+def _component(folder: Path, recording: Recording, component: str | None) -> str:
+    from errpipe.errors import did_you_mean
+
+    present = recording.components()
+    if component is None and len(present) == 1:
+        return present[0]
+    if component not in present:
+        found = "several errors" if component is None else f"no error {component!r}"
+        hint = "; say which with --component" if component is None else did_you_mean(component, present)
+        raise DataError(f"{folder}: the recording has {found} (present: {', '.join(present) or 'none'}){hint}")
+    return component
+
+
+def _joined(recording: Recording, log: Recording, folder: Path) -> Recording:
+    """The recording followed by the runs of a log, which must have its temperatures; the log's errors do not count."""
+    import pandas as pd
+
+    from errpipe.domain.recording import Recording
+
+    missing = [n for n in recording.names("temperature") if n not in log.names("temperature")]
+    if missing:
+        raise DataError(f"{folder}: no temperature {missing[0]!r} (the recording has it)")
+    run = recording.name("run")
+    if run is None:
+        raise DataError("plan-day: a log is joined to a recording with a column of role run")
+    shared = [n for n in log.frame.columns if n in recording.frame.columns and n not in recording.names("error")]
+    labels = pd.Series([f"{log.run_labels()[k]} (log)" for k in log.run_codes()], dtype=object)
+    later = log.frame[shared].assign(**{run: labels})
+    for name in recording.names("group"):
+        later[name] = later[name].astype(str) if name in later else "log"
+    return Recording(recording.manifest, pd.concat([recording.frame, later], ignore_index=True), recording.between)
+
+
+def _candidates(recording: Recording, cycles: DutyCycles, by: Sequence[str]) -> dict[str, list[int]]:
+    """Runs by the label of their duty cycle, in order of appearance."""
+    import numpy as np
+
+    from errpipe.fitting import holdout
+
+    kinds = {recording.manifest.columns[n].of for n in recording.names("group")}
+    names = list(by) or ["duty_cycle" if "duty_cycle" in kinds else "run"]
+    columns = [holdout.labels(holdout.with_calendar(recording, name), name) for name in names]
+    out: dict[str, list[int]] = {}
+    for run in cycles.runs:
+        first = int(np.flatnonzero(cycles.run == run)[0])
+        out.setdefault(" ".join(str(column[first]) for column in columns), []).append(run)
+    return out
+
+
+def _least(recording: Recording, cycles: DutyCycles, least: float | None) -> float:
+    """What a duty cycle must take away: as stated, else the noise of a reading, um."""
+    import numpy as np
+
+    from errpipe.fitting.noise_floor import noise_floor
+
+    rows = np.flatnonzero(np.isfinite(cycles.deviation))
+    return least if least is not None else noise_floor(recording, rows, cycles.deviation[rows]) or NOISE
+
+
+def from_speeds(
     recording: Path | None, speed: float | None, hours: float, noise: float, standing: float
 ) -> tuple[dict[str, Any], list[str]]:
     """The next day after those recorded: speeds, expected uncertainty before and after it, um.

@@ -89,6 +89,58 @@ def test_a_day_is_planned_and_in_the_end_none_is_worth_it(tmp_path, capsys):
     assert code == 0 and document["result"]["days_done"] == 3 and not document["result"]["worth_it"]
 
 
+def recording_of_days(path, kinds, gains=(4.0, -3.0)):
+    """Days of which a letter says what warms: h the head, t the table."""
+    rng = np.random.default_rng(3)
+    parts = []
+    for k, kind in enumerate(kinds):
+        warm = 1.0 - np.exp(-np.arange(60) / 15.0)
+        rises = np.outer(warm, [4.0 * (kind == "h"), 4.0 * (kind == "t")])
+        y = rises @ (np.array(gains) + rng.normal(0, 0.3, 2)) + rng.normal(0, 0.3, 60)
+        parts.append(
+            pd.DataFrame(
+                {"run": f"{kind}{k}", "cycle": {"h": "head", "t": "table"}[kind], "t": np.arange(60) * 300.0}
+                | {"T_head": 20.0 + rises[:, 0], "T_table": 20.0 + rises[:, 1], "E": y}
+            )
+        )
+    path.mkdir()
+    pd.concat(parts).to_csv(path / "recording.csv", index=False)
+    (path / "recording.yaml").write_text(
+        "recording: 1\ncolumns:\n  run: {role: run}\n  cycle: {role: group, of: duty_cycle}\n"
+        "  t: {role: time, unit: s}\n  T_head: {role: temperature, unit: degC, location: column}\n"
+        "  T_table: {role: temperature, unit: degC, location: table}\n"
+        "  E: {role: error, component: E_Z, unit: um}\ntables: [recording.csv]\n"
+    )
+    return str(path)
+
+
+def test_of_a_log_the_duty_cycle_is_chosen_that_was_never_measured(tmp_path, capsys):
+    recording, log = (recording_of_days(tmp_path / n, kinds) for n, kinds in (("days", "hhh"), ("log", "th")))
+    code, document = asked(capsys, "plan-day", recording, "--log", log)
+    result = document["result"]
+    assert code == 0 and (result["measured"], result["runs"], result["next"]) == (3, 5, "table")
+    table, head = result["candidates"]
+    assert (table["duty_cycle"], table["runs"], table["measured"]) == ("table", 1, 0)
+    assert (head["duty_cycle"], head["runs"], head["measured"]) == ("head", 4, 3)
+    assert table["after"] < 0.4 * result["unknown_before"] and table["after"] < head["after"]
+    _, document = asked(capsys, "plan-day", recording, "--log", log, "--least", "50")
+    assert document["result"]["next"] is None and not document["result"]["worth_it"]
+
+
+def test_after_enough_days_no_duty_cycle_is_worth_it(tmp_path, capsys):
+    _, document = asked(capsys, "plan-day", recording_of_days(tmp_path / "days", "ht" * 12))
+    assert document["result"]["next"] is None
+    assert document["result"]["least"] == pytest.approx(0.3, rel=0.2)  # the noise of a reading
+
+
+def test_what_a_plan_of_errors_lacks_is_named(tmp_path, capsys):
+    recording = recording_of_days(tmp_path / "days", "ht")
+    code, document = asked(capsys, "plan-day", recording, "--component", "E_X")
+    assert code == 3 and "no error 'E_X' (present: E_Z)" in json.dumps(document)
+    code, document = asked(capsys, "plan-day", recording, "--by", "shift")
+    assert code == 3 and "no group 'shift'" in json.dumps(document)
+
+
 def test_a_row_without_a_duty_cycle_is_refused_with_its_line(tmp_path, capsys):
     path = field(tmp_path)
     lines = path.read_text(encoding="utf-8").splitlines()
