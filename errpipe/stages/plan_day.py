@@ -74,8 +74,8 @@ def _document(
         "candidates": rows,
     }
     lines = [
-        f"{component}: {len(cycles.measured)} of {len(cycles.runs)} runs measured; expected rms error of a prediction over"
-        f" all of them {(before**2 + rest**2) ** 0.5:.3g} {{unit}}:",
+        f"{component}: {len(cycles.measured)} of {len(cycles.runs)} runs measured; expected rms error of a prediction"
+        f" over all of them {(before**2 + rest**2) ** 0.5:.3g} {{unit}}:",
         f"{before:.3g} {{unit}} from gains not known well enough, {rest:.3g} that no further run teaches",
     ]
     for row in rows[:MOST_LINES]:
