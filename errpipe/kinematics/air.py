@@ -7,6 +7,10 @@ import numpy as np
 # Taken where nobody measured it, as displays without weather station do: degC, hPa, %.
 STANDARD_AIR = (20.0, 1013.25, 50.0)
 WAVELENGTH = 0.6329908  # um in vacuum, helium-neon
+# Standard uncertainties of a laser's weather station where none are stated: K, hPa, %. Half of the 0.2 K, 1 hPa and 6 %
+# (k = 2) of Renishaw's XC-80 data sheet.
+SENSORS = (0.1, 0.5, 3.0)
+UNMEASURED_HUMIDITY = 14.0  # %: standard uncertainty of a humidity that nobody read, 25 to 75 %
 
 
 def index_change(temperature=None, pressure=None, humidity=None, since=None) -> np.ndarray | float:
@@ -24,6 +28,14 @@ def index_change(temperature=None, pressure=None, humidity=None, since=None) -> 
     vapour = vapour_pressure(t0, h0) if series[2] is None else vapour_pressure(t, series[2])
     start = refractivity(t0, p0, vapour_pressure(t0, h0))
     return (refractivity(t, p, vapour) - start) / (1.0 + start)
+
+
+def index_uncertainty(sensors: tuple[float, float, float]) -> float:
+    """Standard uncertainty of n, 1e-6, from those of temperature, pressure and humidity (K, hPa, %)."""
+    there = refractivity(*STANDARD_AIR[:2], vapour_pressure(STANDARD_AIR[0], STANDARD_AIR[2]))
+    moved = np.add(STANDARD_AIR, np.diag(sensors))
+    steps = [refractivity(t, p, vapour_pressure(t, h)) - there for t, p, h in moved]
+    return 1e6 * float(np.linalg.norm(steps))
 
 
 def refractivity(temperature, pressure, vapour):

@@ -20,7 +20,7 @@ import numpy as np
 from errpipe.domain.components import parse
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.kinematics.air import index_change
+from errpipe.kinematics.air import SENSORS, UNMEASURED_HUMIDITY, index_change, index_uncertainty
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 
@@ -34,7 +34,8 @@ class Laser:
     dead_path: mm from the interferometer to where it was reset; misalignment: urad of the beam against the axis;
     offset: mm from the beam to the functional point (X, Y, Z); wavelength_corrected: whether the laser's own
     weather station corrected the displacement (then the dead path alone remains); display_air: degC, hPa, % of the
-    air whose index an uncorrected display used; without it, that of the record's first reading.
+    air whose index an uncorrected display used; without it, that of the record's first reading;
+    air_uncertainty: standard uncertainty of the air's temperature, pressure and humidity, K, hPa, %.
     """
 
     dead_path: float = 0.0
@@ -43,6 +44,7 @@ class Laser:
     wavelength_corrected: bool = True
     display_air: tuple[float, float, float] | None = None
     zero_each_run: bool = False  # the display was set to zero anew at the start of each run
+    air_uncertainty: tuple[float, float, float] = SENSORS
 
 
 def corrected(
@@ -230,6 +232,14 @@ def without_beam_errors(
         )
     display = None if laser.display_air is None else _air(recording, rows, laser.display_air)
     return corrected(position, value, laser, air=_air(recording, rows), display=display)
+
+
+def air_uncertainty(recording: Recording, laser: Laser) -> float:
+    """Standard uncertainty of the index that a laser's displacement was corrected by, um/m."""
+    kelvin, hectopascal, percent = laser.air_uncertainty
+    if not laser.wavelength_corrected and _air_columns(recording)[2] is None:
+        percent = max(percent, UNMEASURED_HUMIDITY)
+    return index_uncertainty((kelvin, hectopascal, percent))
 
 
 def direction_of(chain: Chain | None, component: str) -> np.ndarray:

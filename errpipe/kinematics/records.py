@@ -6,6 +6,7 @@ unknown set-up is solved for together with the components, so that every interva
 * zero      of each record; of each run, where the laser was set to zero anew.
 * slope     of a straightness: tilt of the straightedge. Two records against one square share one tilt, and their
             difference is the squareness of the machine.
+* air       of a positioning by a laser: the index of the air is as uncertain as its sensors, the same for all records.
 * reversal  up minus down, as a line over the travel, where a record was made from both sides.
 * Abbe      a beam beside the point that a component is defined at reads the axis' angles too, at its arm. Where
             the angles were measured they are subtracted, with their own uncertainty; where not, the interval says so.
@@ -40,7 +41,7 @@ class Record:
 
     position (n,) mm or deg; value (n,) um or urad, the beam's errors out; side (n,) +1 coming from below; rows: of
     the recording; noise: of one reading; label: of the recording, where there are several; zero (n,): number of the
-    zero that each reading counts from.
+    zero that each reading counts from; air: standard uncertainty of the index of the air, um/m.
     """
 
     component: str
@@ -52,6 +53,7 @@ class Record:
     noise: float
     label: str
     zero: np.ndarray
+    air: float = 0.0
 
 
 def is_direct(recording: Recording) -> bool:
@@ -132,7 +134,9 @@ def _record(recording: Recording, component: str, laser, label: str, take) -> Re
     if laser is not None and laser.zero_each_run:
         zero = np.unique(recording.run_codes()[number[kept]], return_inverse=True)[1]
     noise = _repeatability(p, value - _zeros(p, value, side, zero), side)
-    return Record(component, axis, p, value, side, number[kept], noise, label, zero)
+    by_laser = laser is not None and parse(component).kind == "positioning"
+    index = direct.air_uncertainty(recording, laser) if by_laser else 0.0
+    return Record(component, axis, p, value, side, number[kept], noise, label, zero, index)
 
 
 def _zeros(p: np.ndarray, value: np.ndarray, side: np.ndarray, zero: np.ndarray) -> np.ndarray:
@@ -198,6 +202,8 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
             columns.append((name, o.TURN, -lean * metres))
             if r.axis == square[2:]:
                 value += lean * squares[square] * metres
+    if r.air:
+        columns.append((f"index of the air, {r.air:.3g} um/m", r.air, metres))
     for square in _squares_of(chain, r.component):
         own[:, chain.index(square)] += _slope_per_squareness(chain, square, r.component) * (r.position - middle) * 1e-3
     if _both_directions(r):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat
 
 from errpipe.yamlfile import Options
 
@@ -44,16 +44,19 @@ class Beam(Options):
         json_schema_extra={"unit": "degC, hPa, %"},
     )
     zero_each_run: bool = Field(False, description="Whether the display was set to zero anew at the start of each run.")
+    air_uncertainty: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = Field(
+        (0.1, 0.5, 3.0),
+        description="Standard uncertainty of the sensors of the air: temperature (K), pressure (hPa), humidity (%). A "
+        "humidity that was not recorded counts as 50 % with 14 %.",
+        json_schema_extra={"unit": "K, hPa, %"},
+    )
 
 
 def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
     """The set-ups as the corrections take them."""
     from errpipe.kinematics.direct import Laser
 
-    return {
-        name: Laser(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected, b.display_air, b.zero_each_run)
-        for name, b in beams.items()
-    }
+    return {name: Laser(**{key: getattr(b, key) for key in Beam.model_fields}) for name, b in beams.items()}
 
 
 LASERS: Any = Field(
