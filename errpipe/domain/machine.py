@@ -106,6 +106,7 @@ class Machine(Frozen):
     machine: Literal[1]
     name: str = Field(description="name of the machine, as recordings give it")
     title: str = Field("", description="what it is, for people")
+    notes: tuple[str, ...] = Field((), description="remarks that are printed with its model in symbols")
     chain: tuple[str, ...] = Field(description="links from workpiece to tool; a prime: carries the workpiece")
     axes: dict[str, Axis] = Field(description="axes of the chain by letter")
     datum_axes: tuple[str, ...] = Field(

@@ -41,10 +41,12 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
         "components": len(chain.components),
         "terms": count,
         "outputs": outputs,
+        "notes": list(chain.machine.notes),
     }
     lines = [f"{chain.machine.name}: {len(chain.components)} components, {count} terms; um, urad x arm in mm / 1000"]
     for name, terms in outputs.items():
         lines += [f"{name} =", *(f"  {_text(term)}" for term in terms)]
+    lines += [f"note: {note}" for note in chain.machine.notes]
     return document, lines
 
 

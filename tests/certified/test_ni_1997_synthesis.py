@@ -7,13 +7,17 @@ differ. Three do: one sign, two subscripts.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from errpipe import yamlfile
 from errpipe.domain.machine import Machine
 from errpipe.kinematics.chain import compile_chain
 from errpipe.kinematics.synthesis import jacobian
 
+EXAMPLE = Path(__file__).parents[2] / "examples/machines/horizontal-centre-ni-1997.yaml"
 # Paper symbol -> (component, sign). delta_yx: deviation in y of the x axis; alpha beta gamma: about x y z.
 SYMBOLS = {f"d{d}{a}": (f"E{d.upper()}{a.upper()}", 1) for d in "xyz" for a in "xyz"}
 SYMBOLS |= {f"e{d}{a}": (f"E{t}{a.upper()}", 1) for d, t in zip("abg", "ABC", strict=True) for a in "xyz"}
@@ -123,6 +127,13 @@ def differences(cases) -> list[str]:
 
 def test_print_and_derivation_differ_in_three_terms(cases):
     assert differences(cases) == DIFFERENCES
+
+
+def test_the_example_s_notes_name_the_same_differences():
+    """What `errpipe synthesis` prints below the equations."""
+    notes = yamlfile.load(EXAMPLE, Machine).notes
+    assert [note for note in notes if note.startswith("dW")] == DIFFERENCES
+    assert sum(len(terms(row)) for row in "xyz") - len(DIFFERENCES) == 38 and "38" in notes[0]
 
 
 def test_forty_one_terms_are_printed():
