@@ -11,6 +11,7 @@ from errpipe.diagnosis import admit, hypotheses
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.evidence import Active, Data, Scene
 from errpipe.diagnosis.left_out import LeftOut
+from errpipe.diagnosis.nuisances import Nuisance
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.recalibration import OFF
 from errpipe.diagnosis.search import Explanation, Search
@@ -32,7 +33,7 @@ class SetUp:
     data: Data
     prior: np.ndarray  # log prior odds of each hypothesis
     nuisance: Active
-    names: list[str]
+    nuisances: list[Nuisance]  # what its columns stand for
     recal: np.ndarray  # the nuisances' columns before whitening
     sizes: np.ndarray  # rms of the signal part behind each; a coefficient over it is a gain less 1
     noise_estimate: float  # noise from second differences
@@ -79,7 +80,7 @@ def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.nd
 
 def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:
     """What the datums of single runs carry beside these hypotheses, on the judged rows; None where one is for all."""
-    own = [j for j, name in enumerate(case.names) if name.startswith("datum of")]
+    own = [j for j, n in enumerate(case.nuisances) if n.kind == "session datum"]
     if not own:
         return None
     return case.recal[:, own] @ case.search.scene(chosen).coefficients()[own]
@@ -93,7 +94,7 @@ def needs_recalibration(case: Case) -> bool:
     m = case.nuisance.index.size
     without = Active(full.index[m:], full.sd[m:])
     scene = Scene(case.search.data, without, case.search.noise)
-    own = np.array([name.startswith("datum") for name in case.names])
+    own = np.array([n.is_datum for n in case.nuisances])
     datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]

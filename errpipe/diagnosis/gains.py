@@ -9,18 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.diagnosis.evidence import Scene
+from errpipe.diagnosis.nuisances import Nuisance
 
 LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a margin for parts that are poorly separated)
 
 
-def totals(names: list[str], sizes: np.ndarray) -> tuple[list[str], np.ndarray]:
+def totals(nuisances: list[Nuisance], sizes: np.ndarray) -> tuple[list[Nuisance], np.ndarray]:
     """Parts, and the matrix from the nuisances' coefficients to their gains less 1, shape (parts, nuisances)."""
-    parts = [j for j, name in enumerate(names) if j > 1 and "," not in name and not name.startswith("datum")]
-    rows = np.zeros((max(len(parts), 1), len(names)))
+    parts = [j for j, n in enumerate(nuisances) if n.kind == "part"]
+    rows = np.zeros((max(len(parts), 1), len(nuisances)))
     rows[:, 1] = 1.0 / sizes[1]
     for k, j in enumerate(parts):
         rows[k, j] = 1.0 / sizes[j]
-    return [names[j] for j in parts], rows
+    return [nuisances[j] for j in parts], rows
 
 
 def excess(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tuple[float, np.ndarray]:

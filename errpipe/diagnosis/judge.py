@@ -235,7 +235,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     data = Data(library.table, pair.mismatch)
     plain = parts.static(simulated, library, raw, conditioned, rows)
     held = ([plain], None) if plain else parts.decompose(simulated, library, conditioned, rows, noise_estimate)
-    decomposition, (nuisance, names, recal, sizes) = recalibration.likeliest(
+    decomposition, (nuisance, kinds, recal, sizes) = recalibration.likeliest(
         *held, simulated, library, data, noise_estimate
     )
     prior = recalibration.log_prior(library, decomposition)
@@ -244,12 +244,12 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     each = datums(conditioned, rows, of_row, library, pair.mismatch)
     if each is not None and favours_session_datums(each[0], nuisance, library, data, prior, noise_estimate, run):
         nuisance = nuisance.plus(each[0].index, each[0].sd)
-        recal, names = np.column_stack([recal, each[1]]), [*names, *each[2]]
+        recal, kinds = np.column_stack([recal, each[1]]), [*kinds, *each[2]]
         sizes, session = np.r_[sizes, np.ones(len(each[2]))], of_row
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
     places = [library.add(s.columns) for s in free_shapes]
     return SetUp(
-        conditioned, pair, library, decomposition, simulated, pair.mismatch, run, data, prior, nuisance, names, recal,
+        conditioned, pair, library, decomposition, simulated, pair.mismatch, run, data, prior, nuisance, kinds, recal,
         sizes, noise_estimate, free_shapes, places, session,
     )  # fmt: skip
 
@@ -268,7 +268,7 @@ def _explained(made: SetUp, search: Search, *found: Explanation) -> Case:
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
     if search.rows is None:  # else the residual is correlated and the gains are poorly known
         search, explanation = recalibration.within_limits(
-            search, explanation, made.decomposition, made.names, made.recal, made.sizes, made.noise_estimate
+            search, explanation, made.decomposition, made.nuisances, made.recal, made.sizes, made.noise_estimate
         )
     named = worth_naming(search, explanation, made.recording, rows, made.decomposition)
     if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
@@ -303,7 +303,7 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     if not (_explains_share(search, explanation, noise) and not _explains_share(single, one, noise, 0.75)):
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
         search, explanation = settled(library, made.data, nuisance, search.prior, noise, worth)
-    wide = Active(nuisance.index, nuisance.sd * np.where([n.startswith("datum") for n in made.names], 1.0, WIDE))
+    wide = Active(nuisance.index, nuisance.sd * np.where([n.is_datum for n in made.nuisances], 1.0, WIDE))
     other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth, weighed=False)
     chosen = [chosen_of(e) for e in (explanation, wide_gains)]
     if search.rows:

@@ -13,6 +13,7 @@ from errpipe.diagnosis.admit import Remainder
 from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Library
+from errpipe.diagnosis.nuisances import Nuisance
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 from errpipe.domain.recording import Recording
@@ -91,9 +92,9 @@ def coefficients(data: Data, active: Active, sigma: float, without: int | None) 
 
 def datums(
     recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray
-) -> tuple[Active, np.ndarray, list[str]] | None:
+) -> tuple[Active, np.ndarray, list[Nuisance]] | None:
     """A datum for each session, as an instrument has that is zeroed whenever the machine is started: columns in the
-    library with their freedom, the same before whitening, names. None where there are too few starts.
+    library with their freedom, the same before whitening, what they are. None where there are too few starts.
 
     session: of each row; y: the mismatch, whose spread between sessions sets the freedom.
 
@@ -109,7 +110,7 @@ def datums(
     run = recording.run_codes()[rows]
     index = library.add(columns)
     sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
-    return Active(index, sd), columns, [f"datum of run {labels[run[k]]}" for k in first]
+    return Active(index, sd), columns, [Nuisance("session datum", f"datum of run {labels[run[k]]}") for k in first]
 
 
 def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:

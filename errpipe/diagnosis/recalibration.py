@@ -10,6 +10,7 @@ from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.nuisances import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
@@ -29,17 +30,17 @@ def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
     return search.evidence(chosen) - MISSING * len(chosen) - min(gain_penalty, MAX_GAIN_PENALTY)
 
 
-def within_limits(search, explanation, d: parts.Decomposition, names, recal, sizes, noise_estimate):
+def within_limits(search, explanation, d: parts.Decomposition, nuisances, recal, sizes, noise_estimate):
     """The explanation, or a likelier one without the gains beyond the limits that it needs."""
-    labels, rows = gains.totals(names, sizes)
+    held, rows = gains.totals(nuisances, sizes)
     gain_penalty, outside = gains.excess(
         search.scene([(f.index, f.size) for f in explanation.accepted]), rows, search.rows
     )
     if gain_penalty < OFF or outside is None or d.plain:  # a static model of sensors may hold any gains
         return search, explanation
-    beyond_limits = {name for name, out in zip(labels, outside, strict=False) if out}
-    prior = _weaker_prior(search, d, {name.split(" on ")[0] for name in beyond_limits})
-    kept = _clamped(search, beyond_limits, names, recal, sizes)
+    beyond_limits = {part for part, out in zip(held, outside, strict=False) if out}
+    prior = _weaker_prior(search, d, {part.effect for part in beyond_limits})
+    kept = _clamped(search, beyond_limits, nuisances, recal, sizes)
     other, clamped = settled(search.library, search.data, kept, prior, noise_estimate, search.rows)
     free, penalised = (
         Search(search.library, search.data, search.nuisance, sigma, prior, MISSING, MORE, search.rows)
@@ -55,9 +56,10 @@ def within_limits(search, explanation, d: parts.Decomposition, names, recal, siz
     return free, second
 
 
-def _clamped(search: Search, parts_held: set[str], names, recal, sizes) -> Active:
+def _clamped(search: Search, parts_held: set[Nuisance], nuisances: list[Nuisance], recal, sizes) -> Active:
     """The nuisances with a narrow prior on these parts; the gain of the whole excludes them too."""
-    clamped = [j for j, name in enumerate(names) if name.split(",")[0] in parts_held]
+    labels = {part.label for part in parts_held}
+    clamped = [j for j, n in enumerate(nuisances) if n.part in labels]
     remaining = recal[:, 1] * sizes[1] - recal[:, clamped] @ sizes[clamped]
     size = max(float(np.std(remaining)), 1e-12)
     index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
@@ -89,10 +91,10 @@ def likeliest(
     """
 
     def scored(d: parts.Decomposition):
-        nuisance, names, columns, sizes = recalibration(simulated, d, library)
+        nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
         search, e = settled(library, data, nuisance, log_prior(library, d), noise)
-        worth = TRUST * d.worth + _worth(search, e, gains.totals(names, sizes)[1])
-        return worth, (d, (nuisance, names, columns, sizes)), e.accepted
+        worth = TRUST * d.worth + _worth(search, e, gains.totals(kinds, sizes)[1])
+        return worth, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
     if holding is None and len(alternatives) == 1:
         return alternatives[0], recalibration(simulated, alternatives[0], library)
@@ -105,9 +107,9 @@ def likeliest(
 
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
-) -> tuple[Active, list[str], np.ndarray, np.ndarray]:
-    """Datum, gain of the whole simulated signal, gain of each of its parts; their names, columns and sizes."""
-    columns, sd, names = [simulated - simulated.mean()], [GAIN_SD], ["simulation"]
+) -> tuple[Active, list[Nuisance], np.ndarray, np.ndarray]:
+    """Datum, gain of the whole simulated signal, gain of each of its parts; what they are, columns and sizes."""
+    columns, sd, kinds = [simulated - simulated.mean()], [GAIN_SD], [DATUM, WHOLE]
     whole = together(d.parts)
     least = float(np.sqrt(np.mean([np.var(p.contribution) for p in whole]))) if d.plain else 0.0
     effects = [part.hypothesis.effect for part in whole]
@@ -119,13 +121,13 @@ def recalibration(
             if np.std(values) > (0.0 if d.plain else 0.02) * np.std(simulated):
                 columns.append(values)
                 sd.append(off * max(least / float(np.std(values)), 1.0))
-                names.append(of + what)
+                kinds.append(Nuisance("departure" if what else "part", of + what, effect, of))
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
     index = library.add(block)
     active = Active(np.array([library.datum]), np.array([np.inf]))
     every = np.column_stack([np.ones(simulated.size), block])
-    return active.plus(index, np.array(sd) * np.array(size)), ["datum", *names], every, np.r_[1.0, size]
+    return active.plus(index, np.array(sd) * np.array(size)), kinds, every, np.r_[1.0, size]
 
 
 def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:

@@ -21,6 +21,7 @@ from errpipe.diagnosis import (
     whiteness,
 )
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
+from errpipe.diagnosis.nuisances import WHOLE, Nuisance
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 from errpipe.terms import Term
 
@@ -282,13 +283,13 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     b, cov = scene.coefficients(), scene.covariance()
     m = case.nuisance.index.size
     parameters = []
-    for name, value, sd in _gains(case, b[:m], cov[:m, :m]):
-        is_datum = name.startswith("datum")
+    for nuisance, value, sd in _gains(case, b[:m], cov[:m, :m]):
         low, high = value - 2 * sd, value + 2 * sd
-        if case.pair.reversed and not is_datum:
+        if case.pair.reversed and not nuisance.is_datum:
             value, low, high = -2.0 - value, -2.0 - high, -2.0 - low
-        label, unit = (name, case.pair.unit) if is_datum else (f"gain of {name} less 1", "1")
-        parameters.append(FoundParameter(name=label, value=value, unit=unit, ci95=(low, high)))
+        name = nuisance.label if nuisance.is_datum else f"gain of {nuisance.label} less 1"
+        unit = case.pair.unit if nuisance.is_datum else "1"
+        parameters.append(FoundParameter(name=name, value=value, unit=unit, ci95=(low, high)))
     moved = case.recal @ b[:m]
     rms = float(np.std(moved + 2.0 * case.simulated if case.pair.reversed else moved))
     return [
@@ -305,17 +306,16 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     ]
 
 
-def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[str, float, float]]:
-    """(name, value, standard deviation) of each datum, and of the gain less 1 of each effect that the simulation holds.
+def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[Nuisance, float, float]]:
+    """(which, value, standard deviation) of each datum, and the gain less 1 of each effect that the simulation holds.
 
     An effect's gain is that of the whole with its own on top: of a signal of one effect, neither of the two is known.
     """
-    labels, rows = gains.totals(case.names, case.sizes)
-    own = np.diag(1.0 / case.sizes)[[j for j, name in enumerate(case.names) if name.startswith("datum")]]
-    for name, row in zip([n for n in case.names if n.startswith("datum")], own, strict=True):
-        yield name, float(row @ b), float(np.sqrt(row @ covariance @ row))
-    for name, row in zip(labels or ["simulation"], rows, strict=True):
-        yield name, float(row @ b), float(np.sqrt(row @ covariance @ row))
+    held, rows = gains.totals(case.nuisances, case.sizes)
+    own = [j for j, n in enumerate(case.nuisances) if n.is_datum]
+    rows = np.concatenate([np.diag(1.0 / case.sizes)[own], rows])
+    for nuisance, row in zip([*(case.nuisances[j] for j in own), *(held or [WHOLE])], rows, strict=True):
+        yield nuisance, float(row @ b), float(np.sqrt(row @ covariance @ row))
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:

@@ -56,7 +56,7 @@ def backward(chol, b):
 
 @kernel
 def _centred_on_active(first, width, where, freedom, block, half, seen, matrix, freed_half, products):
-    """Fill `matrix` (w, w) with a hypothesis' products beside the active columns, and `products` (w,) with what it sees."""
+    """Fill `matrix` (w, w): a hypothesis' products beside the active columns, and `products` (w,): what it sees."""
     m = half.shape[0]
     for i in range(width):
         column, free = where[first + i], freedom[first + i]

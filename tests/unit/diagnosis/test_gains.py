@@ -5,8 +5,11 @@ import pytest
 
 from errpipe.diagnosis import diagnose, gains
 from errpipe.diagnosis.evidence import Active, Data, Scene, Table
+from errpipe.diagnosis.nuisances import DATUM, WHOLE, Nuisance
 
 from .machines import axis
+
+PARTS = [Nuisance("part", name, name, name) for name in "ab"]
 
 
 def scene(off: float, sd: float = 0.1, seed: int = 0) -> tuple[Scene, np.ndarray]:
@@ -19,7 +22,7 @@ def scene(off: float, sd: float = 0.1, seed: int = 0) -> tuple[Scene, np.ndarray
     made = Table(np.zeros(500, dtype=int), [columns], np.arange(500) * 5 // 500)
     sizes = np.ones(4)
     active = Active(np.arange(4), np.r_[np.inf, sd, sd, sd])
-    return Scene(Data(made, y), active, 1.0), gains.totals(["datum", "simulation", "a", "b"], sizes)[1]
+    return Scene(Data(made, y), active, 1.0), gains.totals([DATUM, WHOLE, *PARTS], sizes)[1]
 
 
 @pytest.mark.parametrize("off", [0.0, 0.1, -0.15])
@@ -39,8 +42,9 @@ def test_a_gain_far_off_costs_what_the_limit_would_leave_unexplained(off):
 
 
 def test_slack_and_doubt_are_no_parts_of_their_own():
-    names, rows = gains.totals(["datum", "simulation", "a", "a, not textbook", "a, in doubt", "b"], np.ones(6))
-    assert names == ["a", "b"]
+    beside = [Nuisance("departure", f"a, {what}", "a", "a") for what in ("not textbook", "in doubt")]
+    parts, rows = gains.totals([DATUM, WHOLE, PARTS[0], *beside, PARTS[1]], np.ones(6))
+    assert parts == PARTS
     assert rows.tolist() == [[0, 1, 1, 0, 0, 0], [0, 1, 0, 0, 0, 1]]
 
 
