@@ -20,6 +20,7 @@ COARSE = (0.004, 0.08)  # misfit of textbook forms relative to the signal; it st
 MATTERS = 20.0  # log evidence: an unexplained part counts once a tenth of it exceeds the measuring noise over all rows
 ROWS = (60.0, 0.025)  # effective number of rows (offset, per row): the residual is correlated misfit, not noise
 DOUBTS = 2  # directions of largest posterior variance kept of each part
+LEAST_PART = 0.01  # rms over the signal's below which a signal does not hold an effect
 PRICE = 6.0  # log prior odds against each part
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
 
@@ -166,15 +167,18 @@ class _Work:
     def holding(self, d: Decomposition, i: int) -> list[Decomposition]:
         """The likeliest ways in which the signal may hold a hypothesis, at any of its parameters.
 
-        It stands beside the parts of a decomposition, or in the place of one of them.
+        It stands beside the parts of a decomposition, or in the place of one of them; none where its share is nothing.
         """
+        own = self.library.family(i)
         ways = []
         for out in (None, *d.parts):
-            kept = [(p.index, 1.0) for p in d.parts if p is not out and p.index not in self.library.family(i)]
+            kept = [(p.index, 1.0) for p in d.parts if p is not out and p.index not in own]
             if len(kept) < MOST_PARTS:
-                states = [self._tuned([*kept, (k, 1.0)]) for k in self.library.family(i)]
+                states = [self._tuned([*kept, (k, 1.0)]) for k in own]
                 ways.append(max(((self._worth(state), state) for state in states), key=lambda w: w[0]))
-        return [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
+        found = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
+        least = LEAST_PART * self.spread
+        return [f for f in found if any(p.index in own and np.std(p.core) > least for p in f.parts)]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""
