@@ -99,9 +99,10 @@ def likeliest(
     if holding is None and len(alternatives) == 1:
         return alternatives[0], recalibration(simulated, alternatives[0], library)
     best = max(map(scored, alternatives), key=lambda t: t[0])
-    for finding in best[2] if holding else ():
-        others = map(scored, holding(best[1][0], finding.index))
-        best = max(best, *others, key=lambda t: t[0])
+    if holding is not None:
+        for finding in best[2]:
+            others = map(scored, holding(best[1][0], finding.index))
+            best = max([best, *others], key=lambda t: t[0])
     return best[1]
 
 
