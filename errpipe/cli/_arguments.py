@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -35,19 +33,6 @@ PublicKey = typer.Option(
 Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.")
 Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601; default: now.")
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
-
-
-def load_pipeline_file(file: Path, sets: list[str]) -> Any:
-    """The pipeline, read with the stages of errpipe. Raises ConfigError, UsageError."""
-    # A hundred model classes are built here and all stay alive; garbage collection would cost 10 % of the time.
-    gc.disable()
-    try:
-        from errpipe.pipeline.spec import load_pipeline
-        from errpipe.stages import STAGES
-
-        return load_pipeline(file, STAGES, sets=sets)
-    finally:
-        gc.enable()
 
 
 def output_folder(file: Path, out: Path | None) -> Path:

@@ -33,3 +33,15 @@ def defer(*names: str) -> None:
         module = sys.modules.setdefault(name, _Deferred(name))
         if package:
             vars(sys.modules[package]).setdefault(child, module)
+
+
+def defer_plugins() -> None:
+    """Let `importlib.metadata` wait, which pydantic takes a function of for plugins that it then does not look for.
+
+    It costs 7 % of a check, most of it for the package `email`.
+    """
+    defer("importlib.metadata")
+    module = sys.modules["importlib.metadata"]
+    if isinstance(module, _Deferred):
+        later = {"__path__": [], "entry_points": lambda **which: module.__getattr__("entry_points")(**which)}
+        vars(module).update(later)  # `from importlib.metadata import entry_points` asks for both

@@ -37,7 +37,8 @@ def command(shell: Literal["bash", "zsh", "fish"] = typer.Argument(help="The she
     Example:
       errpipe completion bash
     """
-    from errpipe.cli.app import VERBS, verb
+    from errpipe.cli._names import VERBS
+    from errpipe.cli._verbs import verb
 
     options = {name: sorted({o for p in verb(name).params for o in p.opts if o.startswith("--")}) for name in VERBS}
     if shell == "fish":

@@ -25,7 +25,8 @@ def command(
       errpipe plan pipelines/drilled-plates.yaml --set fit.robust=true
       errpipe plan pipelines/drilled-plates.yaml --exit-code
     """
-    from errpipe.cli._arguments import load_pipeline_file, output_folder
+    from errpipe.cli._arguments import output_folder
+    from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import print_result
     from errpipe.pipeline import runner
 

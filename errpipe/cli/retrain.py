@@ -37,7 +37,7 @@ def command(
     Example:
       errpipe retrain pipelines/axis.yaml --champion out/champion --out out/retrain
     """
-    from errpipe.cli._arguments import load_pipeline_file
+    from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import print_result, stage_module
     from errpipe.cli.progress import ProgressReporter
     from errpipe.errors import UsageError

@@ -82,7 +82,7 @@ def _run(
     reporter: ProgressReporter,
 ) -> tuple[Pipeline, list[Step]]:
     """Read the pipeline and run what must run; a refusal (exit code 4) writes its report first."""
-    from errpipe.cli._arguments import load_pipeline_file
+    from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import stage_module
     from errpipe.errors import DataError, GateError
     from errpipe.pipeline import runner

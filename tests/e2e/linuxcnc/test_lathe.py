@@ -48,7 +48,7 @@ def exported(tmp_path_factory):
     """(table, recording) from the command line."""
     from typer.testing import CliRunner
 
-    from errpipe.cli.app import app
+    from errpipe.cli._verbs import app
 
     folder = tmp_path_factory.mktemp("lathe")
     (folder / "p.yaml").write_text(PIPELINE % REAL)

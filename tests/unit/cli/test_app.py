@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
-from errpipe.cli import app
-from errpipe.cli.app import VERBS, main, verb
+import errpipe
+from errpipe.cli._verbs import first_line, verb
+from errpipe.cli.app import VERBS, main
 from errpipe.errors import ConfigError, DataError, GateError, Problem, VerifyError
 from tests.unit.pipeline.stages_for_tests import STAGES, lay_out
 
@@ -70,7 +71,7 @@ def test_help_lists_every_verb_whole(capsys: pytest.CaptureFixture[str]) -> None
     assert main(["--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for name in VERBS:
-        assert f"{name} {app.first_line(name)}" in text
+        assert f"{name} {first_line(name)}" in text
     assert "5 changes pending" in text
 
 
@@ -78,7 +79,7 @@ def test_without_arguments_it_shows_the_help(capsys: pytest.CaptureFixture[str])
     assert main([]) == 0
     assert capsys.readouterr().out.startswith("Usage: errpipe")
     assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"errpipe {app.__version__}\n"
+    assert capsys.readouterr().out == f"errpipe {errpipe.__version__}\n"
 
 
 # ---------------------------------------------------------------- the error boundary
@@ -102,7 +103,7 @@ def test_every_error_has_its_code_and_one_document(
     def fail(*_: Any, **__: Any) -> None:
         raise error
 
-    monkeypatch.setattr("errpipe.cli._arguments.load_pipeline_file", fail)
+    monkeypatch.setattr("errpipe.cli._pipeline.load_pipeline_file", fail)
     assert main(["plan", "p.yaml", "--json"]) == code
     heard = capsys.readouterr()
     document = json.loads(heard.out)
@@ -249,3 +250,23 @@ def test_a_terminal_gets_a_bar_and_a_log_does_not(where: Path, monkeypatch: pyte
         assert (stream.getvalue() == "\r\033[Kfit [############............] half") is bar
     monkeypatch.setenv("NO_COLOR", "1")
     assert not ProgressReporter("out", Terminal()).moving
+
+
+@pytest.mark.parametrize("options", [[], ["--no-data"], ["--json"], ["--no-data", "--json"]])
+@pytest.mark.parametrize("text", ["machine: {}\n", "pipeline: 7\n", "a: [\n", "recording: 1\n"])
+def test_the_short_way_of_a_check_says_what_typer_says(
+    options: list[str], text: str, tmp_path: Path, capsys: Any
+) -> None:
+    """Two options take the way through typer: `--format text` changes nothing but that."""
+    (tmp_path / "a.yaml").write_text(text)
+    words = ["check", str(tmp_path / "a.yaml"), str(tmp_path / "none.yaml"), *options]
+    short = main(words), *capsys.readouterr()
+    assert (main([*words, "--format", "text"]), *capsys.readouterr()) == short
+    assert short[0] == 2
+
+
+def test_a_check_loads_no_typer() -> None:
+    code = "from errpipe.cli.app import main; import sys; main(['check', 'pipelines/ball-screw-axis.yaml']); "
+    code += "print('typer' in sys.modules, 'email' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "False False"

@@ -172,7 +172,7 @@ def test_named_with_its_sizes_and_nothing_else(name: str, tmp_path: Path) -> Non
 def test_the_command_writes_it_down(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
-    from errpipe.cli.app import app
+    from errpipe.cli._verbs import app
 
     folder.write(tmp_path / "recording", cogging()[0])
     ran = CliRunner().invoke(app, ["diagnose", str(tmp_path / "recording"), "--out", str(tmp_path / "out")])

@@ -1,0 +1,79 @@
+"""What `errpipe check` does, without typer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from errpipe.errors import ConfigError, Problem
+
+
+def check(files: list[Path], data: bool, style: str, as_json: bool) -> int:
+    """Check configuration files and say so; the exit code. style: text or github. Raises ConfigError in text."""
+    from errpipe.cli._deferred import defer, defer_plugins
+    from errpipe.cli.output import print_result
+
+    defer_plugins()
+    defer("numpy", "pandas", "pyarrow", "pyarrow.csv", "pyarrow.parquet")
+    problems: list[Problem] = []
+    checked = []
+    for file in files:
+        path = file / "recording.yaml" if file.is_dir() else file
+        try:
+            checked.append({"file": str(path), "what": _check(path, data)})
+        except ConfigError as err:
+            problems += err.problems
+    if problems and style == "github":
+        print_result("check", {}, map(_github, sorted(problems)), as_json=False)
+        return 2
+    if problems:
+        raise ConfigError(problems)
+    print_result(
+        "check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=as_json
+    )
+    return 0
+
+
+def _check(path: Path, data: bool) -> str:
+    """What a file is. Raises ConfigError."""
+    from errpipe import yamlfile
+    from errpipe.cli.output import stage_module
+
+    document = yamlfile.read(path)
+    keys = document.value if isinstance(document.value, dict) else {}
+    if "recording" in keys:
+        from errpipe.domain.written_manifest import WrittenManifest
+
+        if data:
+            stage_module("check").header_of(path)
+        else:
+            document.validate(WrittenManifest)
+        return "recording manifest"
+    if "machine" in keys and "pipeline" not in keys:
+        from errpipe.domain.machine import Machine
+
+        document.validate(Machine)
+        return "machine"
+    return _check_pipeline(path, data)
+
+
+def _check_pipeline(path: Path, data: bool) -> str:
+    from errpipe.cli._pipeline import load_pipeline_file
+    from errpipe.cli.output import stage_module
+
+    check, pipeline = stage_module("check"), load_pipeline_file(path, [])
+    problems = sorted({*check.problems(pipeline, data), *check.unjudged(pipeline)})
+    if problems:
+        raise ConfigError(problems)
+    return "pipeline"
+
+
+def _github(problem: Problem) -> str:
+    """A problem as a GitHub workflow command."""
+    place = f"file={_escaped(problem.file, True)},line={problem.line or 1},col={problem.column or 1}"
+    key = f"{problem.key}: " if problem.key else ""
+    return f"::error {place},title=errpipe::{_escaped(key + problem.message, False)}"
+
+
+def _escaped(text: str, prop: bool) -> str:
+    text = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return text.replace(":", "%3A").replace(",", "%2C") if prop else text
