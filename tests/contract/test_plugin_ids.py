@@ -65,7 +65,6 @@ KINDS = (
             "servo_mismatch": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "offset": {
                 "kinematics": "kind of a machine parameter",
-                "ncprogram": "shift of a program's coordinates",
                 "tables": "field of the compiled table's affine node",
                 "simulation": "field of the affine driver",
             },
