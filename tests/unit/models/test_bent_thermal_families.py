@@ -19,7 +19,7 @@ STEP, ROWS = 300.0, 72  # s, six hours a day
 
 
 def bent_machine(seed: int, runs: int, sensors: int = 2) -> Recording:
-    """A body warms from the first row on; a part without a sensor gets its heat in proportion to what heats the body."""
+    """A body warms from the first row on; a part without a sensor is heated as fast as the body is, times its rise."""
     rng, frames = np.random.default_rng(seed), []
     for k in range(runs):
         speed = np.repeat(rng.choice([0.3, 0.6, 1.0, 0.0], 6), ROWS // 6)
