@@ -13,7 +13,10 @@ from errpipe.yamlfile import Choice
 
 DEFAULT = "terms"  # where a pipeline names no family
 SEVERAL = "auto"  # where it names a list of them
-BY_FIT = (SEVERAL, "bilinear", "lagged", "network", "neural", "nothing", "plate", "rises", "season", DEFAULT)
+BY_FIT = (
+    *(SEVERAL, "bilinear", "lagged", "network", "neural", "neural_volume", "nothing", "plate", "rises", "season"),
+    DEFAULT,
+)
 BY_ANOTHER_STAGE = ("direct", "force")
 FAMILIES: Choice[type[Family]] = Choice.of_files("errpipe.models", "family", (*BY_FIT, *BY_ANOTHER_STAGE))
 

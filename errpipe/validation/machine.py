@@ -17,8 +17,8 @@ from errpipe.kinematics.direct import Laser
 from errpipe.models.direct import Direct
 
 TIE = 0.01  # of the uncompensated rms: within it doing nothing wins
-# Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes: at 0.01
-# one did (five axes by R-test, seed 20 of `trials.volumetric`, X 18.4 -> 19.2 um, stated 0.004).
+# Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes, and at
+# 0.01 one got worse (five axes by R-test, seed 20 of `trials.volumetric`, X 18.4 -> 19.2 um, stated 0.004).
 MOST_HARM = 0.002
 
 
