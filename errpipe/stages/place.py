@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from errpipe import files
 from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.errors import DataError, did_you_mean
+
+if TYPE_CHECKING:
+    from errpipe.fitting.placement import Chosen
 
 SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
@@ -30,7 +33,11 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
         raise DataError(f"{file}: not a CSV table ({err})") from None
     for name in (error, *(n for n in (group, time) if n)):
         if name not in frame.columns:
-            raise DataError(f"{file}: no column {name!r}{did_you_mean(name, list(frame.columns))}")
+            hint = did_you_mean(name, list(frame.columns))
+            hint = (
+                hint or " (--group names the column of duty cycles, of which some sit out)" if name == group else hint
+            )
+            raise DataError(f"{file}: no column {name!r}{hint}")
     remaining = [n for n in frame.columns if n not in (error, group, time)]
     names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
     bad = [n for n in (error, *names) if not pd.api.types.is_numeric_dtype(frame[n]) or frame[n].isna().any()]
@@ -109,5 +116,15 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -
     for j, what in enumerate(("line", "parabola", "cubic")):
         k = int(np.argmin(degrees[:, j]))
         lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
-    lines.append(f"choose {len(chosen)}: {', '.join(chosen)}" if chosen else "no sensor is better than doing nothing")
+    lines.append(f"choose {len(chosen)}: {', '.join(chosen)}" if chosen else _undecided(smallest, nothing, gain.size))
     return document, lines
+
+
+def _undecided(best: Chosen, nothing: float, cycles: int) -> str:
+    """Why no set is chosen: none is better, or too few duty cycles show it."""
+    if best.rms_left_out >= nothing:
+        return "no sensor is better than doing nothing"
+    return (
+        f"choose none: {cycles} duty cycles are too few or too unlike to show that {best.rms_left_out:.4g} "
+        f"instead of {nothing:.4g} is more than chance (a gain of {SURE:g} standard errors is asked for)"
+    )

@@ -47,6 +47,18 @@ def test_where_nothing_tells_the_error_nothing_is_chosen(tmp_path, capsys):
     assert document["result"]["chosen"] == []
 
 
+def test_too_few_duty_cycles_are_called_that(tmp_path, capsys):
+    """Two cycles of which one hardly moves: the sensors are right, but nothing shows it."""
+    frame = pd.read_csv(field(tmp_path))
+    frame = frame[frame["duty_cycle"] < 2]
+    frame.loc[frame["duty_cycle"] == 1, ["near", "wall", "far", "room", "error"]] *= 0.01
+    frame.to_csv(tmp_path / "few.csv", index=False)
+    assert main(["place", str(tmp_path / "few.csv")]) == 0
+    assert "choose none: 2 duty cycles are too few" in capsys.readouterr().out
+    assert main(["place", str(tmp_path / "few.csv"), "--group", "shift"]) == 3
+    assert "--group names the column of duty cycles" in capsys.readouterr().err
+
+
 def test_a_missing_column_is_named(tmp_path, capsys):
     code, document = asked(capsys, "place", str(field(tmp_path)), "--error", "eror")
     assert code == 3 and "no column 'eror'" in json.dumps(document)
