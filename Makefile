@@ -11,6 +11,8 @@ CODE := errpipe tests trials bench examples
 # One thread for linear algebra: results must not depend on how many cores a machine has.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Where it is set, every start compiles errpipe anew: a third of the time of a short command.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*\#\# .*/\1/p' Makefile)
 .DEFAULT_GOAL := help
