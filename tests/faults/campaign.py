@@ -111,8 +111,7 @@ def main(count: int, only: str = "") -> int:
     old, after = rest.split(END)
     rows = {row.split(" | ")[0].removeprefix("| "): row for row in old.splitlines()[2:]}
     rows |= {
-        name: f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} "
-        f"| {r.once:.4f} | {r.off:.4f} | {r.unsafe} |"
+        name: f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} | {r.once:.4f} | {r.off:.4f} | {r.unsafe} |"
         for name, r in found.items()
     }
     lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- | --- |", *rows.values()]

@@ -282,7 +282,7 @@ def bounded() -> tuple[t.CompensationTable, list[dict]]:
 
 
 def medians() -> tuple[t.CompensationTable, list[dict]]:
-    """A median and directions behind it: one bad sample standing and moving, two of them, turns, a wrap."""
+    """A median and directions behind it: one bad sample while it stands and while it moves, two of them, turns, a wrap."""
     nodes = (
         t.InputNode(input="u"),
         t.InputNode(input="k"),
