@@ -21,7 +21,7 @@ from errpipe.kernels.table_codes import ON
 from errpipe.tables import ect, pack
 from errpipe.tables.reference import Evaluator
 from tests.faults import campaign
-from tests.faults.sequences import BAD_SAMPLE, Part
+from tests.faults.sequences import Part
 from tests.unit.targets.st import matiec
 
 PIPELINE = """
@@ -42,6 +42,7 @@ stages:
 STEP = 1.0  # um in 1 ms: the limit of the issue and of every default export
 WARM = 6000  # cycles at 25 degC before anything happens
 ROUNDED = 1e-5  # um: a correction of 100 um in single precision
+BAD_SAMPLE = 5.0  # um that a single bad sample may add
 
 
 def plain_axis(folder) -> None:

@@ -2,8 +2,7 @@
 
 A sequence is a list of parts. Each part is some cycles of readings in one mode, and begins with nothing, a reset or
 another table. Axes move and turn, sensors fail, jump, drift and freeze, the machine stops, is homed and goes on; the
-last part is calm and long enough for the correction to be what the readings ask for. There X stands and has one bad
-sample; nothing but its position says which way it went.
+last part is calm and long enough for the correction to be what the readings ask for.
 """
 
 from __future__ import annotations
@@ -22,9 +21,7 @@ from errpipe.tables.reference import Evaluator
 
 CYCLE = 0.001  # s
 PARTS, LONGEST, CALM = 6, 80, 2500  # parts with faults, most cycles of each; cycles of the calm end
-BAD_AT = CALM - 200  # cycle of the calm end in which the position reads wrong once
 SETTLED = 0.02  # um off what is right at the end: what a lag of 0.1 s leaves of a sensor that was believed late
-BAD_SAMPLE = 5.0  # um that a single bad sample may add
 
 
 @cache
@@ -103,7 +100,6 @@ def sequence(seed: int) -> list[Part]:
         readings, fresh, mode, x = _faults(r, cycles, x)
         parts.append(Part(begins, number, readings, fresh, mode))
     readings, fresh, mode = _calm(r, CALM, 0.05, float(r.uniform(0, 900)))
-    readings[BAD_AT, 0] += r.choice([-1e4, -400.0, -3.0, -0.02, 0.02, 0.5, 10.0, 80.0, 400.0])
     return [*parts, Part("", number, readings, fresh, mode)]
 
 
@@ -169,25 +165,21 @@ def right(parts: list[Part]) -> np.ndarray:
 class Found:
     """What happened in a sequence, over all outputs: largest step and size in parts of the limit, um off at the end.
 
-    held: largest move while the mode was hold, um; once: um off what is right after one bad position at a standstill.
+    held: largest move while the mode was hold, um.
     """
 
     step: float
     size: float
     off: float
     held: float
-    once: float
 
     def is_safe(self, single: bool = False) -> bool:
         """Never faster than the slew, never beyond the magnitude, still while held, and back where it should be.
 
-        After one bad position no more than BAD_SAMPLE off.
-
         single: limits and corrections are rounded to binary32, 6e-8 of a correction that is many steps long.
         """
         exact = 1 + (1e-4 if single else 1e-9)
-        limited = self.step <= exact and self.size <= exact and self.held == 0.0
-        return limited and self.off <= SETTLED and self.once <= BAD_SAMPLE
+        return self.step <= exact and self.size <= exact and self.held == 0.0 and self.off <= SETTLED
 
 
 def judge(parts: list[Part], corrections: np.ndarray) -> Found:
@@ -196,7 +188,6 @@ def judge(parts: list[Part], corrections: np.ndarray) -> Found:
     slew = np.vstack([np.tile(_limits(p.number)[0] * CYCLE, (len(p.mode), 1)) for p in parts])
     most = np.vstack([np.tile(_limits(p.number)[1], (len(p.mode), 1)) for p in parts])
     steps = np.abs(np.diff(corrections, axis=0, prepend=np.zeros((1, corrections.shape[1]))))
-    off = np.abs(corrections[BAD_AT - CALM :] - right(parts)).max(axis=1)
     modes = np.concatenate([p.mode for p in parts])
     # A table of a smaller magnitude is reached at the slew, not at once: its limit counts once it has been reached.
     beyond = np.abs(corrections) / most
@@ -209,9 +200,8 @@ def judge(parts: list[Part], corrections: np.ndarray) -> Found:
     return Found(
         step=float((steps / slew).max()),
         size=float(beyond.max()),
-        off=float(off[-1]),
+        off=float(np.abs(corrections[-1] - right(parts)).max()),
         held=float(steps[modes == HOLD].max(initial=0.0)),
-        once=float(off.max()),
     )
 
 

@@ -12,7 +12,6 @@ import pytest
 
 from errpipe import tables
 from errpipe.domain import table as t
-from errpipe.drivers.lowering import Nodes
 from errpipe.kernels.table_codes import HOLD, OFF, ON
 from errpipe.tables import ect, limits
 from errpipe.tables.reference import Evaluator
@@ -77,16 +76,6 @@ def test_without_limits_the_same_sequences_are_unsafe(monkeypatch):
         monkeypatch.setattr(runners, "table", limited)
         safe += sequences.judge(parts, found).is_safe()
     assert safe <= 1
-
-
-def test_without_medians_one_bad_position_turns_the_lost_motion(monkeypatch):
-    """What the judge says of directions that believe a single sample, as they did before."""
-    monkeypatch.setattr(Nodes, "confirmed", lambda nodes, name: nodes.read(name, False))
-    bare = {n: sequences.table.__wrapped__(n) for n in range(3)}
-    assert not any(n.op == "median" for n in bare[0].nodes)
-    monkeypatch.setattr(runners, "table", bare.__getitem__)
-    found = [sequences.judge(p, runners.by_numba(p)) for p in map(sequences.sequence, range(12))]
-    assert sum(f.once > sequences.BAD_SAMPLE and f.off > 5.0 for f in found) > 3
 
 
 def stand(evaluator: Evaluator, cycles: int, x: float = 450.0, **mode) -> float:
