@@ -106,12 +106,6 @@ class Direction(Turning):
     op: Literal["direction"] = "direction"
 
 
-class Median(Operation):
-    """The middle one of its own last value, the last reading and this one (a recursive median filter, window 3)."""
-
-    op: Literal["median"] = "median"
-
-
 class Approach(Operation):
     op: Literal["approach"] = "approach"
     length: Positive = Field(

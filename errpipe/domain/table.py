@@ -259,10 +259,6 @@ class LookupNode(operations.Lookup, Node):
     operands: ClassVar = (1, 1)
 
 
-class MedianNode(operations.Median, Node):
-    operands: ClassVar = (1, 1)
-
-
 AnyNode = Annotated[
     ConstantNode
     | InputNode
@@ -275,8 +271,7 @@ AnyNode = Annotated[
     | SwitchNode
     | DirectionNode
     | ApproachNode
-    | LookupNode
-    | MedianNode,
+    | LookupNode,
     Field(discriminator="op"),
 ]
 
@@ -424,8 +419,6 @@ class CompensationTable(Part):
         known = _unique("input", (i.name for i in self.inputs))
         if self.table == 1 and any(i.noise > 0 for i in self.inputs):
             raise ValueError("a table of version 1 knows no noise of its inputs")
-        if self.table == 1 and any(isinstance(n, MedianNode) for n in self.nodes):
-            raise ValueError("a table of version 1 knows no median")
         components = _unique("component", (c.name for c in self.components))
         _unique("output", (o.name for o in self.outputs))
         believed = {i.name for i in self.inputs if not i.optional}

@@ -41,10 +41,6 @@ class Nodes:
             raise GateError(f"a driver reads {name!r}, which is not an input of the table ({', '.join(self.inputs)})")
         return self.add(t.InputNode(input=name, slow=slow or not self.inputs[name].fast))
 
-    def confirmed(self, name: str) -> int:
-        """The node of an input for what remembers it: one bad sample of it passes no median."""
-        return self.add(t.MedianNode(of=(self.read(name, False),)))
-
     def position(self, axis: str) -> t.TableInput:
         """The input that holds the position of an axis. Raises GateError where there is none."""
         for channel in self.inputs.values():
@@ -72,7 +68,7 @@ class Nodes:
                 return self.direction(driver.axis, driver.threshold, driver.start)
             case d.Approach():
                 side = self.direction(driver.axis, driver.threshold, driver.start)
-                place = self.confirmed(self.position(driver.axis).name)
+                place = self.read(self.position(driver.axis).name, False)
                 return self.add(t.ApproachNode(of=(place, side), length=driver.length))
             case d.Lag():
                 slow = slow or min(driver.tau_up, driver.tau_down) >= SLOW_LAG_CYCLES * self.thermal_cycle_s
@@ -88,11 +84,11 @@ class Nodes:
 
     def direction(self, axis: str, threshold: float, start: int) -> int:
         """The node of an axis' direction of travel; an input that knows it goes first."""
-        of = [self.confirmed(self.position(axis).name)]
+        of = [self.read(self.position(axis).name, False)]
         for kind in ("direction", "velocity"):
             known = [i.name for i in self.inputs.values() if i.kind == kind and i.axis == axis]
             if known:
-                of.append(self.confirmed(known[0]))
+                of.append(self.read(known[0], False))
                 break
         return self.add(t.DirectionNode(of=tuple(of), threshold=threshold, start=start))
 

@@ -16,7 +16,6 @@ from errpipe.kernels.table_codes import (
     INPUT,
     LAG,
     LARGEST,
-    MEDIAN,
     NOT_FINITE,
     POWER,
     PRODUCT,
@@ -43,13 +42,6 @@ def moved_side(x, known, side, memory, threshold):
         if x - memory > threshold:
             return 1.0, x
     return side, memory
-
-
-@bare_kernel
-def middle(y, m, u):
-    """The middle one of three: y where it lies between m and u, else the nearer one of them."""
-    low, high = (u, m) if u < m else (m, u)
-    return low if y < low else high if y > high else y
 
 
 @bare_kernel
@@ -117,11 +109,6 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
                 u = before + (y - before) * alpha
         elif op == FIRST:
             u = own.value if started else u
-        elif op == MEDIAN:
-            if not replay:
-                before = own.memory
-                own.memory = u
-                u = middle(own.value, before, u) if started else u
         elif op == CONSTANT:
             u = node.a
         elif op == POWER:

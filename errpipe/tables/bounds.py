@@ -46,7 +46,7 @@ def _span(node: t.Node, of: list[Span], inputs: dict[str, Span]) -> Span:
             return node.offset + sum(p[0] for p in parts), node.offset + sum(p[1] for p in parts)
         case t.LagNode() if node.start == "zero":
             return min(of[0][0], 0.0), max(of[0][1], 0.0)
-        case t.FirstNode() | t.LagNode() | t.MedianNode():
+        case t.FirstNode() | t.LagNode():
             return of[0]
         case t.ProductNode():
             span = of[0]
@@ -165,7 +165,7 @@ def _node_cost(node: t.Node) -> Cost:
             return guard + Cost(1, 0, 0, 5, 3)
         case t.LookupNode():
             return guard + _PROFILE
-        case t.ClipNode() | t.SwitchNode() | t.MedianNode():
+        case t.ClipNode() | t.SwitchNode():
             return guard + Cost(0, 0, 0, 2, 3)
     return guard + Cost(0, 0, 0, 0, 1)
 

@@ -167,7 +167,7 @@ class Expansion:
                 return [Term(node.offset), *parts]
             case t.FirstNode():
                 return [Term(latched)]
-            case t.LagNode() | t.MedianNode():
+            case t.LagNode():
                 return of[0]
             case t.ProductNode():
                 out = of[0]

@@ -84,7 +84,6 @@ OPERATIONS: dict[str, tuple[int, type[t.Node], tuple[str, ...]]] = {
     "direction": (10, t.DirectionNode, ("threshold", "start")),
     "approach": (11, t.ApproachNode, ("length",)),
     "lookup": (12, t.LookupNode, ("start", "step")),
-    "median": (13, t.MedianNode, ()),
 }
 BY_CODE = {code: (op, cls, fields) for op, (code, cls, fields) in OPERATIONS.items()}
 

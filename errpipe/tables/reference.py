@@ -5,12 +5,12 @@ kernel, the C runtime and the function block repeat it and give the same bits.
 
 One cycle: readings are conditioned (every result lies within its input's validity); nodes run in
 order, slow ones only in thermal cycles (the first cycle and every `slow_every`-th after it); profiles, pairs,
-synthesis; then limits. A state (first, lag, direction, approach, median) follows its operand until every required
+synthesis; then limits. A state (first, lag, direction, approach) follows its operand until every required
 input below it has had a believed reading, and starts there. Tables of format version 1 run by the rules of their
 version (`schemas/ect-1.md`).
 
 Two ways to call it: at the controller's fixed rate (dt None), or over a recording (dt given: time since the
-row before). Over a recording every node runs in every row, and medians, ramp, fade time, slew and acceleration,
+row before). Over a recording every node runs in every row, and ramp, fade time, slew and acceleration,
 which belong to a fixed rate, do nothing.
 
 Longer than 400 lines: the second opinion on the cycle, step by step as the specification has it, in one place.
@@ -311,9 +311,6 @@ class Evaluator:
                 return self._approach(n, node, values[node.of[0]], values[node.of[1]], started)
             case t.LookupNode():
                 return _lookup(node, values[node.of[0]])
-            case t.MedianNode():
-                u = values[node.of[0]]
-                return u if dt is not None else self._median(n, u, started)
         raise TypeError(f"unknown node {node!r}")
 
     def _lag(self, n: int, node: t.LagNode, u: float, started: bool, dt: float | None) -> float:
@@ -328,14 +325,6 @@ class Evaluator:
             tau = node.tau_up if before >= y else node.tau_down
             alpha = exp(-(dt / tau))
         return before + (y - before) * alpha
-
-    def _median(self, n: int, u: float, started: bool) -> float:
-        before, y = self._a[n], self._node[n]
-        self._a[n] = u
-        if not started:
-            return u
-        low, high = (u, before) if u < before else (before, u)
-        return low if y < low else high if y > high else y
 
     def _direction(self, n: int, node: t.DirectionNode, started: bool) -> float:
         x = self._node[node.of[0]]

@@ -238,8 +238,6 @@ class Evaluator:
                 return self._direction(node, s, u[0], u[1] if len(u) > 1 else 0.0)
             case 11:
                 return self._approach(node, s, u[0], u[1])
-            case 13:
-                return self._median(s, u[0])
             case _:
                 values = self.table.lookups[node.other : node.other + node.others]
                 return _between(values, (u[0] - node.a) * node.c)
@@ -267,14 +265,6 @@ class Evaluator:
             s.m = u
             return -1.0 if y > 0 else 1.0
         return y
-
-    def _median(self, s: NodeState, u: float) -> float:
-        """Section 6, median."""
-        low, high = (u, s.m) if u < s.m else (s.m, u)
-        s.m = u
-        if not s.started:
-            return u
-        return low if s.y < low else high if s.y > high else s.y
 
     def _approach(self, node: Node, s: NodeState, u: float, k: float) -> float:
         """Section 6, approach."""

@@ -211,7 +211,6 @@ OPERANDS = {
     10: (1, 2),
     11: (2, 2),
     12: (1, 1),
-    13: (1, 1),
 }
 LAG, AFFINE, LOOKUP = 5, 3, 12
 
@@ -366,7 +365,7 @@ def _check_nodes(table: Table) -> None:
     _check_lists(lookups, len(table.lookups), "lookup values")
     check(all(map(is_n, table.lookups)), "a lookup value is too large")
     for i, r in enumerate(table.nodes):
-        check(r.operation in OPERANDS and (r.operation < 13 or table.version > 1), f"node {i}: no such operation")
+        check(r.operation in OPERANDS, f"node {i}: no such operation")
         least, most = OPERANDS[r.operation]
         check(least <= r.count <= most, f"node {i}: too few or too many operands")
         check(r.flags < 4 and (r.flags < 2 or r.operation == LAG) and r.zero == 0, f"node {i}: flags")
@@ -374,7 +373,7 @@ def _check_nodes(table: Table) -> None:
             check(link.target < i and link.zero == 0, f"node {i}: an operand does not stand before it")
             check(is_n(link.weight) and (link.weight == 1 or r.operation == AFFINE), f"node {i}: weight of an operand")
         check(_node_rule(r, table), f"node {i}: a parameter is out of range")
-        used = {1: 1, 2: 0, 3: 1, 4: 0, 5: 4, 6: 0, 7: 1, 8: 2, 9: 2, 10: 2, 11: 1, 12: 3, 13: 0}[r.operation]
+        used = {1: 1, 2: 0, 3: 1, 4: 0, 5: 4, 6: 0, 7: 1, 8: 2, 9: 2, 10: 2, 11: 1, 12: 3}[r.operation]
         check(all(same(x, 0) for x in r[7 + used :]), f"node {i}: a parameter without a meaning is not 0")
         if r.operation != LOOKUP:
             check(r.others == 0 and (r.other == 0 or r.operation == 2), f"node {i}: other or others is not 0")

@@ -281,26 +281,6 @@ def bounded() -> tuple[t.CompensationTable, list[dict]]:
     return table, rows(a=[*way, *(-v for v in way), *[0.75] * 12, *[-0.75] * 16])
 
 
-def medians() -> tuple[t.CompensationTable, list[dict]]:
-    """A median and directions behind it: one bad sample while it stands and while it moves, two of them, turns, a wrap."""
-    nodes = (
-        t.InputNode(input="u"),
-        t.InputNode(input="k"),
-        t.MedianNode(of=(0,)),
-        t.MedianNode(of=(0,), slow=True),
-        t.MedianNode(of=(1,)),
-        t.DirectionNode(of=(2,), threshold=0.5),
-        t.DirectionNode(of=(2, 4), threshold=0.5, start=-1),
-    )
-    stands = [*[4.0] * 4, 12.0, *[4.0] * 3, -4.0, *[4.0] * 3, BAD, 4.0, 4.0]
-    moves = [5.0, 6.0, 7.0, 20.0, 9.0, 10.0, -20.0, 12.0, 13.0, 13.0]
-    stays = [8.0, 8.0, 8.0, 16.0, 16.0, 15.5, 15.25, 15.25, 16.0, 15.0, 15.0, 2.0, 30.0, 15.0, 30.0, 2.0, 15.0, 15.0]
-    wraps = [358.0, 359.0, 359.5, 0.25, 0.75, 1.25, 0.0, -0.0, 0.0, -1.0]
-    way = [None, *stands, *moves, *stays, *wraps]
-    known = [None, *[0.0] * 3, *[1.0] * 3, -1.0, 0.0, 1.0, 0.0, -1.0, *[0.0] * 4, 1.0, 1.0, -1.0, -1.0, 0.0]
-    return shown((channel("u"), channel("k", default=0.0)), nodes, slow_every=2), rows(u=way, k=known)
-
-
 def overshoots() -> list[float]:
     """Steps of a goal, um per cycle: one that is followed stops and goes on while the correction is ahead of it."""
     steps: list[float] = []

@@ -57,7 +57,6 @@ NAMES = (
     "doubts",
     "slowly",
     "bounded",
-    "medians",
     "mixed-1",
     "mixed-28",
     "mixed-81",
@@ -317,7 +316,6 @@ def blocks() -> Iterator[Block]:
         edges.doubts,
         edges.slowly,
         edges_of_outputs.bounded,
-        edges_of_outputs.medians,
     ):
         yield block(make.__name__, *make())
     yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))

@@ -12,7 +12,7 @@
 #define HEADER 512u
 
 enum { INPUTS, SUBSTITUTES, NODES, OPERANDS, LOOKUPS, PROFILES, VALUES, COMPONENTS, PAIRS, OUTPUTS, TERMS, SECTIONS };
-enum { CONSTANT = 1, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DIRECTION, APPROACH, LOOKUP, MEDIAN };
+enum { CONSTANT = 1, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DIRECTION, APPROACH, LOOKUP };
 enum { OPTIONAL = 1, FADE_ON_DEFAULT = 2, HAS_VALID = 4, HAS_MAX_RATE = 8, HAS_STALE = 16, HAS_HOLD = 32 };
 enum { SLOW = 1, START_ZERO = 2 };
 enum { HAS_MAGNITUDE = 1, HAS_SLEW = 2, HAS_ACCELERATION = 4 };
@@ -550,11 +550,11 @@ static ect_error load_inputs(ect *e, const sections *s)
 
 static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, const sections *s)
 {
-    static const uint32_t fewest[14] = {0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 2, 1, 1};
-    static const uint32_t most[14] = {0, 0, 0, 64, 1, 1, 16, 1, 1, 1, 2, 2, 1, 1};
-    static const uint32_t zero_from[14] = {0, 32, 24, 32, 24, 56, 24, 32, 40, 40, 40, 32, 48, 24};
+    static const uint32_t fewest[13] = {0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 2, 1};
+    static const uint32_t most[13] = {0, 0, 0, 64, 1, 1, 16, 1, 1, 1, 2, 2, 1};
+    static const uint32_t zero_from[13] = {0, 32, 24, 32, 24, 56, 24, 32, 40, 40, 40, 32, 48};
     ect_real dt = n->flags & SLOW ? e->cycle * (ect_real)e->slow_every : e->cycle;
-    if (n->op < CONSTANT || n->op > (s->rules == 1 ? LOOKUP : MEDIAN) || n->count < fewest[n->op] || n->count > most[n->op]) {
+    if (n->op < CONSTANT || n->op > LOOKUP || n->count < fewest[n->op] || n->count > most[n->op]) {
         return 0;
     }
     if (u16_at(r + 2) > 3 || ((n->flags & START_ZERO) && n->op != LAG) || u32_at(r + 20) != 0) {
@@ -1171,12 +1171,6 @@ static ect_real side_of(ect_node *n, ect_real u, ect_real known, int started)
     return y;
 }
 
-static ect_real middle_of(ect_real y, ect_real before, ect_real u)
-{
-    ect_real low = u < before ? u : before, high = u < before ? before : u;
-    return y < low ? low : y > high ? high : y;
-}
-
 static ect_real run_node(ect *e, ect_node *n, int started)
 {
     const ect_weighted *of = e->operands + n->first;
@@ -1216,10 +1210,6 @@ static ect_real run_node(ect *e, ect_node *n, int started)
         return u >= n->a ? R(1) : u <= n->b ? R(0) : y;
     case DIRECTION:
         return side_of(n, u, n->count > 1 ? nodes[of[1].number].value : R(0), started);
-    case MEDIAN:
-        before = n->memory;
-        n->memory = u;
-        return started ? middle_of(y, before, u) : u;
     case APPROACH:
         way = u - n->memory;
         n->memory = u;

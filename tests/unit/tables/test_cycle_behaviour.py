@@ -108,38 +108,8 @@ def test_references_and_lags_wait_for_the_first_believed_reading():
 def test_direction_turns_after_the_threshold_and_starts_as_told():
     source = ComponentSource("EXX", "um", (Lowered(d.Direction(axis="X", threshold=0.5, start=-1)),))
     e = Evaluator(compile_table([source], inputs=[position()], ramp_s=0.0))
-    way, sides = (5.0, 5.4, 5.6, 10.0, 9.6, 9.4, 9.8, 9.95), [-1, -1, 1, 1, 1, -1, -1, 1]
-    assert [e.cycle({"x": x}, dt=0.001).deviation["EXX"] for x in way] == sides
-    e.reset()
-    seen = [e.cycle({"x": x}).deviation["EXX"] for x in np.repeat(way, 2)]
-    assert seen[1::2] == sides, "at the controller's rate in the second cycle"
-
-
-@pytest.mark.parametrize("bad", [0.6, -0.6, 80.0, -80.0])
-@pytest.mark.parametrize("speed", [0.0, 0.01, 2.0])
-@pytest.mark.parametrize("start", [1, -1])
-def test_one_bad_position_turns_no_direction_and_two_do(start, speed, bad):
-    source = ComponentSource("EXX", "um", (Lowered(d.Direction(axis="X", threshold=0.5, start=start)),))
-    table = compile_table([source], inputs=[position()], ramp_s=0.0)
-    way = 400.0 + start * speed * np.arange(12)
-
-    def sides(places) -> set[float]:
-        e = Evaluator(table)
-        return {e.cycle({"x": x}).deviation["EXX"] for x in places}
-
-    once, twice = way.copy(), way.copy()
-    once[5] += bad
-    twice[5:7] += bad
-    assert sides(once) == {start}
-    assert sides(twice) == ({-1.0, 1.0} if speed < 1.0 or abs(bad) > 1.0 else {start})
-
-
-def test_one_bad_reading_of_the_direction_turns_nothing():
-    known = t.TableInput(name="v", kind="velocity", axis="X", low=-9, high=9, default=0, optional=True)
-    source = ComponentSource("EXX", "um", (Lowered(d.Direction(axis="X")),))
-    e = Evaluator(compile_table([source], inputs=[position(), known], ramp_s=0.0))
-    speeds = (1.0, 1.0, 0.0, 0.0, -0.5, 0.0, 0.0, -0.5, -0.5, 0.0)
-    assert [e.cycle({"x": 5.0, "v": v}).deviation["EXX"] for v in speeds] == [1, 1, 1, 1, 1, 1, 1, 1, -1, -1]
+    way = (5.0, 5.4, 5.6, 10.0, 9.6, 9.4, 9.8, 9.95)
+    assert [e.cycle({"x": x}).deviation["EXX"] for x in way] == [-1, -1, 1, 1, 1, -1, -1, 1]
 
 
 def test_a_known_direction_goes_before_travel():
@@ -148,7 +118,6 @@ def test_a_known_direction_goes_before_travel():
     e = Evaluator(compile_table([source], inputs=[position(), known], ramp_s=0.0))
     assert e.cycle({"x": 5.0, "dir": -1.0}).deviation["EXX"] == -1
     assert e.cycle({"x": 6.0, "dir": -1.0}).deviation["EXX"] == -1
-    e.cycle({"x": 7.0, "dir": np.nan})
     cycle = e.cycle({"x": 7.0, "dir": np.nan})
     assert cycle.deviation["EXX"] == 1 and cycle.says() == ("running", "active")
 
@@ -157,9 +126,7 @@ def test_pre_sliding_builds_up_over_travel():
     source = ComponentSource("EXX", "um", (Lowered(d.Approach(axis="X", length=0.2, threshold=0.0)),))
     e = Evaluator(compile_table([source], inputs=[position()], ramp_s=0.0))
     assert e.cycle({"x": 0.0}).deviation["EXX"] == 1
-    assert e.cycle({"x": -0.2}).deviation["EXX"] == 1
     assert e.cycle({"x": -0.2}).deviation["EXX"] == pytest.approx(-1 + 2 * np.exp(-1))
-    assert e.cycle({"x": 40.0}).deviation["EXX"] == pytest.approx(-1 + 2 * np.exp(-1)), "one bad sample"
     assert e.cycle({"x": -0.2}).deviation["EXX"] == pytest.approx(-1 + 2 * np.exp(-1))
 
 
