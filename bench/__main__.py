@@ -40,7 +40,7 @@ def measure(name: str) -> dict[str, Any] | None:
 def slower(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """What costs more than in the last run, by more than the spread of both."""
     before = {(n, f["what"]): Figure(**f) for n, part in old.items() for f in part["figures"]}
-    found = []
+    out = []
     for name, part in new.items():
         for figure in (Figure(**f) for f in part["figures"]):
             last = before.get((name, figure.what))
@@ -48,8 +48,8 @@ def slower(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
                 continue
             change = figure.value / last.value - 1.0
             if (-change if figure.at_least else change) > NOISE + figure.spread + last.spread:
-                found.append(f"{name}: {figure.what}: {last.value:.4g} -> {figure.value:.4g} {figure.unit}")
-    return found
+                out.append(f"{name}: {figure.what}: {last.value:.4g} -> {figure.value:.4g} {figure.unit}")
+    return out
 
 
 def page(benches: dict[str, Any], facts: dict[str, str]) -> str:
@@ -86,11 +86,11 @@ def main(names: list[str]) -> int:
     new, broken = {}, []
     for name in names or sorted(path.stem.removeprefix("bench_") for path in HERE.glob("bench_*.py")):
         print(f"== {name}", flush=True)
-        found = measure(name)
-        if found is None:
+        measured = measure(name)
+        if measured is None:
             broken.append(name)
         else:
-            new[name] = found
+            new[name] = measured
     facts = machine()
     benches = dict(sorted({**last, **new}.items()))
     text = json.dumps({"performance": 1, "machine": facts, "benches": benches}, indent=1, sort_keys=True)

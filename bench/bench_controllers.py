@@ -63,11 +63,11 @@ def bench_hal_component() -> dict[str, float]:
         (folder / COMPONENT).write_text(LinuxcncHal.write(table)[COMPONENT])
         module = session.install(folder / COMPONENT)
         try:
-            found = clocks(folder)
+            measured = clocks(folder)
         finally:
             module.unlink()
     mhz = float(re.search(r"cpu MHz\s*:\s*([\d.]+)", Path("/proc/cpuinfo").read_text())[1])
-    ns = 1e3 * found / mhz
+    ns = 1e3 * measured / mhz
     usual = float(np.median(ns))
     return {
         "cycle_ns": usual,
@@ -81,11 +81,11 @@ def figures() -> list[Figure]:
     if session.missing():
         print(f"  skipped: {session.missing()}")
         return []
-    found = bench_hal_component()
+    timings = bench_hal_component()
     return [
-        Figure("cycle in LinuxCNC's servo thread", found["cycle_ns"], "ns", aim=AIM_NS),
-        Figure("the same, 99.9 %", found["cycle_ns_99.9_percent"], "ns"),
-        Figure("operations of the table, from its list", found["operations"], "1"),
+        Figure("cycle in LinuxCNC's servo thread", timings["cycle_ns"], "ns", aim=AIM_NS),
+        Figure("the same, 99.9 %", timings["cycle_ns_99.9_percent"], "ns"),
+        Figure("operations of the table, from its list", timings["operations"], "1"),
     ]
 
 

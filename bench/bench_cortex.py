@@ -57,7 +57,7 @@ def emulated(folder: Path, model: str, cpu: list[str], common: list[str]) -> sub
 
 def bench_cortex_m4() -> dict[str, float]:
     """21 components and 8 lagged sensors on a Cortex-M4, single precision, hard floating point."""
-    table, found = machine(thermal=True), {}
+    table, pair = machine(thermal=True), {}
     rng = np.random.default_rng(0)
     readings = np.tile(np.array([i.default for i in table.inputs], dtype=np.float32), (CYCLES, 1))
     readings[:, :3] = rng.uniform(0, 600, (CYCLES, 3))
@@ -67,13 +67,13 @@ def bench_cortex_m4() -> dict[str, float]:
             command = ["arm-none-eabi-gcc", *CPU, *COMMON, f"-{level}", "-c", RUNTIME / "ect.c"]
             _run(*command, "-o", folder / f"{level}.o")
             text, data, *_ = _run("arm-none-eabi-size", folder / f"{level}.o").stdout.splitlines()[1].split()
-            found[f"code_bytes_{level}"] = float(text) + float(data)
+            pair[f"code_bytes_{level}"] = float(text) + float(data)
         case_header(table, readings, folder, work=32_000)
         said = emulated(folder, "mps2-an386", CPU, [*COMMON, "-O2", f"-I{folder}"]).stderr
-    found["work_bytes"] = float(bounds.work_bytes(table, real=4))
-    found["table_bytes"] = float(len(ect.dumps(table)))
-    found["instructions_per_cycle"] = float(re.findall(r"([\d.]+) instructions", said)[0])
-    return found
+    pair["work_bytes"] = float(bounds.work_bytes(table, real=4))
+    pair["table_bytes"] = float(len(ect.dumps(table)))
+    pair["instructions_per_cycle"] = float(re.findall(r"([\d.]+) instructions", said)[0])
+    return pair
 
 
 def figures() -> list[Figure]:

@@ -25,8 +25,8 @@ def figures() -> list[Figure]:
         file = site(Path(name) / "site", MACHINES)
         for jobs in (1, 2):
             start = perf_counter()
-            found = fleet(file, Path(name) / f"out{jobs}", jobs)
-            took[jobs], times = perf_counter() - start, found["times"]
+            report = fleet(file, Path(name) / f"out{jobs}", jobs)
+            took[jobs], times = perf_counter() - start, report["times"]
     seconds, memory = (np.array([t[key] for t in times.values()]) for key in ("seconds", "peak_mb"))
     return [
         Figure(f"{MACHINES} machines, one worker over two", took[1] / took[2], "x", aim=AIM, at_least=True),

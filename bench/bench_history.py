@@ -129,8 +129,8 @@ def stage_by_stage() -> list[Figure]:
         folder.mkdir()
         partitions(folder, millions)
         taken = {to: stage(folder, to) for to in ("ingest", "clean", "fit", "validate")}
-    found = [Figure(f"{to}, {millions} million rows", took, "s") for to, (took, _) in taken.items()]
-    return found + [Figure(f"{to}: peak memory", peak, "MB", 0.0, MEMORY_AIM) for to, (_, peak) in taken.items()]
+    matches = [Figure(f"{to}, {millions} million rows", took, "s") for to, (took, _) in taken.items()]
+    return matches + [Figure(f"{to}: peak memory", peak, "MB", 0.0, MEMORY_AIM) for to, (_, peak) in taken.items()]
 
 
 def figures() -> list[Figure]:

@@ -62,11 +62,11 @@ def best(rounds: int, *works) -> list[float]:
     """Shortest of several rounds of each, taken in turn so that a busy machine hurts all alike, s."""
     times = [[] for _ in works]
     for _ in range(rounds):
-        for work, found in zip(works, times, strict=True):
+        for work, entry in zip(works, times, strict=True):
             start = perf_counter()
             work()
-            found.append(perf_counter() - start)
-    return [min(found) for found in times]
+            entry.append(perf_counter() - start)
+    return [min(entry) for entry in times]
 
 
 def measure() -> dict[str, float]:
@@ -96,14 +96,14 @@ def measure() -> dict[str, float]:
 
 def figures() -> list[Figure]:
     """The chain's deviation beside numpy; the memory floor reads and writes the same arrays."""
-    found = measure()
-    ours = found.pop("errpipe")
+    measured = measure()
+    ours = measured.pop("errpipe")
     lacks = {"memory floor": "any arithmetic"}
     return [
         Figure(
             "volumetric deviation", ours, "ns/point", peer=name, times=ns / ours, lacks=lacks.get(name, "other chains")
         )
-        for name, ns in found.items()
+        for name, ns in measured.items()
     ]
 
 

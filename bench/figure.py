@@ -57,9 +57,9 @@ def spread(times: list[float]) -> float:
 
 def main(figures: Callable[[], list[Figure]]) -> int:
     """Measure and print; with `--json FILE` also write. A missed aim is no failure."""
-    found = figures()
-    for figure in found:
+    values = figures()
+    for figure in values:
         print(figure.line())
     if "--json" in sys.argv:
-        Path(sys.argv[sys.argv.index("--json") + 1]).write_text(json.dumps([asdict(f) for f in found]), "utf-8")
+        Path(sys.argv[sys.argv.index("--json") + 1]).write_text(json.dumps([asdict(f) for f in values]), "utf-8")
     return 0

@@ -18,7 +18,7 @@ SETTINGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbar
 
 def browser() -> str | None:
     """The first Chromium on the path, or None."""
-    return next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    return next((match for name in BROWSERS if (match := shutil.which(name))), None)
 
 
 def browse(page: Path, *options: str) -> subprocess.CompletedProcess[str]:

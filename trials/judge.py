@@ -131,9 +131,9 @@ def _missing(out, folder, component, wanted, answer, findings, accepted, fits, v
     hits: list[dict | None] = []
     taken: set[int] = set()
     for group in wanted["effects"]:
-        found = next((i for i, f in enumerate(findings[:LOOK]) if f["effect"] in group and i not in taken), None)
-        taken |= {found} if found is not None else set()
-        hits.append(findings[found] if found is not None else None)
+        match = next((i for i, f in enumerate(findings[:LOOK]) if f["effect"] in group and i not in taken), None)
+        taken |= {match} if match is not None else set()
+        hits.append(findings[match] if match is not None else None)
     out.top1 = top if out.top1 is None else out.top1 and top
     single = len(wanted["effects"]) == 1
     complete = all(h is not None for h in hits)

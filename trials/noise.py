@@ -207,10 +207,10 @@ def main() -> None:
             for kind in (*KINDS, COARSE):
                 for hidden in (False, True):
                     recording, names = case(a.seed + 1000 * k, machine, kind, hidden)
-                    found = said(recording)
-                    row = {"machine": machine, "noise": kind, "missing": bool(names), "said": found}
-                    rows.append(row | judged(names, found))
-                    what = ", ".join(f"{effect} {c:.2f}" for effect, c in found) or "nothing"
+                    message = said(recording)
+                    row = {"machine": machine, "noise": kind, "missing": bool(names), "said": message}
+                    rows.append(row | judged(names, message))
+                    what = ", ".join(f"{effect} {c:.2f}" for effect, c in message) or "nothing"
                     print(f"{machine}, {kind}, {'one effect' if names else 'null'}: {what}", flush=True)
     nulls, effects = [r for r in rows if not r["missing"]], [r for r in rows if r["missing"]]
     print(f"nulls quiet {sum(r['right'] for r in nulls)} of {len(nulls)}")

@@ -53,14 +53,14 @@ def outcome(name: str, protocol: str, seed: int) -> Outcome:
     values = metrology.smooth_machine(chain, seed)
     tests = {protocol: _measured(chain, values, protocol, seed)}
     obs, _ = readings.of_tests(chain, tests)
-    found = identify.identify(identify.Parametrisation.of(chain), obs)
+    fitted = identify.identify(identify.Parametrisation.of(chain), obs)
     how = {"modes": 12, "without": [], "lasers": {}, "squares": {}}
-    document = summary.document(found, obs, extra=False) | {"procedure": how}
+    document = summary.document(fitted, obs, extra=False) | {"procedure": how}
     try:
         axes = gate.pass_gate(document, [gate.judged(machine, document, tests)])
     except GateError:
         axes = ()
-    before, after = true_rms(chain, MachineErrors.of(chain, values, 401), found.errors(), axes)
+    before, after = true_rms(chain, MachineErrors.of(chain, values, 401), fitted.errors(), axes)
     return Outcome(axes, before, after)
 
 
@@ -120,14 +120,14 @@ def main() -> int:
     print("| machine | protocol | exported | refused | worse | before -> after, um, median of exported |")
     print("| --- | --- | --- | --- | --- | --- |")
     bad = 0
-    for name, protocol, found in campaign(asked.machines.split(","), asked.protocols.split(","), seeds):
-        whole = [o for o in found if o.axes]
-        worse = [(seed, o.worse) for seed, o in zip(seeds, found, strict=True) if o.worse]
+    for name, protocol, match in campaign(asked.machines.split(","), asked.protocols.split(","), seeds):
+        whole = [o for o in match if o.axes]
+        worse = [(seed, o.worse) for seed, o in zip(seeds, match, strict=True) if o.worse]
         bad += len(worse)
         told = "-"
         if whole:
             told = " -> ".join(f"{np.median([getattr(o, k)['all'] for o in whole]):.3g}" for k in ("before", "after"))
-        row = (name, protocol, len(whole), len(found) - len(whole), worse or 0, told)
+        row = (name, protocol, len(whole), len(match) - len(whole), worse or 0, told)
         print("| " + " | ".join(map(str, row)) + " |", flush=True)
     print(f"worse than nothing: {bad}")
     return 1 if bad else 0

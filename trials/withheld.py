@@ -35,10 +35,10 @@ def without(case: str, component: str, names: tuple[str, ...]) -> dict[str, Any]
     every = hypotheses.TERMS
     hypotheses.TERMS = tuple(kind for kind in every if kind.reports_as not in names)
     try:
-        found = diagnose(manifest_folder.read(Path(case)))[0].document()
+        document = diagnose(manifest_folder.read(Path(case)))[0].document()
     finally:
         hypotheses.TERMS = every
-    (response,) = [r for r in found["responses"] if r["component"] == component]
+    (response,) = [r for r in document["responses"] if r["component"] == component]
     named = [f for f in response["findings"] if f["effect"] != "recalibration"]
     return {
         "hidden": names[0],

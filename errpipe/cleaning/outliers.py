@@ -117,10 +117,10 @@ def _windows(y: np.ndarray, part: np.ndarray, rows: np.ndarray, reach: tuple[int
     offsets = np.array([k for k in range(reach[0], reach[1] + 1) if k])
     edge = np.full(2 * SIDE, np.nan)
     at = rows[:, None] + (offsets + edge.size)
-    found = np.r_[edge, y, edge][at]
+    windows = np.r_[edge, y, edge][at]
     if part[0] != part[-1]:
-        found[np.r_[edge, part, edge][at] != part[rows][:, None]] = np.nan
-    return np.asarray(found)
+        windows[np.r_[edge, part, edge][at] != part[rows][:, None]] = np.nan
+    return np.asarray(windows)
 
 
 def _side(windows: np.ndarray) -> np.ndarray:

@@ -82,5 +82,5 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
         rows.append(Rows(case.y, residual, case.run, contribution, inputs, parts))
         del case  # frees one table of products before the next is built
-    found = Diagnosis(recording=title, responses=tuple(responses), notes=(*short.notes, *notes))
-    return derived.named_by_source(found, source), rows
+    diagnosis = Diagnosis(recording=title, responses=tuple(responses), notes=(*short.notes, *notes))
+    return derived.named_by_source(diagnosis, source), rows

@@ -176,9 +176,9 @@ class _Work:
             if len(kept) < MOST_PARTS:
                 states = [self._tuned([*kept, (k, 1.0)]) for k in own]
                 ways.append(max(((self._worth(state), state) for state in states), key=lambda w: w[0]))
-        found = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
+        matches = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
         least = LEAST_PART * self.spread
-        return [f for f in found if any(p.index in own and np.std(p.core) > least for p in f.parts)]
+        return [f for f in matches if any(p.index in own and np.std(p.core) > least for p in f.parts)]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""

@@ -67,11 +67,11 @@ def _motion(recording: Recording, axis: str, name: str):
     yield "acceleration", f"{length}/s2", second_derivative(t, x, run)
 
 
-def named_by_source(found: Diagnosis, source: dict[str, str]) -> Diagnosis:
+def named_by_source(diagnosis: Diagnosis, source: dict[str, str]) -> Diagnosis:
     """The diagnosis with columns that are in no table called by the one they come from."""
     if not source:
-        return found
-    return found.model_copy(update={"responses": tuple(_response(r, source) for r in found.responses)})
+        return diagnosis
+    return diagnosis.model_copy(update={"responses": tuple(_response(r, source) for r in diagnosis.responses)})
 
 
 def _response(r: ResponseDiagnosis, source: dict[str, str]) -> ResponseDiagnosis:

@@ -167,9 +167,9 @@ NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may 
 RETRIES = 4  # further searches, each without the findings ruled out before
 
 
-def _possible(made: SetUp, search: Search, *found: Explanation) -> Case:
-    """The best explanation of a response without findings that cannot be true; `found`: by the search."""
-    case = _without_impossible(made, search, *found)
+def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
+    """The best explanation of a response without findings that cannot be true; of those of the search."""
+    case = _without_impossible(made, search, *explanations)
     made.taken_back = only_noise(case) and not _predicts_whole_runs(case)
     return _nothing_named(made) if made.taken_back else case
 
@@ -187,9 +187,9 @@ def _nothing_named(made: SetUp) -> Case:
     return case
 
 
-def _without_impossible(made: SetUp, search: Search, *found: Explanation) -> Case:
+def _without_impossible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation without what cannot be true, and where one is close, without what has no size."""
-    case = _explained(made, search, *found)
+    case = _explained(made, search, *explanations)
     for _ in range(RETRIES):
         out = plausible.impossible(case)
         if not out:
@@ -254,12 +254,12 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     )  # fmt: skip
 
 
-def _explained(made: SetUp, search: Search, *found: Explanation) -> Case:
+def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best of what the search found, in the noise that suits it, and the remainder beside it."""
     library, nuisance, rows = made.library, made.nuisance, made.pair.rows
-    explanation = found[-1]
+    explanation = explanations[-1]
     if not made.plain:
-        tried = [zoomed(made, copy.copy(search), e) for e in found]
+        tried = [zoomed(made, copy.copy(search), e) for e in explanations]
         for one, _ in tried:
             one.prior = made.prior
         search, explanation = max(tried, key=lambda t: t[0].joint(chosen_of(t[1])))

@@ -238,16 +238,16 @@ def _refine_jointly(case: Case, scene: Scene, h: Hypothesis):
     def loss(at: np.ndarray) -> float:
         return -_gain(case, scene, _moved(h, at))
 
-    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 0.02, "maxfev": 150}).x
-    best, k = _moved(h, found), found.size
+    optimum = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 0.02, "maxfev": 150}).x
+    best, k = _moved(h, optimum), optimum.size
     steps = STEP * np.eye(k)
-    centre = loss(found)
+    centre = loss(optimum)
     curvature = np.empty((k, k))
     for i in range(k):
-        curvature[i, i] = (loss(found + steps[i]) - 2 * centre + loss(found - steps[i])) / STEP**2
+        curvature[i, i] = (loss(optimum + steps[i]) - 2 * centre + loss(optimum - steps[i])) / STEP**2
         for j in range(i):
-            alike = loss(found + steps[i] + steps[j]) + loss(found - steps[i] - steps[j])
-            opposite = loss(found + steps[i] - steps[j]) + loss(found - steps[i] + steps[j])
+            alike = loss(optimum + steps[i] + steps[j]) + loss(optimum - steps[i] - steps[j])
+            opposite = loss(optimum + steps[i] - steps[j]) + loss(optimum - steps[i] + steps[j])
             curvature[i, j] = curvature[j, i] = (alike - opposite) / (4 * STEP**2)
     values, vectors = np.linalg.eigh(curvature)
     cov = vectors / np.maximum(values, FLATTEST) @ vectors.T

@@ -51,9 +51,9 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     for colour in dict.fromkeys(colours):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
-        found = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
-        wandering = max(wandering, likelihood(found[0], replace(found[1], accepted=())))
-        best = max(best, (likelihood(*found), colour, *found), key=lambda t: t[0])
+        zoom = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
+        wandering = max(wandering, likelihood(zoom[0], replace(zoom[1], accepted=())))
+        best = max(best, (likelihood(*zoom), colour, *zoom), key=lambda t: t[0])
     made.over_noise = best[0] - (handicap if best[2] is search else 0.0) - wandering
     _, colour, search, explanation = best
     if colour != library.table.colour:

@@ -265,8 +265,8 @@ class Manifest(Frozen):
 
     def axis(self, letter: str) -> Constant | None:
         """The constants of one axis, or None."""
-        found = self.constants.get(letter)
-        return found if found is not None and found.role == "axis" else None
+        column = self.constants.get(letter)
+        return column if column is not None and column.role == "axis" else None
 
 
 @dataclass
@@ -307,8 +307,8 @@ class Recording:
 
     def name(self, role: str, *, axis: str | None = None, component: str | None = None) -> str | None:
         """The first column of a role, or None."""
-        found = self.names(role, axis=axis, component=component)
-        return found[0] if found else None
+        names = self.names(role, axis=axis, component=component)
+        return names[0] if names else None
 
     def array(self, name: str) -> np.ndarray:
         """One column as float64, shape (rows,). Raises DataError where the rows have none of that name."""

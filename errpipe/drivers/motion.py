@@ -12,12 +12,12 @@ from errpipe.kernels import responses
 
 def axes(recording: Recording, kind: str = "linear") -> tuple[str, ...]:
     """Axes whose position (or command) is recorded, in manifest order."""
-    found: list[str] = []
+    out: list[str] = []
     for name in (*recording.names("position"), *recording.names("command")):
         letter = str(recording.manifest.columns[name].axis)
-        if letter not in found and is_rotary(recording, letter) == (kind == "rotary"):
-            found.append(letter)
-    return tuple(found)
+        if letter not in out and is_rotary(recording, letter) == (kind == "rotary"):
+            out.append(letter)
+    return tuple(out)
 
 
 def is_rotary(recording: Recording, axis: str) -> bool:

@@ -87,10 +87,10 @@ def solved_plainly(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> E
     """`solved` without intervals and without asking whether parameters can be told apart: for predictions alone."""
     models: list[ComponentModel] = []
     for group in groups_of(spec):
-        problem, found = solve_group(recording, spec, group, mask, intervals=False)
+        problem, solution = solve_group(recording, spec, group, mask, intervals=False)
         for b, component in enumerate(problem.components):
             own = [s for s in problem.slots if s.block == b and not s.nuisance]
-            models.append(ComponentModel(component=component, terms=tuple(_values(s, found) for s in own)))
+            models.append(ComponentModel(component=component, terms=tuple(_values(s, solution) for s in own)))
     return whole_model(recording, spec, mask, models)
 
 
@@ -149,12 +149,12 @@ def solve_group(
 
 
 def _fit_group(recording, spec, group, mask) -> list[ComponentModel]:
-    problem, found = solve_group(recording, spec, group, mask, intervals=True)
+    problem, solution = solve_group(recording, spec, group, mask, intervals=True)
     before = without_nuisance(problem, problem.response)
     models, start = [], 0
     for b, component in enumerate(problem.components):
         rows = slice(start, start + problem.rows[b].size)
-        models.append(component_model(problem, found, b, component, before[rows], found.residual[rows]))
+        models.append(component_model(problem, solution, b, component, before[rows], solution.residual[rows]))
         start = rows.stop
     return models
 

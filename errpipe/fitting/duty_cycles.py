@@ -107,8 +107,8 @@ class DutyCycles:
         def cost(logarithms: np.ndarray) -> float:
             return self._cost(np.exp(logarithms), runs) + 0.5 * float(np.sum(((logarithms - centre) / CERTAINTY) ** 2))
 
-        found = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 300})
-        return self._posterior(np.exp(found.x), runs)
+        optimum = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 300})
+        return self._posterior(np.exp(optimum.x), runs)
 
     def taught(self, run: int, known: Known) -> np.ndarray:
         """Information on b of one run, measured or only logged, (p, p), 1/um2."""
@@ -170,10 +170,10 @@ def _thermal_states(recording: Recording) -> np.ndarray:
         raise DataError("plan-day: the recording has no temperature")
     options = SeasonOptions()
     try:
-        found = thermal_causes.sensors(recording)
+        sensors = thermal_causes.sensors(recording)
     except DataError:
         return thermal_causes.columns(recording, [d.rise(n) for n in names])
-    causes = thermal_causes.causes(recording, found, options.late, options.slow, options.mixes, options.thinning)
+    causes = thermal_causes.causes(recording, sensors, options.late, options.slow, options.mixes, options.thinning)
     return thermal_causes.columns(recording, [c.driver for c in causes])
 
 

@@ -52,19 +52,19 @@ class Fold:
 
 def hindrances(spec: ModelSpec, recording: Recording) -> list[str]:
     """What of a specification cannot be fitted batch by batch; recording: any rows of it."""
-    found = [f"method: {spec.method}"] if spec.method != "linear" else []
-    found += ["datum: run_start"] if spec.datum == "run_start" else []
-    found += [f"selection: {spec.selection}"] if spec.selection != "none" else []
-    found += ["nuisance"] if spec.nuisance else []
+    reasons = [f"method: {spec.method}"] if spec.method != "linear" else []
+    reasons += ["datum: run_start"] if spec.datum == "run_start" else []
+    reasons += [f"selection: {spec.selection}"] if spec.selection != "none" else []
+    reasons += ["nuisance"] if spec.nuisance else []
     for component in spec.components:
-        found += [f"priors of {component.component}"] if component.priors else []
+        reasons += [f"priors of {component.component}"] if component.priors else []
         for term in component.terms:
             named = f"{term.term} of {component.component}"
             if term.free():
-                found.append(f"{named} (non-linear: fix {' and '.join(p.name for p in term.free())})")
+                reasons.append(f"{named} (non-linear: fix {' and '.join(p.name for p in term.free())})")
             elif not term.cuttable(recording) or term.settled(recording).penalty() is not None:
-                found.append(named)
-    return found
+                reasons.append(named)
+    return reasons
 
 
 def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
@@ -93,8 +93,8 @@ def _component(source: Source, history: History, spec: ModelSpec, prepare: Prepa
         identifiability.check(
             total[:, 1:-2], problem.names(), sample, component=history.component, most=spec.most_inflation
         )
-        found = solve.least_squares(total[:, 1:-2], response)
-        estimate = _estimate(source, history, problem, rows, found, prepare)
+        solution = solve.least_squares(total[:, 1:-2], response)
+        estimate = _estimate(source, history, problem, rows, solution, prepare)
     else:
         rms = float(np.sqrt(response @ response / number))
         estimate = Estimate(
@@ -212,10 +212,10 @@ def _folds(history: History) -> list[holdout.Fold]:
 def worst(source: Source, histories: list[History], folds: list[list[Fold]], prepare: Prepare) -> list[np.ndarray]:
     """Per history the largest deviation of each fold before and after the model, (folds, 2), from one more pass."""
     of_cell = [{k: i for i, f in enumerate(fs) for k in np.flatnonzero(f.cells).tolist()} for fs in folds]
-    found = [np.zeros((len(fs), 2)) for fs in folds]
+    sums = [np.zeros((len(fs), 2)) for fs in folds]
     names = sorted({n for h in histories for n in h.names})
     for part in batches.parts(source, histories[0].layout, names, prepare):
-        for history, own, fs, out in zip(histories, of_cell, folds, found, strict=True):
+        for history, own, fs, out in zip(histories, of_cell, folds, sums, strict=True):
             rows = history.columns(part.batch)
             rows = np.where(np.isfinite(rows.sum(axis=1))[:, None], rows, 0.0)
             for key, first, end in batches.part_stretches(part):
@@ -223,4 +223,4 @@ def worst(source: Source, histories: list[History], folds: list[list[Fold]], pre
                     here = rows[first:end]
                     left = (np.abs(here[:, -1]).max(), np.abs(here @ fs[i].weights).max())
                     out[i] = np.maximum(out[i], left)
-    return found
+    return sums

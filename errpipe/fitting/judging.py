@@ -101,8 +101,8 @@ def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[s
     """`judge` for every fold of the specification's hold-out inside the rows of a mask."""
     out: dict[str, list[HeldOut]] = {c.component: [] for c in spec.components}
     for fold in folds_of(recording, spec, mask):
-        for component, found in judge(recording, spec, fold).items():
-            out[component].append(found)
+        for component, match in judge(recording, spec, fold).items():
+            out[component].append(match)
     return out
 
 

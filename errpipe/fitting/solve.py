@@ -151,20 +151,20 @@ def robust(
     loss: "huber" or "tukey". The biweight keeps the scale that Huber's rounds found (as MM-estimates do): a scale that
     followed it would shrink onto the rows that agree best. `weights` of the solution are those of the last round.
     """
-    found = least_squares(design, response, penalty=penalty, priors=priors)
+    solution = least_squares(design, response, penalty=penalty, priors=priors)
     least = 1e-12 * (1e-300 + np.abs(response).max())
-    scale = max(scale_of(found.residual, found.degrees), least)
+    scale = max(scale_of(solution.residual, solution.degrees), least)
     for stage in ("huber",) if loss == "huber" else ("huber", "tukey"):
         for _ in range(iterations):
-            weights = row_weights(found.residual / scale, stage)
+            weights = row_weights(solution.residual / scale, stage)
             new = least_squares(design, response, weights=weights, penalty=penalty, priors=priors, noise=scale)
-            moved = np.abs(new.residual - found.residual).max(initial=0.0)
-            found = new
+            moved = np.abs(new.residual - solution.residual).max(initial=0.0)
+            solution = new
             if moved < 1e-6 * scale:
                 break
             if stage == "huber":
-                scale = max(scale_of(found.residual, found.degrees), least)
-    return found
+                scale = max(scale_of(solution.residual, solution.degrees), least)
+    return solution
 
 
 def row_weights(standard: np.ndarray, loss: str) -> np.ndarray:
@@ -212,8 +212,8 @@ def ridge(
         chosen = float(tried[np.flatnonzero(mean <= mean[best] + slack).max()])
     else:
         chosen = float(tried[int(np.argmin([_gcv(design, response, unit * s) for s in tried]))])
-    found = least_squares(design, response, penalty=unit * chosen)
-    return Solution(**(found.__dict__ | {"strength": (chosen,)}))
+    solution = least_squares(design, response, penalty=unit * chosen)
+    return Solution(**(solution.__dict__ | {"strength": (chosen,)}))
 
 
 def spread_of(design: np.ndarray, shrunk: np.ndarray) -> np.ndarray:
@@ -226,15 +226,17 @@ def spread_of(design: np.ndarray, shrunk: np.ndarray) -> np.ndarray:
 def _fold_errors(design, response, penalty, folds) -> list[float]:
     errors = []
     for train, test in folds:
-        found = least_squares(design[train], response[train], penalty=penalty * (np.count_nonzero(train) / len(train)))
-        errors.append(float(np.mean((response[test] - design[test] @ found.coefficients) ** 2)))
+        solution = least_squares(
+            design[train], response[train], penalty=penalty * (np.count_nonzero(train) / len(train))
+        )
+        errors.append(float(np.mean((response[test] - design[test] @ solution.coefficients) ** 2)))
     return errors
 
 
 def _gcv(design, response, penalty) -> float:
-    found = least_squares(design, response, penalty=penalty)
+    solution = least_squares(design, response, penalty=penalty)
     n = response.size
-    return float(np.mean(found.residual**2) / (1.0 - found.degrees / n) ** 2)
+    return float(np.mean(solution.residual**2) / (1.0 - solution.degrees / n) ** 2)
 
 
 @one_thread()
@@ -265,18 +267,18 @@ def penalised(
     degrees = np.inf
     for _ in range(iterations):
         total = sum(s * p for s, p in zip(strengths, penalties, strict=True))
-        found = least_squares(small[:, :-1], small[:, -1], penalty=total, priors=priors)
-        variance = (left + float(np.sum(found.residual**2))) / max(rows - found.degrees, 1.0) / share
+        solution = least_squares(small[:, :-1], small[:, -1], penalty=total, priors=priors)
+        variance = (left + float(np.sum(solution.residual**2))) / max(rows - solution.degrees, 1.0) / share
         for j, p in enumerate(penalties):
-            rough = float(found.coefficients @ p @ found.coefficients)
-            fitted = max(ranks[j] - strengths[j] * float(np.sum(found.inverse * p)), 1e-12)
+            rough = float(solution.coefficients @ p @ solution.coefficients)
+            fitted = max(ranks[j] - strengths[j] * float(np.sum(solution.inverse * p)), 1e-12)
             strengths[j] = np.clip(fitted * variance / max(rough, 1e-300), 1e-10, 1e12)
-        if abs(found.degrees - degrees) < 1e-4 * found.degrees:
+        if abs(solution.degrees - degrees) < 1e-4 * solution.degrees:
             break
-        degrees = found.degrees
+        degrees = solution.degrees
     total = sum(s * p for s, p in zip(strengths, penalties, strict=True))
-    found = least_squares(design, response, weights=weights, penalty=total, priors=priors)
-    return Solution(**(found.__dict__ | {"strength": tuple(float(s) for s in strengths)}))
+    solution = least_squares(design, response, weights=weights, penalty=total, priors=priors)
+    return Solution(**(solution.__dict__ | {"strength": tuple(float(s) for s in strengths)}))
 
 
 def _reduced(design: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, float]:

@@ -180,7 +180,7 @@ def _density_ratio(ordered: np.ndarray, cut: int, near: int) -> float:
 
 def causes(
     recording: Recording,
-    found: Sensors,
+    placed: Sensors,
     late: Sequence[float],
     slow: Sequence[float],
     mixes: Sequence[float] = (0.0,),
@@ -192,24 +192,24 @@ def causes(
     mixes: how far towards the room a follower may begin, 0..1; thinning: of the oil whose friction heats, 1/K; rows:
     mask of those that may be looked at.
     """
-    out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in found.bodies]
-    state = running(recording, found, rows)
+    out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in placed.bodies]
+    state = running(recording, placed, rows)
     if state is not None:
-        friction = oil(found, thinning)
+        friction = oil(placed, thinning)
         out += [
             Cause(f"rise of {n} while running, {tau / 60:.0f} min late", "running", _late(state, n, tau, friction))
-            for n in found.bodies
+            for n in placed.bodies
             for tau in late
         ]
-    if found.room is not None:
+    if placed.room is not None:
         out += [
             Cause(
-                f"part that starts as {n}{_towards(mix, found.room)} and follows {found.room}, {tau / 3600:.3g} h",
+                f"part that starts as {n}{_towards(mix, placed.room)} and follows {placed.room}, {tau / 3600:.3g} h",
                 "follower",
-                follower(found.room, n, tau, mix),
+                follower(placed.room, n, tau, mix),
                 f"{n} {mix:g}",
             )
-            for n in found.starts
+            for n in placed.starts
             for mix in mixes
             for tau in slow
         ]

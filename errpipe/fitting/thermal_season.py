@@ -81,18 +81,18 @@ class Problem:
 
     def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: np.ndarray | None):
         self.recording, self.component, self.options = recording, component, options
-        self.found = thermal_causes.sensors(
+        self.sensors = thermal_causes.sensors(
             recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
         )
         self.causes = thermal_causes.causes(
-            recording, self.found, options.late, options.slow, options.mixes, options.thinning, rows
+            recording, self.sensors, options.late, options.slow, options.mixes, options.thinning, rows
         )
-        self.further = _correction_drivers(recording, self.found, options, rows) if options.correction else ()
+        self.further = _correction_drivers(recording, self.sensors, options, rows) if options.correction else ()
         self.core = thermal_causes.columns(recording, [c.driver for c in self.causes])
         self.extra = thermal_causes.columns(recording, self.further)
-        names = self.found.all()
+        names = self.sensors.all()
         self.starts = thermal_causes.columns(recording, [_start(n) for n in names])
-        self.balance = np.nan_to_num(drive(_balance(self.found), recording))
+        self.balance = np.nan_to_num(drive(_balance(self.sensors), recording))
         deviation = recording.array(response_name(recording, component))
         run = recording.run_codes()
         self.response, self.zero = since_start(deviation, run, options.datum_rows)
@@ -190,7 +190,7 @@ class Problem:
 
     def seen_box(self, rows: np.ndarray) -> Validity:
         """The temperatures of the rows of a mask."""
-        return box(self.recording, self.found.all(), rows).model_copy(update={"fades": False})
+        return box(self.recording, self.sensors.all(), rows).model_copy(update={"fades": False})
 
     def _folds(self, count: int) -> list[list[int]]:
         """Groups that are left out together, in at most `count` folds; neighbours in time sit out in different ones."""
@@ -319,7 +319,7 @@ class Problem:
         if gains.correction is None or not shares.any():
             return core, None, d.Constant(value=0.0)
         inside = d.Affine(offset=1.0, weights=(-1.0,), of=(self._outside(gains),))
-        names = self.found.all()
+        names = self.sensors.all()
         warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
         worth_driver = d.Lookup(
             of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
@@ -342,7 +342,7 @@ class Problem:
     def _ramp(self, gains: _Gains, end: float) -> d.Lookup:
         """1 as far outside as was tried, `end` from FADED_AT on; starts and balance of the day have equal weight, K."""
         low, high = gains.balance
-        day = _balance(self.found)
+        day = _balance(self.sensors)
         excess = d.Affine(weights=(1.0, -1.0), of=(day, d.Clip(of=day, low=low, high=high)))
         size = d.Power(of=d.Product(of=(excess, excess)), exponent=0.5)
         away = d.Affine(weights=(1.0, 1.0), of=(self._distance_driver(gains), size))
@@ -351,11 +351,11 @@ class Problem:
     def _distance_driver(self, gains: _Gains) -> d.Driver:
         most = 1e3
         nodes: list[d.Driver] = []
-        for name, low, high in zip(self.found.all(), gains.low, gains.high, strict=True):
+        for name, low, high in zip(self.sensors.all(), gains.low, gains.high, strict=True):
             start = _start(name)
             nodes.append(d.Clip(of=d.Affine(offset=float(low), weights=(-1.0,), of=(start,)), low=0.0, high=most))
             nodes.append(d.Clip(of=d.Affine(offset=-float(high), weights=(1.0,), of=(start,)), low=0.0, high=most))
-        return d.Affine(weights=(1.0 / len(self.found.all()),) * len(nodes), of=tuple(nodes))
+        return d.Affine(weights=(1.0 / len(self.sensors.all()),) * len(nodes), of=tuple(nodes))
 
     def _datum(self) -> tuple[float, float]:
         run = self.recording.run_codes()
@@ -383,13 +383,13 @@ def _start(name: str) -> d.First:
 
 
 def _correction_drivers(
-    recording: Recording, found: thermal_causes.Sensors, options: SeasonOptions, rows: np.ndarray | None
+    recording: Recording, sensors: thermal_causes.Sensors, options: SeasonOptions, rows: np.ndarray | None
 ) -> tuple[d.Driver, ...]:
-    nodes: list[d.Driver] = [d.rise(n) for n in found.all()]
-    reference = found.room or found.bodies[0]
-    others = [n for n in found.all() if n != reference]
+    nodes: list[d.Driver] = [d.rise(n) for n in sensors.all()]
+    reference = sensors.room or sensors.bodies[0]
+    others = [n for n in sensors.all() if n != reference]
     nodes += [thermal_causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
-    state = thermal_causes.running(recording, found, rows)
+    state = thermal_causes.running(recording, sensors, rows)
     if state is not None:
         nodes += [d.Lag(of=state, tau_up=tau, tau_down=tau, start="zero") for tau in options.correction_lags[:2]]
     return tuple(nodes)

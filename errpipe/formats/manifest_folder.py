@@ -164,12 +164,12 @@ def extremes(folder: Path) -> tuple[Recording, frozenset[str]]:
     for group in range(facts.num_row_groups):
         for index in range(facts.num_columns):
             column = facts.row_group(group).column(index)
-            found = column.statistics
-            if found is None or found.null_count:
+            statistics = column.statistics
+            if statistics is None or statistics.null_count:
                 incomplete.add(column.path_in_schema)
-            if found is not None and found.has_min_max:
-                known = ends.setdefault(column.path_in_schema, [found.min, found.max])
-                known[:] = min(known[0], found.min), max(known[1], found.max)
+            if statistics is not None and statistics.has_min_max:
+                known = ends.setdefault(column.path_in_schema, [statistics.min, statistics.max])
+                known[:] = min(known[0], statistics.min), max(known[1], statistics.max)
     kept = [n for n, c in manifest.columns.items() if c.role != "ignore"]
     frame = pd.DataFrame({n: ends.get(n, [np.nan, np.nan]) for n in kept})
     return Recording(manifest, frame), frozenset(kept) - incomplete
@@ -195,11 +195,11 @@ def _constant(c: Any) -> Any:
     update: dict[str, Any] = {"unit": convert.unit}
     if not convert.identity:
         for key in (*_AXIS_LENGTHS, "value"):
-            found = getattr(c, key)
-            if isinstance(found, tuple):
-                update[key] = tuple(convert(float(v)) for v in found)
-            elif isinstance(found, float):
-                update[key] = convert(found)
+            statistics = getattr(c, key)
+            if isinstance(statistics, tuple):
+                update[key] = tuple(convert(float(v)) for v in statistics)
+            elif isinstance(statistics, float):
+                update[key] = convert(statistics)
     return c.model_copy(update=update)
 
 

@@ -44,11 +44,11 @@ def learn(recording: Recording) -> dict[str, ReadingRate]:
     """Column -> rate and noise, for temperatures, pressures and humidities; without times the least of its role."""
     run = recording.run_codes()
     time = recording.time() if recording.name("time") is not None else np.full(len(recording), np.nan)
-    found = {}
+    limits = {}
     for role, bounds in ROLES.items():
         for name in recording.names(role):
-            found[name] = of_readings(recording.array(name), time, run, bounds)
-    return found
+            limits[name] = of_readings(recording.array(name), time, run, bounds)
+    return limits
 
 
 def of_readings(values: np.ndarray, time: np.ndarray, run: np.ndarray, bounds: Bounds) -> ReadingRate:

@@ -71,13 +71,13 @@ def trials(
                 failed.manifest, failed.frame.assign(**{n: seen.reading[:, k] for k, n in enumerate(names)})
             )
             guilty = [k for k, n in enumerate(names) if n in (name, beside)]
-            found = _found(recording, seen.fault, late, guilty)
+            figures_of_case = _found(recording, seen.fault, late, guilty)
             off = failed.array(name) - recording.array(name)
             yield Trial(
                 sensor=name,
                 way=way,
                 beside=beside,
-                **found,
+                **figures_of_case,
                 reading_off=_rms(off, late),
                 healthy=healthy,
                 recovered=_rms(measured - predict(restored), late),

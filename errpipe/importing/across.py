@@ -35,7 +35,7 @@ def upright(sheet: Sheet) -> Sheet:
         raise DataError(f"targets: {err} may have a mark of thousands or of decimals") from None
     places = [i for i, v in enumerate(targets) if v is not None]
     sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
-    found: list[tuple[str | None, str, float | None, Figures]] = []
+    out: list[tuple[str | None, str, float | None, Figures]] = []
     run, side, title = 0, None, ""
     for row in sheet.rows[at + 1 + (sides is not None) :]:
         name = label(row[0]) if row else ""
@@ -49,9 +49,9 @@ def upright(sheet: Sheet) -> Sheet:
         elif not statistic(name):
             run += 1
             own_run, own_side = run_and_side(name)
-            found.append((own_run, str(run), side if own_side is None else own_side, figures))
-    named = any(own is not None for own, *_ in found)  # then a row without a number is a figure over the runs
-    readings = [(own or count, way, figures) for own, count, way, figures in found if own or not named]
+            out.append((own_run, str(run), side if own_side is None else own_side, figures))
+    named = any(own is not None for own, *_ in out)  # then a row without a number is a figure over the runs
+    readings = [(own or count, way, figures) for own, count, way, figures in out if own or not named]
     if not readings:
         return sheet
     return _of_readings(sheet, at, title, targets, sides, readings)
@@ -110,5 +110,5 @@ def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
 
 def _sides(row: list[Cell], places: list[int]) -> dict[int, float] | None:
     """The side of each column, where a row below the targets states both."""
-    found = {i: s for i, c in enumerate(row) if i and isinstance(c, str) and (s := guessing.side(c)) is not None}
-    return found if len(found) >= len(places) and len(set(found.values())) == 2 else None
+    sides = {i: s for i, c in enumerate(row) if i and isinstance(c, str) and (s := guessing.side(c)) is not None}
+    return sides if len(sides) >= len(places) and len(set(sides.values())) == 2 else None

@@ -217,10 +217,12 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     texts = [str(c).strip().replace(",", ".") if c not in (None, "") else "" for c in column.cells]
     first = next((t for t in texts if t), None)
     usual = ("%M:%S",) if re.search(r"mm:ss", column.header) else ("ISO 8601", *DATES)
-    found = [s for forms in (usual, DAY_FIRST) if first and (s := _since_first(texts, forms))]
-    if len(found) > 1 and found[0][2].startswith("%m/"):  # 03/04: the month first or the day: the shorter time
-        return min(found, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
-    return found[0] if found else None
+    candidates = [s for forms in (usual, DAY_FIRST) if first and (s := _since_first(texts, forms))]
+    if len(candidates) > 1 and candidates[0][2].startswith(
+        "%m/"
+    ):  # 03/04: the month first or the day: the shorter time
+        return min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
+    return candidates[0] if candidates else None
 
 
 def _since_first(texts: list[str], forms: tuple[str, ...]) -> tuple[np.ndarray, str | None, str] | None:

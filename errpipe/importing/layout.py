@@ -121,8 +121,8 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 def _axis_of_sheet(name: str) -> list[str]:
     """The axis that the name of a sheet or file is or holds: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y`; `b1` is none."""
-    found = _AXIS_OF_SHEET.search(name.replace("_", " "))
-    return [next(filter(None, found.groups())).upper()] if found else []
+    match = _AXIS_OF_SHEET.search(name.replace("_", " "))
+    return [next(filter(None, match.groups())).upper()] if match else []
 
 
 def _is_rule(row: list[Cell]) -> bool:
@@ -154,12 +154,12 @@ def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[st
 
 def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, str]]:
     """The rows without units behind their numbers (`12,5 µm`), and the unit of each column that had one."""
-    found: dict[int, Counter[str]] = {}
+    counts: dict[int, Counter[str]] = {}
     for row in rows[:SAMPLE_ROWS]:
         for i, cell in enumerate(row):
             if isinstance(cell, str) and (match := _NUMBER_AND_UNIT.fullmatch(cell)) and unit_of(match.group(2)):
-                found.setdefault(i, Counter())[match.group(2)] += 1
-    written = {i: c.most_common(1)[0][0] for i, c in found.items() if len(c) == 1 and c.total() > 2}
+                counts.setdefault(i, Counter())[match.group(2)] += 1
+    written = {i: c.most_common(1)[0][0] for i, c in counts.items() if len(c) == 1 and c.total() > 2}
     if not written:
         return rows, {}
 

@@ -146,28 +146,28 @@ def _long(
 def _wide(
     layout: Layout,
     guesses: dict[str, guessing.ColumnGuess],
-    found: wide.Wide,
+    table: wide.Wide,
     axis: str,
     options: ImportOptions,
     p: Proposal,
 ) -> None:
     """A row per target becomes a row per reading."""
-    index, run, sides, values = wide.unfold(found)
-    unit, why = found.target.unit, "the column of targets"
+    index, run, sides, values = wide.unfold(table)
+    unit, why = table.target.unit, "the column of targets"
     if unit is None:
         unit = "deg" if axis[0] in "ABC" else "mm"
         why += f"; no unit is stated, taken as {unit}"
-    columns, targets = len(found.readings), len(np.unique(found.target.values[index]))
+    columns, targets = len(table.readings), len(np.unique(table.target.values[index]))
     p.notes.append(f"wide layout: {columns} columns of readings, {len(set(run))} runs, {targets} targets")
     p.put("run", run, "from the headers of the columns", role="run")
-    p.put(found.target.header, found.target.values[index], why, role="position", axis=axis, unit=unit)
+    p.put(table.target.header, table.target.values[index], why, role="position", axis=axis, unit=unit)
     if np.isfinite(sides).all():
         p.put("direction", sides, "from the headers of the columns", role="direction", axis=axis)
-    _wide_readings(layout, found, values, axis, options, p)
+    _wide_readings(layout, table, values, axis, options, p)
     for c in layout.columns:
-        if c is found.target or c is found.run or any(c is r for r, _, _ in found.readings):
+        if c is table.target or c is table.run or any(c is r for r, _, _ in table.readings):
             continue
-        if any(c is s for s in found.statistics):
+        if any(c is s for s in table.statistics):
             p.notes.append(f"column {c.header!r} was left out: a figure over the runs, not a reading")
             continue
         g = guesses[c.header]
@@ -180,11 +180,11 @@ def _wide(
 
 
 def _wide_readings(
-    layout: Layout, found: wide.Wide, values: np.ndarray, axis: str, options: ImportOptions, p: Proposal
+    layout: Layout, table: wide.Wide, values: np.ndarray, axis: str, options: ImportOptions, p: Proposal
 ) -> None:
     component = options.component or components.positioning(axis)
-    headers = tuple(c.header for c, _, _ in found.readings)
-    stated = [c.unit for c, _, _ in found.readings if c.unit is not None]
+    headers = tuple(c.header for c, _, _ in table.readings)
+    stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
     unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
@@ -283,8 +283,8 @@ def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
 
 def _known_unit(c: RawColumn, unit: str | None) -> str | None:
     """The unit of a column, or None. Raises DataError where its header has another one in brackets."""
-    found = re.search(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]", c.header)
-    odd = found if unit is None and found and _OTHER_UNIT.fullmatch(found.group(1)) else None
+    match = re.search(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]", c.header)
+    odd = match if unit is None and match and _OTHER_UNIT.fullmatch(match.group(1)) else None
     word = RawColumn(odd.group(1), None, c.cells, c.values) if odd else c
     sided = len(word.header) > 1 and guessing.side(word.header) is not None
     named = sided or word.header.lower() in _NO_UNIT

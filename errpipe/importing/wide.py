@@ -176,13 +176,13 @@ def split_labels(c: RawColumn) -> list[RawColumn]:
     """A column that names run and side of every row (`Lauf 1 auf`) as two; any other as it is."""
     if guessing.guess(c).kind not in ("ignore", "run") or c.numeric:
         return [c]
-    found = [run_and_side(label(cell)) for cell in c.cells]
-    if any(run is None or way is None for run, way in found):
+    labels = [run_and_side(label(cell)) for cell in c.cells]
+    if any(run is None or way is None for run, way in labels):
         return [c]
-    no_numbers = np.full(len(found), np.nan)
-    ways: list[str | float | None] = ["+" if way == 1.0 else "-" for _, way in found]
+    no_numbers = np.full(len(labels), np.nan)
+    ways: list[str | float | None] = ["+" if way == 1.0 else "-" for _, way in labels]
     return [
-        RawColumn("run", None, [run for run, _ in found], no_numbers),
+        RawColumn("run", None, [run for run, _ in labels], no_numbers),
         RawColumn("direction", None, ways, no_numbers),
     ]
 

@@ -83,11 +83,11 @@ def judge(
         if len(rest) < LEAST:
             return []
         progress(number / len(names), f"without {name}")
-        found = identify(model, obs.take(rest))
+        fitted = identify(model, obs.take(rest))
         rows = np.flatnonzero(group == number)
         sat_out = obs.take(rows)
-        before = _without_setup(model, sat_out, np.zeros(len(found.mean)), found.noise)
-        after = _without_setup(model, sat_out, found.mean, found.noise)
+        before = _without_setup(model, sat_out, np.zeros(len(fitted.mean)), fitted.noise)
+        after = _without_setup(model, sat_out, fitted.mean, fitted.noise)
         certain = np.median(sat_out.noise) / sat_out.noise
         out.append(Left(name, rows, before * certain, after * certain))
     return out

@@ -111,10 +111,10 @@ class Parametrisation:
 
     def design(self, obs: Observations) -> np.ndarray:
         """d(reading)/d(parameter), shape (n, parameters), set-up columns not included."""
-        found = np.zeros((len(obs), len(self.prior.names)))
+        displacement = np.zeros((len(obs), len(self.prior.names)))
         for q, weights in obs.on_components(self.chain):
-            found += weights[:, self.prior.component] * self.functions(q)
-        return found
+            displacement += weights[:, self.prior.component] * self.functions(q)
+        return displacement
 
 
 def family_of(component: str) -> str:

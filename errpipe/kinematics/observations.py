@@ -70,13 +70,13 @@ class Observations:
         """Poses (n, axes), and d(reading)/d(component there) (n, components), that the rows are sums over."""
         if self.own is not None and not np.isnan(self.own).any():
             return [(self.q, self.own)]
-        found = []
+        out = []
         for number, (q, weights) in enumerate(self.places()):
             through_tool = np.einsum("nk,nkc->nc", weights, synthesis.jacobian(chain, q, self.tip))
             if self.own is not None:
                 through_tool = np.where(np.isnan(self.own), through_tool, 0.0 if number else self.own)
-            found.append((q, through_tool))
-        return found
+            out.append((q, through_tool))
+        return out
 
     def with_value(self, value: np.ndarray) -> Observations:
         """The same rows with other readings."""

@@ -124,15 +124,15 @@ def _normals(chain, q, tip, value, name: str, stated, size, label: str) -> o.Obs
     weights[:, :, :3] = (grid[:, 0] / np.sum(grid[:, 0] ** 2))[None, :, None] * normal[:, None]
     scaled = np.where(rows, size * 1e-3, np.nan)
     noise = _noise(None if stated is None else stated * size * 1e-3, len(q), TURN)
-    found = o.angle(chain, q, tip, turn, value[name] * scaled, label)
+    angle = o.angle(chain, q, tip, turn, value[name] * scaled, label)
     return replace(
-        found,
+        angle,
         weights=np.hstack([normal, np.zeros_like(normal)]),
         nuisance=np.where(rows, scaled, 0.0)[:, None],
         nuisance_names=(f"{label}: turn {'ABC'[about]}",),
         nuisance_spread=np.array([o.TURN]),
         noise=noise,
-        path=_moved(chain, q, found.tip, steps),
+        path=_moved(chain, q, angle.tip, steps),
         path_weights=weights,
     )
 
@@ -144,15 +144,15 @@ def _diameters(chain, q, tip, value, stated, size, label: str, cutter: float) ->
     steps = 0.5 * np.where(rows, size - cutter, 0.0)[:, None, None] * rays
     weights = np.zeros((len(q), len(CIRCLE), 6))
     weights[:, :, :3] = 2.0 / len(CIRCLE) * rays
-    found = o.angle(chain, q, tip, (0.0, 0.0, 1.0), value, label)
+    angle = o.angle(chain, q, tip, (0.0, 0.0, 1.0), value, label)
     both = np.tile([1.0, 1.0, 0.0, 0.0, 0.0, 0.0], (len(q), 1))
     return replace(
-        found,
+        angle,
         weights=both,
         nuisance=np.column_stack([np.ones(len(q)), np.where(rows, size * 1e-3, 0.0)]),
         nuisance_names=(f"{label}: cutter", f"{label}: scale"),
         nuisance_spread=np.array([o.LENGTH, o.SCALE]),
         noise=_noise(stated, len(q), DIAMETER),
-        path=_moved(chain, q, found.tip, steps),
+        path=_moved(chain, q, angle.tip, steps),
         path_weights=weights,
     )

@@ -23,22 +23,22 @@ PLACES = 200  # random positions at which the predicted error and its second-ord
 
 
 def document(
-    found: Identified, obs: Observations, *, extra: bool = True, missed: Mapping[str, float] | None = None
+    identified: Identified, obs: Observations, *, extra: bool = True, missed: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
     """The identification as JSON values in um, urad, mm, deg; `extra` proposes measurements for what is unobserved.
 
     missed: rms lack of fit of a component's curve (um, urad), added to its standard error in quadrature.
     """
-    chain = found.model.chain
-    without = tuple(n for i, n in enumerate(chain.components) if i not in set(found.model.prior.component))
-    seen = observability.examine(chain, obs, noise=found.noise, without=without)
+    chain = identified.model.chain
+    without = tuple(n for i, n in enumerate(chain.components) if i not in set(identified.model.prior.component))
+    seen = observability.examine(chain, obs, noise=identified.noise, without=without)
     curves = {}
     for c, name in enumerate(chain.components):
         if chain.drives[c] < 0 or name in without:
             continue
         low, high = chain.travel[chain.drives[c]]
-        p = np.linspace(low, high, max(NODES, PER_WAVE * found.model.bases[chain.drives[c]].modes // 2 + 1))
-        value, error = found.component(name, p)
+        p = np.linspace(low, high, max(NODES, PER_WAVE * identified.model.bases[chain.drives[c]].modes // 2 + 1))
+        value, error = identified.component(name, p)
         error = np.hypot(error, (missed or {}).get(name, 0.0))
         curves[name] = {
             "unit": chain.unit(name),
@@ -47,25 +47,25 @@ def document(
             "value": _numbers(value),
             "half_width95": _numbers(1.96 * error),
         }
-    constants = [row | {"ci95": list(row["ci95"]), "seen": float(row["seen"])} for row in found.table()]
+    constants = [row | {"ci95": list(row["ci95"]), "seen": float(row["seen"])} for row in identified.table()]
     q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (PLACES, len(chain.axes)))
-    value, error = found.predict(q)
+    value, error = identified.predict(q)
     out = {
         "identification": 1,
         "machine": chain.machine.name,
-        "readings": found.rows,
-        "noise_um": found.noise * float(np.sqrt(np.mean(obs.noise**2))),
-        "residual_rms_um": float(np.sqrt(np.mean(found.residual**2))),
-        "smoothness": found.power,
-        "spread_before": found.sizes,
+        "readings": identified.rows,
+        "noise_um": identified.noise * float(np.sqrt(np.mean(obs.noise**2))),
+        "residual_rms_um": float(np.sqrt(np.mean(identified.residual**2))),
+        "smoothness": identified.power,
+        "spread_before": identified.sizes,
         "constants": constants,
         "curves": curves,
-        "setup": {n: {"value": v, "standard_error": e} for n, (v, e) in found.setup.items()},
+        "setup": {n: {"value": v, "standard_error": e} for n, (v, e) in identified.setup.items()},
         "volumetric": {
             "rms_um": float(np.sqrt(np.mean(np.sum(value**2, axis=1)))),
             "standard_error_um": float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
-            **remaining.expected(found).document(),
-            "beyond_first_order": synthesis.remainder(chain, q, found.errors().at(q)),
+            **remaining.expected(identified).document(),
+            "beyond_first_order": synthesis.remainder(chain, q, identified.errors().at(q)),
         },
         "rank": seen.rank,
         "parameters": seen.parameters,
@@ -73,7 +73,7 @@ def document(
         "unseen": [{"components": list(u.components), "left": u.left, "says": u.says()} for u in seen.unseen],
     }
     if extra and seen.unseen:
-        added = observability.smallest_extra(chain, obs, noise=found.noise, without=without)
+        added = observability.smallest_extra(chain, obs, noise=identified.noise, without=without)
         out["would_show"] = [
             {"measure": e.name, "shows": list(e.resolves), "readings": e.readings, "minutes": e.minutes} for e in added
         ]

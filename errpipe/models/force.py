@@ -145,13 +145,13 @@ class Force(Family):
         from errpipe.models import _push_tests as push
 
         parts = push.solve(self, recording, np.ones(len(recording), dtype=bool))
-        found = push.whole(parts)
+        whole = push.whole(parts)
         model, curve = _error_model(self, recording, parts)
         document = {
             "compliance": 1,
             "configuration": self.configuration,
             "component": self.component,
-            **_figures(found),
+            **_figures(whole),
             "parts": {name: _figures(part) for name, part in parts.items() if name != push.WHOLE},
             "not_gauged": [name for name in push.GAUGES if push.WHOLE not in parts and name not in parts],
             "curve": curve,
@@ -167,9 +167,9 @@ class Force(Family):
 
         from errpipe.models import _push_tests as push
 
-        found = push.whole(push.solve(self, recording, fold.train))
+        whole = push.whole(push.solve(self, recording, fold.train))
         pushes = push.read(self, recording)
-        structure = np.vander(pushes.lever, len(push.NAMES), increasing=True) @ found.values
+        structure = np.vander(pushes.lever, len(push.NAMES), increasing=True) @ whole.values
         gives = pushes.force * (structure + pushes.all_known)
         after = pushes.whole - gives * self.sign * push.twice(self)
         return {self.component: held_out(fold, pushes.whole, after, np.zeros(len(recording)))}
@@ -290,12 +290,12 @@ def _terms(options: Force, at: np.ndarray, gain: np.ndarray) -> tuple[Any, ...]:
     if options.axis and np.ptp(gain) > 0:
         curve = Curve(segments=SEGMENTS, span=(float(at[0]), float(at[-1])))
         basis = np.column_stack([np.ones(len(at)), curve.basis(at)])
-        found, *_ = np.linalg.lstsq(basis, gain, rcond=None)
-        worst = float(np.abs(basis @ found - gain).max())
+        solution, *_ = np.linalg.lstsq(basis, gain, rcond=None)
+        worst = float(np.abs(basis @ solution - gain).max())
         if worst > MISSED * np.abs(gain).max():
             raise VerifyError(f"identify_force: the table's curve would miss the compliance by {worst:.3g} um/N")
         terms.append(ProfileDriver(axis=options.axis, profile=curve, **push))
-        values = [found[:1], found[1:]]
+        values = [solution[:1], solution[1:]]
     return tuple(
         FittedTerm(
             term=plain(term),

@@ -97,14 +97,14 @@ class Terms(ModelSpec, Family):
         from errpipe.fitting import batches, history, holdout
 
         layout = batches.survey(source, self, scheme)
-        found = batches.gather(source, self, layout, self._response)
-        folds = history.all_left_out(found, source.manifest)
-        worst = history.worst(source, found, folds, self._response)
-        names = [h.component for h in found]
+        gathered = batches.gather(source, self, layout, self._response)
+        folds = history.all_left_out(gathered, source.manifest)
+        worst = history.worst(source, gathered, folds, self._response)
+        names = [h.component for h in gathered]
         return Judged(
             holdout.name(layout.scheme),
             dict(zip(names, folds, strict=True)),
-            {h.component: (h.sample(source.manifest), h.rows_of_recording()) for h in found},
+            {h.component: (h.sample(source.manifest), h.rows_of_recording()) for h in gathered},
             dict(zip(names, worst, strict=True)),
         )
 

@@ -33,7 +33,7 @@ Progress = Callable[[float, str], None]
 
 def apply_findings(
     recording: Recording,
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     out: Path,
     held: Sequence[Held] | None = None,
     parameters: Sequence[Mapping[str, Any]] = (),
@@ -51,7 +51,7 @@ def apply_findings(
     from errpipe.formats import manifest_folder
 
     recording = in_order_of_time(recording)
-    results = applied.corrected(recording, found, LEAST_CONFIDENCE, held)
+    results = applied.corrected(recording, diagnosis, LEAST_CONFIDENCE, held)
     frame = recording.frame.assign(**{c.column: c.simulated for c in results})
     corrected = Recording(recording.manifest, frame, recording.between)
     read = applied.causal(recording)

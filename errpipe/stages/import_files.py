@@ -68,20 +68,20 @@ def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tupl
     from errpipe.importing.proposal import propose
 
     kind, sheets = open_file(file, door)
-    found: list[tuple[Proposal, str]] = []
+    out: list[tuple[Proposal, str]] = []
     problems = []
     for sheet in sheets:
-        if len(found) > MOST_NAMED:
+        if len(out) > MOST_NAMED:
             break
         try:
-            found.append((propose(lay_out(upright(sheet), door.names), options), sheet.name))
+            out.append((propose(lay_out(upright(sheet), door.names), options), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
-    if not found:
+    if not out:
         raise DataError(f"{file}: {'; '.join(problems)}")
-    proposal, name = found[0]
-    if len(found) > 1:
-        others = ", ".join(other for _, other in found[1:])
+    proposal, name = out[0]
+    if len(out) > 1:
+        others = ", ".join(other for _, other in out[1:])
         proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet says which)")
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
 

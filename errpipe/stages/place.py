@@ -46,8 +46,8 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     for name in (error, *names):
         beyond = np.flatnonzero(~(np.abs(frame[name].to_numpy(float)) <= LARGEST_NUMBER))
         if beyond.size:
-            found = frame[name].iloc[beyond[0]]
-            raise DataError(f"{file}:{beyond[0] + 2}  {name}: found {found:g} (allowed: up to {LARGEST_NUMBER:g})")
+            reading = frame[name].iloc[beyond[0]]
+            raise DataError(f"{file}:{beyond[0] + 2}  {name}: found {reading:g} (allowed: up to {LARGEST_NUMBER:g})")
     if group and frame[group].isna().any():
         row = int(np.flatnonzero(frame[group].isna())[0])
         raise DataError(f"{file}:{row + 2}  {group}: is empty (allowed: the label of the row's duty cycle)")

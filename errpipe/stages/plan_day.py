@@ -95,9 +95,9 @@ def _component(folder: Path, recording: Recording, component: str | None) -> str
     if component is None and len(present) == 1:
         return present[0]
     if component not in present:
-        found = "several errors" if component is None else f"no error {component!r}"
+        value = "several errors" if component is None else f"no error {component!r}"
         hint = "; say which with --component" if component is None else did_you_mean(component, present)
-        raise DataError(f"{folder}: the recording has {found} (present: {', '.join(present) or 'none'}){hint}")
+        raise DataError(f"{folder}: the recording has {value} (present: {', '.join(present) or 'none'}){hint}")
     return component
 
 

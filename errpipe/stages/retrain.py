@@ -138,14 +138,14 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
             raise DataError(
                 f"{folder}: no champion here ({path.relative_to(folder)} is missing; run the pipeline first)"
             )
-    found, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+    pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
     try:
-        _predictions(found, rows.take([0]))
+        _predictions(pair, rows.take([0]))
     except DataError as why:
         raise DataError(
             f"{model}: {why} (a champion of another version? Run the pipeline into {folder} anew)"
         ) from None
-    return found, rows, jsonfile.fingerprint_bytes(model.read_bytes())
+    return pair, rows, jsonfile.fingerprint_bytes(model.read_bytes())
 
 
 def _same_machine(folder: Path, model: ErrorModel, old: Recording, new: Recording) -> None:

@@ -134,8 +134,8 @@ class FlexibleMode(Term):
         start = [[0.0, np.log(d)] for d in (0.03, 0.03, 0.1)]
         start[1][0] = 0.01
         simplex = {"initial_simplex": start, "maxfev": 60, "xatol": 1e-4, "fatol": 0.0}
-        found = minimize(loss, start[0], method="Nelder-Mead", options=simplex).x
-        return frequency * float(np.exp(found[0])), float(np.exp(min(found[1], np.log(HIGHEST_DAMPING))))
+        optimum = minimize(loss, start[0], method="Nelder-Mead", options=simplex).x
+        return frequency * float(np.exp(optimum[0])), float(np.exp(min(optimum[1], np.log(HIGHEST_DAMPING))))
 
     def _explained(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> float:
         """Sum of squares of the mismatch that a mode explains beyond what goes with the motion itself."""

@@ -57,22 +57,22 @@ def judged(
         label, folds = family.folds(recording, scheme)
     else:
         folds, label = [holdout.Fold(*fold) for fold in folds], "given"
-    found: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
+    by_component: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
     for number, fold in enumerate(folds):
         progress(number / len(folds), f"without {fold.label}")
         for component, left in family.judge(recording, fold).items():
-            found[component].append(left)
+            by_component[component].append(left)
     document = {
         "validation": VERSION,
         "scheme": label,
         "method": family.method_name,
-        "components": [component_figures(recording, name, left) for name, left in found.items()],
+        "components": [component_figures(recording, name, left) for name, left in by_component.items()],
     }
     if family.seasonal:
         tables = seasons.documents(recording, family, progress)
         _cover(document, tables["seasons"])
         document |= tables
-    return document, found
+    return document, by_component
 
 
 def judged_in_batches(
@@ -215,6 +215,6 @@ def _covered(folds: Sequence[HeldOut], number: int) -> float | None:
 
 
 def _coverage(folds: Sequence[HeldOut]) -> float | None:
-    found = [_covered(folds, k) for k in range(len(folds))]
-    known = [c for c in found if c is not None]
+    coverage = [_covered(folds, k) for k in range(len(folds))]
+    known = [c for c in coverage if c is not None]
     return float(np.mean(known)) if known else None

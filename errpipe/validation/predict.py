@@ -144,9 +144,9 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             alone = part.take(rows)
             far[rows] = distance(source.validity, alone)
             kept = held(alone, run.last)
-            for component, found in run.evaluate(kept).items():
-                values[component][rows] = found
-                predicted = np.where(np.isfinite(found), found, 0.0)
+            for component, match in run.evaluate(kept).items():
+                values[component][rows] = match
+                predicted = np.where(np.isfinite(match), match, 0.0)
                 half[component][rows] = source.half_width(component, kept, predicted, far[rows])
         frame = _frame(source, part, values, half, far)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)

@@ -77,7 +77,7 @@ def column(seed: int = 1) -> dict[str, object]:
     field = body.respond(times, np.ones(times.size))
     lean = body.lean(field)
     pair = field[:, :, 0] - field[:, :, -1]
-    found = placement.linearity(pair, lean)
+    linearity = placement.linearity(pair, lean)
     later = np.arange(1, 301) * 120.0
     duty = body.respond(later, np.repeat(np.random.default_rng(seed).uniform(0.0, 2.5, 20), 15))
     new = duty[:, :, 0] - duty[:, :, -1]
@@ -85,8 +85,8 @@ def column(seed: int = 1) -> dict[str, object]:
     single = placement.linearity(field.reshape(times.size, -1), lean)
     return {
         "heights": heights.tolist(),
-        "nonlinearity": found.residual.tolist(),
-        "best_height": float(heights[found.best]),
+        "nonlinearity": linearity.residual.tolist(),
+        "best_height": float(heights[linearity.best]),
         "best_single_sensor_nonlinearity": float(single.residual.min()),
         "extrapolation_line": [
             placement.extrapolation(pair[:, k], lean, new[:, k], body.lean(duty), 1) for k in range(heights.size)
@@ -116,9 +116,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/placement"))
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
-    found = places()
+    nodes = places()
     print(f"{'place of least nonlinearity, rms (max)':40s}" + "".join(f"{'Fo ' + str(h):>14s}" for h in HORIZONS))
-    for name, by in found.items():
+    for name, by in nodes.items():
         cells = [f"{r:.3f} ({m:.3f})" for r, m in zip(by["rms"], by["max"], strict=True)]
         print(f"{name:40s}" + "".join(f"{c:>14s}" for c in cells))
     free = {f"{loss:g}": placement.lag_free_place(loss) for loss in (0.0, 1.0, 4.0)}
@@ -134,7 +134,7 @@ def main() -> None:
         f"{100 * body['nonlinearity'][best]:.1f} %, on a random duty {100 * body['extrapolation_line'][best]:.1f} % "
         f"(worst height {100 * max(body['extrapolation_line']):.0f} %)"
     )
-    document = {"placement": 1, "places": found, "lag_free": free, "extrapolation": far, "column": body}
+    document = {"placement": 1, "places": nodes, "lag_free": free, "extrapolation": far, "column": body}
     jsonfile.write(out / "placement.json", document)
     jsonfile.write_text(out / "curves.svg", curves())
 

@@ -104,9 +104,9 @@ def residual(model: Path, nights: list[dict[str, np.ndarray]]) -> float:
     write(folder, dict(enumerate(nights)))
     from errpipe.formats import manifest_folder
 
-    found = predict(ErrorModel.model_validate(document), manifest_folder.read(folder))["EXX_predicted"].to_numpy()
+    predicted = predict(ErrorModel.model_validate(document), manifest_folder.read(folder))["EXX_predicted"].to_numpy()
     shutil.rmtree(folder)
-    return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - found) ** 2)))
+    return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - predicted) ** 2)))
 
 
 def year(out: Path, seed: int, every: int, until: int = 365, drift: float = DRIFT_PER_NIGHT) -> dict[str, object]:
@@ -147,8 +147,8 @@ def _begun(out: Path, asked: dict[str, Any], nights: list[dict[str, np.ndarray]]
         if {key: state.get(key) for key in asked} == asked:
             return state
     _first_champion(out, dict(enumerate(nights[:FIRST])))
-    found: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
-    return found | asked | {"next": FIRST + asked["every"]}
+    by_name: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
+    return by_name | asked | {"next": FIRST + asked["every"]}
 
 
 def _first_champion(out: Path, nights: dict[int, dict[str, np.ndarray]]) -> None:
@@ -212,9 +212,9 @@ def main() -> None:
     parser.add_argument("--drift", type=float, default=DRIFT_PER_NIGHT, help="K a night")
     a = parser.parse_args()
     if a.naming:
-        found = [nights_until_named(a.out / "naming", 1000 * a.seed + k, a.drift) for k in range(a.naming)]
-        soon = sum(count is not None and count <= 3 for count in found)
-        print(f"{a.drift:g} K a night: named within three nights in {soon} of {a.naming} machines; nights: {found}")
+        matches = [nights_until_named(a.out / "naming", 1000 * a.seed + k, a.drift) for k in range(a.naming)]
+        soon = sum(count is not None and count <= 3 for count in matches)
+        print(f"{a.drift:g} K a night: named within three nights in {soon} of {a.naming} machines; nights: {matches}")
         return
     if a.quiet_years:
         harmed = sum(quiet_year(1000 * a.seed + k) for k in range(a.quiet_years))

@@ -106,12 +106,12 @@ def show(healthy: dict, failed: dict, how: str) -> None:
         for name in dict.fromkeys(n for _, n, _ in failed):
             cells = []
             for way in trials.WAYS:
-                found, wait, wrong, bare, guarded = failed[label, name, way]
+                value, wait, wrong, bare, guarded = failed[label, name, way]
                 ratios = [float(np.sqrt(s / rows)) / base for s in (bare, guarded)]
                 worst = max(worst, ratios[1])
                 middle = f"@{np.median(wait):.0f}" if wait else ""
                 blamed = f" ({wrong} wrong)" if wrong else ""
-                cells.append(f"{way} {found}/{runs}{middle}{blamed} {ratios[0]:.2f} > {ratios[1]:.2f}")
+                cells.append(f"{way} {value}/{runs}{middle}{blamed} {ratios[0]:.2f} > {ratios[1]:.2f}")
             print(f"{name:18s} " + " | ".join(cells))
         print(f"worst guarded ratio: {worst:.2f}")
 

@@ -72,14 +72,14 @@ def machine(numbers: dict[str, float]) -> Machine:
 @pytest.fixture(scope="module")
 def cases() -> list[tuple[dict[str, float], np.ndarray, tuple[str, ...]]]:
     rng = np.random.default_rng(1997)
-    found = []
+    out = []
     for _ in range(8):
         names = [f"{o}{c}" for o in ("Ozx_", "Oxy_", "T") for c in "xyz"] + ["x", "y", "z"]
         numbers = dict(zip(names, rng.uniform(-500, 500, len(names)), strict=True)) | {"L": rng.uniform(50, 300)}
         chain = compile_chain(machine(numbers))
         jac = jacobian(chain, [[numbers["x"], numbers["y"], numbers["z"]]])[0]
-        found.append((numbers, jac, chain.components))
-    return found
+        out.append((numbers, jac, chain.components))
+    return out
 
 
 def terms(row: str) -> list[tuple[int, str, str]]:
@@ -105,7 +105,7 @@ def factor(cases, text: str) -> np.ndarray:
 
 def differences(cases) -> list[str]:
     """Every printed term that the derivation does not give, in words."""
-    found = []
+    out = []
     for row in "xyz":
         named = {symbol for _, symbol, _ in terms(row)}
         missing = [s for s in SYMBOLS if s not in named and not np.allclose(derived(cases, row, s), 0.0, atol=1e-9)]
@@ -113,16 +113,16 @@ def differences(cases) -> list[str]:
             mark, printed = "+-"[sign < 0], sign * factor(cases, text)
             if symbol not in SYMBOLS:
                 right = next((s for s in missing if np.allclose(derived(cases, row, s), printed)), None)
-                found.append(
+                out.append(
                     f"dW{row}: printed {mark}({text}) {symbol}: no such component; derived {mark}({text}) {right}"
                 )
                 missing = [s for s in missing if s != right]
             elif np.allclose(derived(cases, row, symbol), -printed):
-                found.append(f"dW{row}: printed {mark}({text}) {symbol}, derived {'-+'[sign < 0]}({text}) {symbol}")
+                out.append(f"dW{row}: printed {mark}({text}) {symbol}, derived {'-+'[sign < 0]}({text}) {symbol}")
             elif not np.allclose(derived(cases, row, symbol), printed):
-                found.append(f"dW{row}: printed {mark}({text}) {symbol}, derived another factor")
-        found += [f"dW{row}: {symbol} is derived, not printed" for symbol in missing]
-    return found
+                out.append(f"dW{row}: printed {mark}({text}) {symbol}, derived another factor")
+        out += [f"dW{row}: {symbol} is derived, not printed" for symbol in missing]
+    return out
 
 
 def test_print_and_derivation_differ_in_three_terms(cases):

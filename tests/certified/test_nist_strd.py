@@ -105,11 +105,11 @@ def test_nonlinear_regression(name: str) -> None:
     problem = PROBLEMS[name]
     x, y = np.asarray(problem["x"]), np.asarray(problem["y"])
     unknowns = [Unknown(f"b{k + 1}", low, high) for k, (low, high) in zip(nonlinear, bounds, strict=True)]
-    found = search(lambda q: columns(x, q), np.empty((y.size, 0)), y, unknowns)
+    match = search(lambda q: columns(x, q), np.empty((y.size, 0)), y, unknowns)
     certified = np.asarray(problem["parameters"])
     order = np.argsort(certified[nonlinear]) if name == "MGH17" else np.arange(len(nonlinear))  # two like exponentials
-    assert lre(np.sort(found) if name == "MGH17" else found, certified[nonlinear][order]) >= digits
-    solution = solve.least_squares(columns(x, found), y)
+    assert lre(np.sort(match) if name == "MGH17" else match, certified[nonlinear][order]) >= digits
+    solution = solve.least_squares(columns(x, match), y)
     rss = float(np.sum(solution.residual**2))
     assert lre(rss, problem["residual_sum_of_squares"]) >= digits
     if name not in ("MGH10", "MGH17"):

@@ -33,7 +33,7 @@ def closure(requirements: list[str]) -> dict[str, Distribution]:
     """Every installed distribution that these requirements lead to, by name. Markers of other systems are left out."""
     from packaging.requirements import Requirement
 
-    found: dict[str, Distribution] = {}
+    by_name: dict[str, Distribution] = {}
     waiting = [(Requirement(text), "") for text in requirements]
     seen = set()
     while waiting:
@@ -45,12 +45,12 @@ def closure(requirements: list[str]) -> dict[str, Distribution]:
             continue
         seen.add(key)
         try:
-            found[key[0]] = distribution(requirement.name)
+            by_name[key[0]] = distribution(requirement.name)
         except PackageNotFoundError:
             continue
-        needs = [Requirement(text) for text in found[key[0]].requires or []]
+        needs = [Requirement(text) for text in by_name[key[0]].requires or []]
         waiting += [(need, e) for need in needs for e in ("", *requirement.extras)]
-    return found
+    return by_name
 
 
 def licence(found: Distribution) -> str:

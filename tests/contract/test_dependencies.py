@@ -37,14 +37,14 @@ def test_every_dependency_is_imported(extra: str) -> None:
 def test_the_core_is_under_permissive_licences() -> None:
     core = closure(declared()[""])
     assert len(core) > 15
-    wrong = {name: licence_of(name, found) for name, found in core.items()}
+    wrong = {name: licence_of(name, match) for name, match in core.items()}
     wrong = {name: text for name, text in wrong.items() if not re.search(FREE, text) or "GPL" in text}
     assert wrong == {} and not NOT_IN_THE_CORE.keys() & core.keys()
 
 
 def test_everything_else_is_free_or_known() -> None:
     everything = closure([text for group in declared().values() for text in group])
-    texts = {name: licence_of(name, found) for name, found in everything.items() if name not in NOT_IN_THE_CORE}
+    texts = {name: licence_of(name, match) for name, match in everything.items() if name not in NOT_IN_THE_CORE}
     assert {name: text for name, text in texts.items() if not re.search(FREE, text)} == {}
 
 

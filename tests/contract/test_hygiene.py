@@ -45,23 +45,23 @@ def python() -> Iterator[tuple[str, ast.Module]]:
 
 def idle(name: str, tree: ast.Module) -> list[str]:
     """Pickles, tests that cannot fail, and skips that do not say why."""
-    found = []
+    out = []
     for node in ast.walk(tree):
         where = f"{name}:{getattr(node, 'lineno', 0)}"
         if isinstance(node, ast.Import | ast.ImportFrom):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
-            found += [f"{where}: {n}" for n in names if n.split(".")[0] in ("pickle", "cPickle", "dill", "cloudpickle")]
+            out += [f"{where}: {n}" for n in names if n.split(".")[0] in ("pickle", "cPickle", "dill", "cloudpickle")]
         if isinstance(node, ast.Assert) and isinstance(node.test, ast.Constant) and node.test.value:
-            found.append(f"{where}: asserts a constant")
+            out.append(f"{where}: asserts a constant")
         if isinstance(node, ast.Call) and called(node) in ("skip", "skipif", "xfail"):
             bare = not node.args and not any(word.arg == "reason" for word in node.keywords)
             condition = ast.unparse(node.func).endswith(("skipif", "mark.xfail", "mark.skip"))
             if bare or (condition and not any(word.arg == "reason" for word in node.keywords)):
-                found.append(f"{where}: skips without a reason")
+                out.append(f"{where}: skips without a reason")
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             marks = [ast.unparse(mark) for mark in node.decorator_list]
-            found += [f"{where}: {mark} without a reason" for mark in marks if re.search(r"\.(skip|xfail)$", mark)]
-    return found
+            out += [f"{where}: {mark} without a reason" for mark in marks if re.search(r"\.(skip|xfail)$", mark)]
+    return out
 
 
 def test_no_path_of_one_machine_and_no_registry() -> None:

@@ -97,32 +97,32 @@ def _imports(source: str, module: str) -> Iterator[tuple[int, str]]:
 def breaches(source: str, module: str) -> list[str]:
     """What a module imports and must not, one line each. `module` is its full name, such as errpipe.terms.backlash."""
     own = [*module.split("."), ""][1]
-    found: list[str] = []
+    out: list[str] = []
     for line, name in imports(source, module):
         parts = name.split(".")
         where = f"{module}:{line}"
         if parts[0] != "errpipe":
             owners = LIBRARIES.get(parts[0], {own})
             if own not in owners:
-                found.append(f"{where} imports {parts[0]}, which is for {', '.join(sorted(owners)) or 'no one'}")
+                out.append(f"{where} imports {parts[0]}, which is for {', '.join(sorted(owners)) or 'no one'}")
             continue
         other = parts[1] if len(parts) > 1 else ""
         if other == own:
             if _is_plug_in(module, own) and _is_plug_in(".".join(parts[:3]), own):
-                found.append(f"{where} imports {name}: files of {own} do not lean on each other")
+                out.append(f"{where} imports {name}: files of {own} do not lean on each other")
             continue
         if any(part.startswith("_") and not part.startswith("__") for part in parts[2:]) and own != "stages":
-            found.append(f"{where} imports {name}, which is private to {other}")
+            out.append(f"{where} imports {name}, which is private to {other}")
             continue
         if other not in LINE or own not in LINE:
             continue  # errpipe itself: the version
         if LINE[other] < LINE[own]:
-            found.append(f"{where} imports {name}: {own} lies below {other}")
+            out.append(f"{where} imports {name}: {own} lies below {other}")
         elif LINE[other] == LINE[own]:
-            found.append(f"{where} imports {name}: {own} and {other} are strangers")
+            out.append(f"{where} imports {name}: {own} and {other} are strangers")
         elif own in ONLY and other not in ONLY[own]:
-            found.append(f"{where} imports {name}: {own} may import only {', '.join(sorted(ONLY[own])) or 'libraries'}")
-    return found
+            out.append(f"{where} imports {name}: {own} may import only {', '.join(sorted(ONLY[own])) or 'libraries'}")
+    return out
 
 
 def _is_plug_in(module: str, package: str) -> bool:
@@ -177,13 +177,13 @@ def circles(graph: dict[str, set[str]]) -> set[tuple[str, ...]]:
         return seen
 
     reach = {module: reached(module) for module in graph}
-    found = {tuple(sorted(o for o in reach[m] if m in reach[o])) for m in graph if m in reach[m]}
-    return {group for group in found if len(group) > 1}
+    values = {tuple(sorted(o for o in reach[m] if m in reach[o])) for m in graph if m in reach[m]}
+    return {group for group in values if len(group) > 1}
 
 
 def test_no_files_import_each_other() -> None:
-    found = circles(import_graph({name: path.read_text(encoding="utf-8") for name, path in modules()}))
-    assert not found, f"files import each other: {sorted(found)}"
+    cycles = circles(import_graph({name: path.read_text(encoding="utf-8") for name, path in modules()}))
+    assert not cycles, f"files import each other: {sorted(cycles)}"
 
 
 def test_a_planted_circle_is_found() -> None:
@@ -222,8 +222,8 @@ def test_a_planted_circle_is_found() -> None:
     ],
 )
 def test_a_planted_breach_is_found(module: str, source: str, word: str) -> None:
-    (found,) = breaches(source, module)
-    assert word in found
+    (violations,) = breaches(source, module)
+    assert word in violations
 
 
 @pytest.mark.parametrize(

@@ -24,14 +24,14 @@ def tables(page: str, heads: tuple[str, ...]) -> list[str]:
 
 def missing(row: str) -> list[str]:
     """Named files and tests of a row that are not there; `::name` alone stands in the file named before it."""
-    found, path = [], ""
+    pair, path = [], ""
     for file, test in NAMED.findall(row):
         path = file or path
         if not path or not (ROOT / path).exists():
-            found.append(path or f"::{test}")
+            pair.append(path or f"::{test}")
         elif test and not re.search(rf"^def {test}\(", (ROOT / path).read_text(encoding="utf-8"), re.M):
-            found.append(f"{path}::{test}")
-    return found
+            pair.append(f"{path}::{test}")
+    return pair
 
 
 @pytest.mark.parametrize("page", PAGES)

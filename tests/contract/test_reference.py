@@ -68,8 +68,8 @@ def test_the_example_of_a_page_is_a_valid_part_of_a_pipeline(name: str, tmp_path
 
 def test_the_example_of_recordings_is_a_valid_manifest(tmp_path: Path) -> None:
     (tmp_path / "recording.yaml").write_text(example("recordings"), encoding="utf-8")
-    found: Any = yamlfile.load(tmp_path / "recording.yaml", Manifest)
-    assert found.columns["EXX"].component == "EXX"
+    load_result: Any = yamlfile.load(tmp_path / "recording.yaml", Manifest)
+    assert load_result.columns["EXX"].component == "EXX"
 
 
 def test_a_misspelt_entry_names_the_nearest() -> None:

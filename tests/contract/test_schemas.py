@@ -44,14 +44,14 @@ def test_it_is_draft_07_and_every_reference_leads_somewhere(name: str) -> None:
 
     def references(node: Any) -> list[str]:
         if isinstance(node, list):
-            return [found for part in node for found in references(part)]
+            return [entry for part in node for entry in references(part)]
         if not isinstance(node, dict):
             return []
         assert "$ref" not in node or len(node) == 1, f"beside a $ref draft-07 reads nothing: {node}"
         own = [node["$ref"]] if isinstance(node.get("$ref"), str) else []
-        return own + [found for part in node.values() for found in references(part)]
+        return own + [entry for part in node.values() for entry in references(part)]
 
-    assert {found.removeprefix("#/definitions/") for found in references(schema)} <= set(definitions)
+    assert {entry.removeprefix("#/definitions/") for entry in references(schema)} <= set(definitions)
 
 
 def undescribed(schema: Mapping[str, Any]) -> list[str]:

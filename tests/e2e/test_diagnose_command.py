@@ -57,8 +57,8 @@ def first(diagnosis: dict) -> str:
 
 @pytest.mark.slow
 def test_beside_its_own_simulated_column(tmp_path: Path) -> None:
-    done, found = run(tmp_path, drift(6.0, twin=True))
-    assert done.returncode == 0 and first(found) in ("backlash", "friction_hysteresis")
+    done, result = run(tmp_path, drift(6.0, twin=True))
+    assert done.returncode == 0 and first(result) in ("backlash", "friction_hysteresis")
     assert (tmp_path / "out/report.html").stat().st_size > 10_000
 
 
@@ -68,9 +68,9 @@ def test_beside_a_csv_on_a_clock_of_its_own(tmp_path: Path) -> None:
     t = np.arange(0.0, 12000.0, 7.0)
     simulated = np.interp(t, whole.time(), whole.array("EXX_sim"))
     pd.DataFrame({"time": t, "EXX": simulated}).to_csv(tmp_path / "sim.csv", index=False)
-    done, found = run(tmp_path, drift(6.0), "--simulation", "sim.csv")
+    done, result = run(tmp_path, drift(6.0), "--simulation", "sim.csv")
     assert done.returncode == 0, done.stderr
-    assert first(found) in ("backlash", "friction_hysteresis")
+    assert first(result) in ("backlash", "friction_hysteresis")
 
 
 @pytest.mark.slow
@@ -82,9 +82,9 @@ def test_beside_an_error_model_fitted_here(tmp_path: Path) -> None:
     terms = [{"term": "offset"}, {"term": "thermal_lag", "sensor": "rise"}]
     spec = ModelSpec.model_validate({"components": [{"component": "EXX", "terms": terms}]})
     (tmp_path / "model.json").write_text(json.dumps(model_json(model.fit(drift(6.0), spec))))
-    done, found = run(tmp_path, drift(6.0), "--simulation", "model.json")
+    done, result = run(tmp_path, drift(6.0), "--simulation", "model.json")
     assert done.returncode == 0, done.stderr
-    assert first(found) in ("backlash", "friction_hysteresis")
+    assert first(result) in ("backlash", "friction_hysteresis")
 
 
 FMU = """
@@ -120,22 +120,22 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_an_fmu_is_set_right_before_anything_is_called_missing(tmp_path: Path, fmu: Path) -> None:
-    done, found = run(tmp_path, drift(), "--simulation", str(fmu), "--apply", "better")
+    done, result = run(tmp_path, drift(), "--simulation", str(fmu), "--apply", "better")
     assert done.returncode == 0, done.stderr
-    assert found["responses"][0]["verdict"] in ("no_mismatch", "recalibrate")
+    assert result["responses"][0]["verdict"] in ("no_mismatch", "recalibrate")
     lines = (tmp_path / "better/parameters.yaml").read_text().splitlines()
     set_right = {name: float(value) for name, value in (line.split("#")[0].split(": ") for line in lines)}
     assert abs(set_right["gain"] - GAIN) < 0.1 and abs(set_right["tau"] - TAU) < 60
-    told = " ".join(found["notes"])
+    told = " ".join(result["notes"])
     assert "gain set right" in told and "tau set right" in told and "2 -> 2.6" in told
     assert str(tmp_path) not in told
 
 
 @pytest.mark.slow
 def test_what_an_fmu_cannot_mend_is_missing(tmp_path: Path, fmu: Path) -> None:
-    done, found = run(tmp_path, drift(6.0), "--simulation", str(fmu))
+    done, result = run(tmp_path, drift(6.0), "--simulation", str(fmu))
     assert done.returncode == 0, done.stderr
-    assert first(found) in ("backlash", "friction_hysteresis")
+    assert first(result) in ("backlash", "friction_hysteresis")
 
 
 # ---------------------------------------------------------------- input that cannot be used
@@ -169,9 +169,9 @@ UNUSABLE = {
 @pytest.mark.parametrize("what", UNUSABLE)
 def test_input_that_cannot_be_used_gets_one_message_and_status_2(tmp_path: Path, what: str) -> None:
     spoil, message = UNUSABLE[what]
-    done, found = run(tmp_path, spoil(drift(6.0, twin=True)))
+    done, result = run(tmp_path, spoil(drift(6.0, twin=True)))
     assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
-    assert found == {}
+    assert result == {}
 
 
 @pytest.mark.slow
@@ -183,9 +183,9 @@ def test_odd_input_never_gives_a_confident_finding(tmp_path: Path, what: str) ->
         "one run of 40 rows": lambda: whole.take(np.arange(40)),
         "inputs all missing": lambda: constant(constant(whole, "rise", np.nan), "x", np.nan),
     }[what]()
-    done, found = run(tmp_path, odd)
+    done, result = run(tmp_path, odd)
     assert done.returncode == 0, done.stderr
-    named = [f for f in found["responses"][0]["findings"] if f["effect"] not in ("recalibration", "unknown")]
+    named = [f for f in result["responses"][0]["findings"] if f["effect"] not in ("recalibration", "unknown")]
     assert all(f["confidence"] < 0.5 for f in named)
 
 
@@ -195,9 +195,9 @@ def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
 
-    done, found = run(tmp_path, drift(6.0, twin=True), "--apply", "better")
+    done, result = run(tmp_path, drift(6.0, twin=True), "--apply", "better")
     assert done.returncode == 0 and "put into the simulation: backlash" in done.stdout
-    assert found["responses"][0]["verdict"] == "missing_physics"
+    assert result["responses"][0]["verdict"] == "missing_physics"
     written = {p.name for p in (tmp_path / "better").iterdir()}
     assert written >= {"recording.yaml", "recording.parquet", "terms.yaml", "patch.py", "patch.fmu", "apply.json"}
     stages = [{"kind": "ingest", "recording": "better"}, {"kind": "diagnose"}]

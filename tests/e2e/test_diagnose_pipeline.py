@@ -108,9 +108,9 @@ def test_with_a_model_before_both_are_fitted_on_the_whole_deviation(tmp_path: Pa
         {"kind": "validate"},
         {"kind": "export"},
     )
-    found = terms(out)
-    assert {"offset", "scale_error", "scale_expansion", "backlash"} <= set(found)
-    assert found["backlash"]["lost_motion"] == pytest.approx(LOST, abs=0.4)
+    fitted_terms = terms(out)
+    assert {"offset", "scale_error", "scale_expansion", "backlash"} <= set(fitted_terms)
+    assert fitted_terms["backlash"]["lost_motion"] == pytest.approx(LOST, abs=0.4)
     (figures,) = read(out / "validate/validation.json")["components"]
     assert figures["rms_after"] < 0.8
     at = {"x": 400.0, "dir": 1, "T_nut": 24.0}

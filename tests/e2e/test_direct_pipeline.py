@@ -62,10 +62,10 @@ def rows(path: Path) -> np.ndarray:
 @pytest.mark.parametrize("stage", ["volumetric", "export"])
 def test_the_controller_is_told_to_go_10_um_less_far(out, stage):
     """LinuxCNC reads nominal, forward and reverse corrections: 10 um less at the far end, 4 um between the ways."""
-    found = rows(out / stage / "linuxcnc_screw" / "x.comp")
-    assert found[-1, 1] - found[0, 1] == pytest.approx(-0.010, abs=2e-4)
-    assert found[-1, 2] - found[0, 2] == pytest.approx(-0.010, abs=2e-4)
-    assert_gap = found[:, 1] - found[:, 2]  # going up the machine is 4 um short of where it is going down
+    table_rows = rows(out / stage / "linuxcnc_screw" / "x.comp")
+    assert table_rows[-1, 1] - table_rows[0, 1] == pytest.approx(-0.010, abs=2e-4)
+    assert table_rows[-1, 2] - table_rows[0, 2] == pytest.approx(-0.010, abs=2e-4)
+    assert_gap = table_rows[:, 1] - table_rows[:, 2]  # going up the machine is 4 um short of where it is going down
     np.testing.assert_allclose(assert_gap, 0.004, atol=2e-4)
     assert main(["verify", str(out / stage)]) == 0
 
@@ -98,10 +98,10 @@ def test_the_error_model_and_the_table_predict_the_same(out, tmp_path):
 
 
 def test_what_was_not_measured_is_said(out):
-    found = json.loads((out / "identify_direct" / "identification.json").read_text())
-    assert {c for u in found["unseen"] for c in u["components"]} >= {"EYY", "EBX", "C0Y"}
-    assert found["reversal"]["EXX"]["value"] == pytest.approx(-4.0, abs=0.1)
-    assert len(found["would_show"]) > 3
+    document = json.loads((out / "identify_direct" / "identification.json").read_text())
+    assert {c for u in document["unseen"] for c in u["components"]} >= {"EYY", "EBX", "C0Y"}
+    assert document["reversal"]["EXX"]["value"] == pytest.approx(-4.0, abs=0.1)
+    assert len(document["would_show"]) > 3
 
 
 def test_a_ball_bar_is_not_a_record_of_components(tmp_path, capsys):
@@ -120,10 +120,12 @@ def test_all_components_of_a_simulated_machine(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     out = tmp_path / "out"
     assert main(["run", "pipelines/vertical-centre-direct.yaml", "--out", str(out)]) == 0
-    found = json.loads((out / "identify_direct" / "identification.json").read_text())
-    truth = found["simulated_truth"]
-    assert truth["before_rms_um"] > 20 and truth["after_rms_um"] < 1.2 * found["volumetric"]["standard_error_um"] < 0.6
-    assert found["unseen"] == []
+    document = json.loads((out / "identify_direct" / "identification.json").read_text())
+    truth = document["simulated_truth"]
+    assert (
+        truth["before_rms_um"] > 20 and truth["after_rms_um"] < 1.2 * document["volumetric"]["standard_error_um"] < 0.6
+    )
+    assert document["unseen"] == []
     page = (out / "identify_direct" / "identification.html").read_text()
     assert "before: " in page and "after: " in page and "what compensation by the identified" in page
     for component in json.loads((out / "validate" / "validation.json").read_text())["components"]:
@@ -138,8 +140,8 @@ def test_lasers_and_a_ball_bar_are_solved_as_one_machine(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     out = tmp_path / "out"
     assert main(["run", "pipelines/vertical-centre-ballbar.yaml", "--out", str(out)]) == 0
-    found = json.loads((out / "identify" / "identification.json").read_text())
-    assert found["unseen"] == [] and found["simulated_truth"]["after_rms_um"] < 0.6
+    document = json.loads((out / "identify" / "identification.json").read_text())
+    assert document["unseen"] == [] and document["simulated_truth"]["after_rms_um"] < 0.6
     page = (out / "identify" / "identification.html").read_text()
     for told in ("Circular test XY", "G both ways", "servo mismatch XY", "Read off the plot"):
         assert told in page

@@ -107,9 +107,9 @@ def compiled(name: str, folder):
         shared = shared or campaign.compiled(name, folder, table)
         session = shared.open(ect.dumps(table))
         every, on = np.ones(readings.shape, np.uint8), np.full(len(readings), ON, np.uint8)
-        found = shared.part(session, Part("", 0, readings, every, on), 1)
+        readings_of_part = shared.part(session, Part("", 0, readings, every, on), 1)
         shared.dll.session_close(session)
-        return found[:, 0]
+        return readings_of_part[:, 0]
 
     return run
 
@@ -163,21 +163,21 @@ def test_every_output_is_limited_and_every_sensor_has_a_rate(table):
 @pytest.mark.parametrize("reading", [75.0, -20.0, np.nan, 190.0, 25.3])
 def test_one_bad_sample_moves_the_axis_by_no_more_than_five_micrometres(corrections, at, reading):
     """Also where it meets the thermal cycle (every 1000th), when slow drivers are read."""
-    found = corrections([*[25.0] * at, reading, *[25.0] * 2500])
-    right = found[WARM - 1]
+    values = corrections([*[25.0] * at, reading, *[25.0] * 2500])
+    right = values[WARM - 1]
     assert abs(right) > 50.0
-    assert np.abs(found[WARM:] - right).max() < BAD_SAMPLE
-    assert np.abs(np.diff(found)).max() <= STEP + ROUNDED
+    assert np.abs(values[WARM:] - right).max() < BAD_SAMPLE
+    assert np.abs(np.diff(values)).max() <= STEP + ROUNDED
 
 
 @pytest.mark.parametrize("rise_s", [0.0, 0.3])
 def test_a_sensor_that_jumps_to_75_and_back(corrections, rise_s):
     """At once, or through an input filter: held, and back to what is right."""
     ramp = np.linspace(25.0, 75.0, int(rise_s * 1000)) if rise_s else np.empty(0)
-    found = corrections([*ramp, *[75.0] * 5000, *ramp[::-1], *[25.0] * 4000])
-    assert np.abs(np.diff(found)).max() <= STEP + ROUNDED
-    assert np.abs(found[WARM:] - found[WARM - 1]).max() < BAD_SAMPLE
-    assert found[-1] == pytest.approx(found[WARM - 1], abs=0.5)
+    values = corrections([*ramp, *[75.0] * 5000, *ramp[::-1], *[25.0] * 4000])
+    assert np.abs(np.diff(values)).max() <= STEP + ROUNDED
+    assert np.abs(values[WARM:] - values[WARM - 1]).max() < BAD_SAMPLE
+    assert values[-1] == pytest.approx(values[WARM - 1], abs=0.5)
 
 
 def test_a_sensor_that_is_lost_and_one_that_is_bad_from_the_start(corrections):
@@ -213,9 +213,9 @@ def test_one_bad_sample_of_the_position(table, evaluate, side, moves):
         columns = {"x": place, "dir": np.full(cycles, side), "T_nut": np.full(cycles, 25.0)}
         return evaluate(table, np.column_stack([columns[i.name] for i in table.inputs]))
 
-    right, found = run(x), run(bad)
-    assert np.abs(np.diff(found)).max() <= STEP + ROUNDED
-    off = np.abs(found - right)[start:].reshape(-1, EVERY)
+    right, pair = run(x), run(bad)
+    assert np.abs(np.diff(pair)).max() <= STEP + ROUNDED
+    off = np.abs(pair - right)[start:].reshape(-1, EVERY)
     lost = 2 * 4.02  # um that turn with the direction
     turned = off[:, BACK:MOVES].max(axis=1)
     if moves or side == 1.0:
@@ -262,9 +262,9 @@ def test_one_bad_sample_of_the_spindle_speed_and_a_step_of_it(tmp_path):
 
     warm = np.full(3000, 12000.0)
     for bad in (60000.0, 0.0, np.nan):
-        found = at([*warm, bad, *[12000.0] * 1999, *[12000.0] * 500, bad, *[12000.0] * 1500])
-        assert abs(found[2999]) > 60.0 and np.abs(found[3000:] - found[2999]).max() < BAD_SAMPLE
-        assert np.abs(np.diff(found)).max() <= STEP + ROUNDED
+        states = at([*warm, bad, *[12000.0] * 1999, *[12000.0] * 500, bad, *[12000.0] * 1500])
+        assert abs(states[2999]) > 60.0 and np.abs(states[3000:] - states[2999]).max() < BAD_SAMPLE
+        assert np.abs(np.diff(states)).max() <= STEP + ROUNDED
     stopped = at([*warm, *[0.0] * 4000])
     assert stopped[-1] - stopped[2999] == pytest.approx(20.0, abs=1.0)
     assert np.abs(np.diff(stopped)).max() <= STEP + ROUNDED

@@ -125,8 +125,8 @@ def test_demo_then_nothing_to_do(tmp_path, capsys, at_root):
     first = capsys.readouterr().out
     assert "noise floor" in first and (tmp_path / "demo" / "report" / "report.html").is_file()
     document = json.loads((tmp_path / "demo" / "validate" / "validation.json").read_text())
-    found = figures(document, "EXX")
-    assert found["rms_after"] < 0.1 * found["rms_before"]
+    values = figures(document, "EXX")
+    assert values["rms_after"] < 0.1 * values["rms_before"]
     stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "demo").rglob("*") if p.is_file()}
     assert main(["demo", "--out", str(tmp_path / "demo")]) == 0
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "demo").rglob("*") if p.is_file()} == stamps
@@ -142,19 +142,19 @@ def test_a_machine_identified_and_compiled(tmp_path, at_root):
 
     out = tmp_path / "out"
     assert main(["run", "pipelines/vertical-centre-volumetric.yaml", "--out", str(out)]) == 0
-    found = json.loads((out / "identify" / "identification.json").read_text())
+    document = json.loads((out / "identify" / "identification.json").read_text())
     chain = compile_chain(yamlfile.load(ROOT / "examples" / "machines" / "vertical-centre.yaml", Machine))
     truth = metrology.smooth_machine(chain, 1)
-    inside = [c["ci95"][0] <= truth[c["component"]] <= c["ci95"][1] for c in found["constants"]]
+    inside = [c["ci95"][0] <= truth[c["component"]] <= c["ci95"][1] for c in document["constants"]]
     assert len(inside) == 3 and sum(inside) >= 2
-    assert found["unseen"] == [] and found["volumetric"]["standard_error_um"] < 2.0
+    assert document["unseen"] == [] and document["volumetric"]["standard_error_um"] < 2.0
     exported = json.loads((out / "export_volumetric" / "export.json").read_text())
     assert exported["proof"][0]["largest_difference_um"] < exported["proof"][0]["bound_um"] < 0.05
     lattice = exported["lattice"]
     assert lattice["largest_seen_um"] <= lattice["bound_um"] < 2.0
     rows = pd.read_csv(out / "export_volumetric" / "lattice.csv")
     assert len(rows) == 17 * 11 * 11 and list(rows) == ["X", "Y", "Z", "E_X", "E_Y", "E_Z"]
-    assert found["simulated_truth"]["after_rms_um"] < 1.2 * found["volumetric"]["standard_error_um"]
+    assert document["simulated_truth"]["after_rms_um"] < 1.2 * document["volumetric"]["standard_error_um"]
     assert main(["verify", str(out / "export_volumetric")]) == 0
 
 

@@ -47,8 +47,8 @@ def test_a_template_runs_end_to_end(name: str, tmp_path: Path, monkeypatch: pyte
     assert main(["init", "--template", name, "work"]) == 0
     assert main(["run", "work/pipeline.yaml", "--out", "out"]) == 0
     if name == "diagnose-log":
-        (found,) = jsonfile.read(tmp_path / "out/diagnose/diagnosis.json")["responses"]
-        assert "following_error" in {f["effect"] for f in found["findings"]}
+        (recording,) = jsonfile.read(tmp_path / "out/diagnose/diagnosis.json")["responses"]
+        assert "following_error" in {f["effect"] for f in recording["findings"]}
         return
     folder = next(tmp_path.glob("out/export*"))
     assert main(["verify", str(folder)]) == 0

@@ -42,12 +42,12 @@ def test_message_and_exit_code(
             (where / extra.removeprefix("mkdir ")).mkdir()
         elif "=" in extra:
             monkeypatch.setenv(*extra.split("=", 1))
-    found = main(shlex.split(line))
+    status = main(shlex.split(line))
     heard = capsys.readouterr()
     if os.environ.get("WRITE_EXPECTED"):
         (case / "expected.txt").write_text(heard.err, encoding="utf-8")
     assert heard.err == (case / "expected.txt").read_text(encoding="utf-8")
-    assert f"exit {found}" == code
+    assert f"exit {status}" == code
     stdout = case / "expected-stdout.txt"
     assert heard.out == (stdout.read_text(encoding="utf-8") if stdout.exists() else "")
     assert "Traceback" not in heard.err and str(tmp_path) not in heard.err

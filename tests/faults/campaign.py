@@ -49,36 +49,36 @@ class Result:
 
     def add(self, parts: list[Part], corrections: np.ndarray, single: bool = False) -> None:
         """One more sequence."""
-        found = sequences.judge(parts, corrections)
+        judgement = sequences.judge(parts, corrections)
         self.sequences += 1
         self.cycles += len(corrections)
-        self.step, self.size = max(self.step, found.step), max(self.size, found.size)
-        self.off = max(self.off, found.off)
-        self.unsafe += not found.is_safe(single)
+        self.step, self.size = max(self.step, judgement.step), max(self.size, judgement.size)
+        self.off = max(self.off, judgement.off)
+        self.unsafe += not judgement.is_safe(single)
 
 
 def run(
     evaluators: Mapping[str, Callable[[list[Part]], np.ndarray]], count: int, every: Mapping[str, int] | None = None
 ) -> dict[str, Result]:
     """Sequences 0 to count - 1 through each evaluator, or every so many of them."""
-    found = {name: Result() for name in evaluators}
+    by_name = {name: Result() for name in evaluators}
     for seed in range(count):
         parts = sequences.sequence(seed)
         for name, evaluator in evaluators.items():
             if seed % (every or {}).get(name, 1) == 0:
-                found[name].add(parts, evaluator(parts), single=name == "C, single")
-    return found
+                by_name[name].add(parts, evaluator(parts), single=name == "C, single")
+    return by_name
 
 
 def in_linuxcnc(count: int) -> Result:
     """The same seeds in LinuxCNC's realtime thread; a sequence whose bits are not the kernels' is unsafe too."""
-    found = Result()
+    result = Result()
     for seeds in hal.batches(count):
         for parts, corrections in hal.corrections(seeds):
-            unsafe = found.unsafe
-            found.add(parts, corrections)
-            found.unsafe = max(found.unsafe, unsafe + hal.differ(parts, corrections))
-    return found
+            unsafe = result.unsafe
+            result.add(parts, corrections)
+            result.unsafe = max(result.unsafe, unsafe + hal.differ(parts, corrections))
+    return result
 
 
 def compiled(name: str, folder: Path, table: CompensationTable | None = None) -> runners.Shared:
@@ -103,20 +103,20 @@ def main(count: int, only: str = "") -> int:
         evaluators = {"reference": runners.by_reference, "kernels (Numba)": runners.by_numba}
         evaluators |= {n: compiled(n, Path(folder) / str(k)) for k, n in enumerate(names) if only in n}
         # The reference is slow Python: the kernels, which run every sequence, give its bits (test_faults.py).
-        found = run({n: e for n, e in evaluators.items() if only in n}, count, {"reference": 50})
+        result = run({n: e for n, e in evaluators.items() if only in n}, count, {"reference": 50})
     if only in HAL and not session.missing():
-        found[HAL] = in_linuxcnc(count)
+        result[HAL] = in_linuxcnc(count)
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     old, after = rest.split(END)
     rows = {row.split(" | ")[0].removeprefix("| "): row for row in old.splitlines()[2:]}
     rows |= {
         name: f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} | {r.off:.4f} | {r.unsafe} |"
-        for name, r in found.items()
+        for name, r in result.items()
     }
     lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- |", *rows.values()]
     print("\n".join(lines))
     PAGE.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
-    return int(any(r.unsafe for r in found.values()))
+    return int(any(r.unsafe for r in result.values()))
 
 
 if __name__ == "__main__":

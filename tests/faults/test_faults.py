@@ -25,9 +25,9 @@ toolchain = pytest.mark.toolchain
 @pytest.mark.parametrize("seed", range(12))
 def test_reference_and_kernels_agree_to_the_bit_and_are_safe(seed):
     parts = sequences.sequence(seed)
-    found = runners.by_reference(parts)
-    assert np.array_equal(found, runners.by_numba(parts))
-    assert sequences.judge(parts, found).is_safe()
+    evaluated = runners.by_reference(parts)
+    assert np.array_equal(evaluated, runners.by_numba(parts))
+    assert sequences.judge(parts, evaluated).is_safe()
 
 
 @needs_gcc
@@ -37,10 +37,10 @@ def test_compiled_evaluators_are_safe(name, tmp_path):
     run = campaign.compiled(name, tmp_path)
     for seed in range(40):
         parts = sequences.sequence(seed)
-        found = run(parts)
-        assert sequences.judge(parts, found).is_safe(single=name == "C, single"), seed
+        result = run(parts)
+        assert sequences.judge(parts, result).is_safe(single=name == "C, single"), seed
         if name != "C, single":
-            assert np.array_equal(found, runners.by_numba(parts)), seed
+            assert np.array_equal(result, runners.by_numba(parts)), seed
 
 
 @needs_gcc
@@ -72,9 +72,9 @@ def test_without_limits_the_same_sequences_are_unsafe(monkeypatch):
     for seed in range(12):
         parts = sequences.sequence(seed)
         monkeypatch.setattr(runners, "table", bare)
-        found = runners.by_numba(parts)
+        by_numba_values = runners.by_numba(parts)
         monkeypatch.setattr(runners, "table", limited)
-        safe += sequences.judge(parts, found).is_safe()
+        safe += sequences.judge(parts, by_numba_values).is_safe()
     assert safe <= 1
 
 

@@ -171,30 +171,30 @@ def by_numba(made: Machine, parts: list[Part]) -> np.ndarray:
 def unsafe(made: Machine, parts: list[Part], corrections: np.ndarray) -> str:
     """What is wrong with corrections (mm or deg), empty where nothing is."""
     outputs, mode = made.table.outputs, np.concatenate([p.mode for p in parts])
-    found = corrections / np.array([o.factor for o in outputs])
-    steps = np.abs(np.diff(found, axis=0, prepend=np.zeros((1, len(outputs)))))
+    value = corrections / np.array([o.factor for o in outputs])
+    steps = np.abs(np.diff(value, axis=0, prepend=np.zeros((1, len(outputs)))))
     slew, most = (np.array([getattr(o, name) or 0.0 for o in outputs]) for name in ("slew", "magnitude"))
     said = []
     if (steps > CYCLE * slew * (1 + 1e-4) + 1e-9).any():
         said.append("a step beyond the slew")
-    if (np.abs(found) > most * (1 + 1e-6) + 1e-9).any():
+    if (np.abs(value) > most * (1 + 1e-6) + 1e-9).any():
         said.append("beyond the magnitude")
     if steps[mode == HOLD].max(initial=0.0) > 0.0:
         said.append("moved while held")
     for axis in {o.axis for o in outputs}:
         own = [k for k, o in enumerate(outputs) if o.axis == axis]
-        moved = np.abs(np.diff(found[:, own].sum(axis=1), prepend=0.0)).max()
+        moved = np.abs(np.diff(value[:, own].sum(axis=1), prepend=0.0)).max()
         if moved > CYCLE * MOST_SLEW * (1 + 1e-4):
             said.append(f"{axis} moves {moved:.3f} in a cycle")
-    if (off := np.abs(found[-1] - right(made, parts)).max()) > SETTLED:
+    if (off := np.abs(value[-1] - right(made, parts)).max()) > SETTLED:
         said.append(f"{off:.4f} off at the end")
     return "; ".join(said)
 
 
 def right(made: Machine, parts: list[Part]) -> np.ndarray:
     """Corrections, um or urad, in the calm state: that of an evaluator which never saw anything else."""
-    found = by_numba(made, [Part("table", 0, *_still(made, CALM))])[-1]
-    return found / np.array([o.factor for o in made.table.outputs])
+    by_numba_values = by_numba(made, [Part("table", 0, *_still(made, CALM))])[-1]
+    return by_numba_values / np.array([o.factor for o in made.table.outputs])
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -220,15 +220,15 @@ def test_compiled_evaluators_keep_them_safe(name, tmp_path):
             assert name == "Structured Text"  # more nodes or values than the arrays of the largest file have room for
             continue
         ran += 1
-        found = []
+        out = []
         for part in parts:
             if part.begins == "reset":
                 run.dll.session_reset(session)
-            found.append(run.part(session, part, len(made.table.outputs)) / 1e3)
+            out.append(run.part(session, part, len(made.table.outputs)) / 1e3)
         run.dll.session_close(session)
-        assert unsafe(made, parts, np.vstack(found)) == "", seed
+        assert unsafe(made, parts, np.vstack(out)) == "", seed
         if name != "C, single":
-            assert np.array_equal(1e3 * np.vstack(found), 1e3 * by_numba(made, parts)), seed
+            assert np.array_equal(1e3 * np.vstack(out), 1e3 * by_numba(made, parts)), seed
     assert ran > 20
 
 

@@ -62,9 +62,9 @@ def test_the_compiler_still_makes_these_tables(number):
 def compare(number, stream):
     _, data, readings, fresh, enable, results, status = golden()[number]
     table = ect.loads(data)
-    deviation, correction, found = stream(table, readings, fresh, enable)
+    deviation, correction, streamed = stream(table, readings, fresh, enable)
     outputs = len(table.outputs)
-    return deviation - results[:, :outputs], correction - results[:, outputs:], found == status
+    return deviation - results[:, :outputs], correction - results[:, outputs:], streamed == status
 
 
 @every

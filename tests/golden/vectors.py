@@ -352,14 +352,14 @@ def single_bound(name: str, deviations: np.ndarray) -> float:
 
 def read(content: str) -> list[tuple[str, bytes, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """(name, bytes, readings, fresh, enable, results, status) of each block, from the text alone."""
-    found: list[tuple[str, list[str], list[str]]] = []
+    values: list[tuple[str, list[str], list[str]]] = []
     for line in content.splitlines():
         if line.startswith("table "):
-            found.append((line[6:], [], []))
+            values.append((line[6:], [], []))
         elif line and not line.startswith("#"):
-            found[-1][2 if ">" in line else 1].append(line)
+            values[-1][2 if ">" in line else 1].append(line)
     out = []
-    for name, hexed, cycles in found:
+    for name, hexed, cycles in values:
         sides = [line.split(" > ") for line in cycles]
         left = [s[0].split() for s in sides]
         right = [s[1].split() for s in sides]

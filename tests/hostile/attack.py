@@ -44,7 +44,7 @@ def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door]
     from errpipe.cli.app import main
 
     (folder.parent / "precious.txt").write_text("precious")
-    opened, found = doors(folder), []
+    opened, pair = doors(folder), []
     end = time.monotonic() + seconds
     while time.monotonic() < end or sum(door.tried for door in opened) < LEAST:
         door = rng.choice(opened)
@@ -64,15 +64,15 @@ def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door]
         before = modification_times(folder)
         code, said = forked(work, folder.parent)
         touched = {path for path, _ in before.items() ^ modification_times(folder).items()}
-        found += [f"{door.name}: {' '.join(line[:1])} touched {path}" for path in sorted(touched)]
+        pair += [f"{door.name}: {' '.join(line[:1])} touched {path}" for path in sorted(touched)]
         door.file.write_bytes(door.sound)
         door.tried += 1
         door.codes[-1 if code is None else code] += 1
         if code not in ALLOWED or "internal error" in said:
-            kept = folder.parent / f"found-{len(found)}-{door.file.name}"
+            kept = folder.parent / f"found-{len(pair)}-{door.file.name}"
             kept.write_bytes(data)
-            found.append(f"{door.name}: {' '.join(line[:1])} gave {code}: {said.strip()[:300]} (kept as {kept.name})")
-    return opened, found
+            pair.append(f"{door.name}: {' '.join(line[:1])} gave {code}: {said.strip()[:300]} (kept as {kept.name})")
+    return opened, pair
 
 
 def report(opened: list[Door], killed: str, found: list[str]) -> Iterator[str]:
@@ -98,16 +98,16 @@ def main_() -> int:
     with tempfile.TemporaryDirectory(prefix="errpipe-attack-") as name:
         top = Path(name)
         (top / "doors").mkdir()
-        opened, found = attack(top / "doors", given.seconds, random.Random(given.seed))
+        opened, counts = attack(top / "doors", given.seconds, random.Random(given.seed))
         if given.keep is not None:
             given.keep.mkdir(parents=True, exist_ok=True)
             for path in top.glob("found-*"):
                 shutil.copy(path, given.keep)
     killed, torn, took = counted()
-    found += torn
+    counts += torn
     print(f"seed {given.seed}, {time.monotonic() - began:.0f} s")
-    print("\n".join(report(opened, f"{killed} of {given.kills} in {took:.0f} s", found)))
-    return 1 if found else 0
+    print("\n".join(report(opened, f"{killed} of {given.kills} in {took:.0f} s", counts)))
+    return 1 if counts else 0
 
 
 if __name__ == "__main__":

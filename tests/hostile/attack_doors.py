@@ -84,10 +84,10 @@ def doors(folder: Path) -> list[Door]:
     """Sound files of every kind in `folder`, each with the commands that read it; every command succeeds once."""
     from errpipe.cli.app import main
 
-    found = [*_tables(folder), *_runs(folder), *_signed(folder), *_tabular(folder)]
-    found += [Door(*facts) for facts in attack_more.files(folder)]
+    out = [*_tables(folder), *_runs(folder), *_signed(folder), *_tabular(folder)]
+    out += [Door(*facts) for facts in attack_more.files(folder)]
     with quiet():  # all of it once in this process: the forked ones need not import
-        for door in found:
+        for door in out:
             for line in door.lines:
                 code = main(line)
                 assert code == 0 or line[0] == "retrain", (line, code)
@@ -97,10 +97,10 @@ def doors(folder: Path) -> list[Door]:
         shutil.rmtree(door.fresh)
         code, said = forked(partial(main, door.lines[0]), folder)
         assert code == 0, (door.name, said)
-        found.append(door)
-    found.append(Door("FMU archive", _archive(folder), []))
-    found.append(Door("FMU description", _description(folder), []))
-    return found
+        out.append(door)
+    out.append(Door("FMU archive", _archive(folder), []))
+    out.append(Door("FMU description", _description(folder), []))
+    return out
 
 
 def _command(*words: str | Path) -> list[str]:

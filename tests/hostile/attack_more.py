@@ -52,11 +52,11 @@ def _diagnosed(folder: Path) -> list[tuple[str, Path, list[list[str]]]]:
     (rec / "recording.yaml").write_text(MANIFEST + "  sim: {role: simulated, component: EXX, unit: um}\n")
     with quiet():
         assert main(_command("diagnose", rec, "--out", out)) == 0
-    found, kept, same = out / "diagnosis.json", folder / "earlier.json", folder / "same"
-    shutil.copy(found, kept)
+    pair, kept, same = out / "diagnosis.json", folder / "earlier.json", folder / "same"
+    shutil.copy(pair, kept)
     shutil.copytree(rec, same)
     return [
-        ("diagnosis", kept, [_command("compare", kept, found), _command("whatis", kept)]),
+        ("diagnosis", kept, [_command("compare", kept, pair), _command("whatis", kept)]),
         ("rows to compare", same / "rows.csv", [_command("compare", rec, same), _command("show", same)]),
     ]
 

@@ -61,7 +61,7 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
     began = time.monotonic()
     fresh(line).wait()
     fresh_took = time.monotonic() - began
-    found, tried, done, version = [], 0, 0, 0
+    pair, tried, done, version = [], 0, 0, 0
     while done < count and time.monotonic() < end:
         version = 1 - version if rng.random() < 0.7 else version
         (folder / "rec/rows.csv").write_bytes(sources[version])
@@ -72,16 +72,16 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
             gone = killed(victim(lambda: main(line)), rng.uniform(0, 1.2 * took))
         done += gone
         torn = [name for name, digest in tree(out).items() if (name, digest) not in known and name != "errpipe.lock"]
-        found += [f"kill {done}: {name} is neither old nor new" for name in torn]
+        pair += [f"kill {done}: {name} is neither old nor new" for name in torn]
         try:
             json.loads((out / "errpipe.lock").read_text())
         except (OSError, ValueError) as err:
-            found.append(f"kill {done}: errpipe.lock: {err}")
+            pair.append(f"kill {done}: errpipe.lock: {err}")
         if gone and (done % 20 == 0 or done == count):
             code, said = forked(lambda: main(line), folder)
             if code != 0 or tree(out) != whole[version]:
-                found.append(f"kill {done}: the next run gave {code} or other bytes: {said.strip()[:200]}")
-    return done, found
+                pair.append(f"kill {done}: the next run gave {code} or other bytes: {said.strip()[:200]}")
+    return done, pair
 
 
 def beside(count: int, seed: int, end: float) -> Callable[[], tuple[int, list[str], float]]:
@@ -102,8 +102,8 @@ def beside(count: int, seed: int, end: float) -> Callable[[], tuple[int, list[st
 
     def wait() -> tuple[int, list[str], float]:
         with os.fdopen(reader) as stream:
-            done, found, took = json.load(stream)
+            done, load_result, took = json.load(stream)
         os.waitpid(pid, 0)
-        return done, found, took
+        return done, load_result, took
 
     return wait

@@ -21,15 +21,15 @@ from tests.hostile.processes import ALLOWED, forked
 @pytest.mark.slow
 def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
     (tmp_path / "doors").mkdir()
-    opened, found = attack.attack(tmp_path / "doors", 20.0, random.Random(11))
-    assert found == []
+    opened, counts = attack.attack(tmp_path / "doors", 20.0, random.Random(11))
+    assert counts == []
     assert sum(door.tried for door in opened) >= 20
 
 
 @pytest.mark.slow
 def test_a_short_kill_campaign_finds_nothing(tmp_path: Path) -> None:
-    killed, found = kills.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
-    assert found == [] and killed >= 5
+    killed, counts = kills.kills(tmp_path / "kills", 15, random.Random(5), time.monotonic() + 120)
+    assert counts == [] and killed >= 5
 
 
 @pytest.mark.slow
@@ -47,8 +47,8 @@ def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(jsonfile, "write_bytes", in_place)
     monkeypatch.setattr(runner, "_publish", lambda source, target: in_place(target, source.read_bytes()))
-    _, found = kills.kills(tmp_path / "kills", 8, random.Random(5), time.monotonic() + 120)
-    assert any("neither old nor new" in line for line in found)
+    _, counts = kills.kills(tmp_path / "kills", 8, random.Random(5), time.monotonic() + 120)
+    assert any("neither old nor new" in line for line in counts)
 
 
 def test_what_is_planted_is_found(tmp_path: Path) -> None:

@@ -47,17 +47,17 @@ def judge(cases: list[corpus.Case], folder: Path) -> list[str]:
     with quiet():  # in this process, so that the forked ones need not import or compile
         for line in corpus.sound(folder / "sound"):
             assert main(line) == 0, line
-    found = []
+    out = []
     for number, (name, make) in enumerate(cases):
         for line in make(folder / str(number)):
             code, said, peak = attempt(line, folder)
             if code not in ALLOWED or "internal error" in said or "Traceback" in said:
-                found.append(f"{name}: {line[0]}: exit {code}: {said[-300:]}")
+                out.append(f"{name}: {line[0]}: exit {code}: {said[-300:]}")
             elif code != 0 and not said.strip():
-                found.append(f"{name}: {line[0]}: exit {code} without a word")
+                out.append(f"{name}: {line[0]}: exit {code} without a word")
             elif peak > MEMORY_LIMIT:
-                found.append(f"{name}: {line[0]}: {peak} kB")
-    return found
+                out.append(f"{name}: {line[0]}: {peak} kB")
+    return out
 
 
 def test_a_sample_of_the_corpus_ends_in_messages(tmp_path: Path) -> None:
@@ -83,5 +83,5 @@ def test_what_is_planted_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(corpus, "sound", lambda folder: [])
         monkeypatch.setitem(judge.__globals__, "main", planted)
         monkeypatch.setitem(judge.__globals__, "CPU_LIMIT", 1)
-        (found,) = judge([("planted", lambda folder: [["run"]])], folder)
-        assert words in found
+        (judgement,) = judge([("planted", lambda folder: [["run"]])], folder)
+        assert words in judgement

@@ -105,7 +105,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def running(word: str) -> list[str]:
-    found = []
+    out = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
@@ -113,8 +113,8 @@ def running(word: str) -> list[str]:
             except OSError:
                 continue
             if word in line and "sleep" in line.split(" ")[0]:
-                found.append(line)
-    return found
+                out.append(line)
+    return out
 
 
 def simulate(file: Path, mode: int, **options: float) -> None:

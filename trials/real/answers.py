@@ -22,11 +22,11 @@ from trials.run import diagnose
 
 def answered(paths: list[Path]) -> list[Path]:
     """The folders among these, and in them, that hold a key."""
-    found = []
+    out = []
     for path in paths:
         here = (path / "ANSWER.yaml").is_file()
-        found += [path] if here else answered(sorted(p for p in path.iterdir() if p.is_dir())) if path.is_dir() else []
-    return found
+        out += [path] if here else answered(sorted(p for p in path.iterdir() if p.is_dir())) if path.is_dir() else []
+    return out
 
 
 def judge_one(folder: Path) -> dict[str, Any]:

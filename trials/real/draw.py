@@ -28,12 +28,12 @@ def additions(rng: Rng, twin: Twin) -> list[Addition]:
     """The textbook effects that the columns of a twin allow on its component."""
     sheet, component = twin.sheet, twin.component
     unit = sheet.columns[component]["unit"]
-    found = [*_on_places(rng, sheet, unit), *_on_motion(sheet, unit), *_on_temperatures(rng, sheet, unit)]
-    found += _on_use(sheet, unit)
+    out = [*_on_places(rng, sheet, unit), *_on_motion(sheet, unit), *_on_temperatures(rng, sheet, unit)]
+    out += _on_use(sheet, unit)
     simulated = sheet.values(f"{component}_sim")
     return [
         a
-        for a in found
+        for a in out
         if possible(a[0], component, sheet.columns[a[2][0]].get("axis"))
         and np.all(np.isfinite(a[1]))
         and np.std(a[1]) > 0

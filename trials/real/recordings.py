@@ -13,13 +13,13 @@ def sources(paths: list[Path]) -> list[tuple[str, folder.Sheet]]:
 
     What errpipe refuses to read is left out, with a line on standard error.
     """
-    found = []
+    out = []
     for path in paths:
         if (path / "recording.yaml").is_file() or path.is_file():
-            found += _read(path)
+            out += _read(path)
         elif path.is_dir():
-            found += sources(sorted(p for p in path.iterdir() if p.is_dir() or p.suffix in (".dat", ".rtl")))
-    return found
+            out += sources(sorted(p for p in path.iterdir() if p.is_dir() or p.suffix in (".dat", ".rtl")))
+    return out
 
 
 def _read(path: Path) -> list[tuple[str, folder.Sheet]]:

@@ -49,11 +49,11 @@ class Twin:
 
 def twins(source: str, sheet: Sheet) -> list[Twin]:
     """Every twin that a recording allows, whole; draws take windows of them."""
-    found = []
+    out = []
     for component, (error, _) in sheet.responses().items():
         for kind, make in (("periods", by_period), ("runs", by_runs), ("interleaved", interleaved)):
-            found += [Twin(source, kind, component, twin) for twin in make(sheet, component, error)]
-    return found
+            out += [Twin(source, kind, component, twin) for twin in make(sheet, component, error)]
+    return out
 
 
 def _paired(sheet: Sheet, component: str, error: str, rows: Array, simulated: Array) -> Sheet:
@@ -143,10 +143,10 @@ def by_runs(sheet: Sheet, component: str, error: str) -> Iterator[Sheet]:
     for i, run in enumerate(labels):
         rows = np.flatnonzero(seen & (runs == run))
         for other in labels[i + 1 :] + labels[:i]:
-            found = _matched(x, side, rows, np.flatnonzero(seen & (runs == other)))
-            if found is not None:
-                simulated = _set_up(x, y, *found)
-                out_rows.append(found[0])
+            paired = _matched(x, side, rows, np.flatnonzero(seen & (runs == other)))
+            if paired is not None:
+                simulated = _set_up(x, y, *paired)
+                out_rows.append(paired[0])
                 out_sim.append(simulated)
                 break
     if out_rows and sum(r.size for r in out_rows) >= LEAST_ROWS:

@@ -66,9 +66,9 @@ def main(argv: list[str]) -> int:
     public = figures(Path(argv[1])) if len(argv) > 1 else []
     for by in ("protocol", "tier"):
         there = spread(public, by)
-        for group, found in spread(ours, by).items():
+        for group, match in spread(ours, by).items():
             print(f"\n{by} {group}")
-            for n, v in found.items():
+            for n, v in match.items():
                 old = there.get(group, {}).get(n)
                 text = f"   public {old[0]:9.2f} {old[1]:9.2f} {old[2]:9.2f}" if old else ""
                 print(f"  {n:<18}{v[0]:9.2f} {v[1]:9.2f} {v[2]:9.2f}{text}")

@@ -130,12 +130,12 @@ def cases(
                 protocol = dealer.protocol()
             rng = np.random.default_rng([seed, number, attempt])
             try:
-                scene, found, hidden = draw(rng, tier, dealer, protocol)
+                scene, draw_result, hidden = draw(rng, tier, dealer, protocol)
             except Unfit:
                 continue
             dealer.count(hidden)
             name = hashlib.sha256(f"second {seed} {number}".encode()).hexdigest()[:10]
-            yield name, tier, scene, found, rng
+            yield name, tier, scene, draw_result, rng
             break
         else:
             raise RuntimeError(f"no fair case of tier {tier} in 400 draws (effects {effects}, protocols {protocols})")
@@ -150,8 +150,8 @@ def main(argv: list[str] | None = None) -> int:
     ap.add_argument("--effects", nargs="+")
     ap.add_argument("--protocols", nargs="+", choices=list(SCENES))
     a = ap.parse_args(argv)
-    for name, tier, scene, found, rng in cases(a.seed, a.cases, a.tiers, a.effects, a.protocols):
-        write_case(a.out / name, name, tier, scene, found, rng)
+    for name, tier, scene, match, rng in cases(a.seed, a.cases, a.tiers, a.effects, a.protocols):
+        write_case(a.out / name, name, tier, scene, match, rng)
     return 0
 
 

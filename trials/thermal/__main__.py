@@ -59,12 +59,12 @@ def by_family(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
     if asked.returncode:
         return {"failed": asked.stderr.strip().splitlines()[-1:]}
     table = pd.read_csv(where / f"{family}.csv")
-    found: dict[str, Any] = {"exported": ran.returncode == 0}
-    found["prediction"] = since_start(table[f"{COMPONENT}_predicted"].to_numpy(float), judged.runs())
+    by_name: dict[str, Any] = {"exported": ran.returncode == 0}
+    by_name["prediction"] = since_start(table[f"{COMPONENT}_predicted"].to_numpy(float), judged.runs())
     low, high = (table.get(f"{COMPONENT}_{side}") for side in ("lower", "upper"))
     if low is not None and high is not None and low.notna().any():
-        found |= coverage(judged, found["prediction"], 0.5 * (high - low).to_numpy(float))
-    return found
+        by_name |= coverage(judged, by_name["prediction"], 0.5 * (high - low).to_numpy(float))
+    return by_name
 
 
 def by_training(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
@@ -112,11 +112,11 @@ def one_machine(where: Path, seed: int, number: int, families: list[str], gate: 
         row["left"][name] = rms(y - predicted) / nothing
     row["left"]["noise of a reading"] = noise_floor(seed, number) / nothing
     for family in families:
-        found = (by_family if gate else by_training)(where, family, judged)
-        if "prediction" in found:
-            row["left"][family] = rms(y - found["prediction"]) / nothing if found["exported"] else 1.0
-            row.setdefault("left_if_exported", {})[family] = rms(y - found.pop("prediction")) / nothing
-        row["families"][family] = found
+        result = (by_family if gate else by_training)(where, family, judged)
+        if "prediction" in result:
+            row["left"][family] = rms(y - result["prediction"]) / nothing if result["exported"] else 1.0
+            row.setdefault("left_if_exported", {})[family] = rms(y - result.pop("prediction")) / nothing
+        row["families"][family] = result
     return row
 
 

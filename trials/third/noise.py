@@ -38,15 +38,15 @@ def pools() -> tuple[Pool, ...]:
     """Every real recording with a repetition; none where the folder is absent."""
     if not REAL.is_dir():
         return ()
-    found = []
+    out = []
     for name, sheet in sources([REAL]):
         for twin in twins(name, sheet):
             gap = twin.gap()
             gap = gap - np.median(gap)
             gap = gap[np.abs(gap) < TAIL * np.std(gap)]
             if gap.size >= LEAST:
-                found.append(Pool(f"{twin.source}, {twin.kind}", gap / np.std(gap), _ticks(sheet)))
-    return tuple(found)
+                out.append(Pool(f"{twin.source}, {twin.kind}", gap / np.std(gap), _ticks(sheet)))
+    return tuple(out)
 
 
 def _ticks(sheet) -> Array:

@@ -62,12 +62,12 @@ def run(file: Path, out: Path, capsys: Any, *words: str) -> tuple[int, dict[str,
 @pytest.mark.slow
 def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path: Path, capsys: Any) -> None:
     file = site(tmp_path / "site", 5)
-    code, found = run(file, tmp_path / "a", capsys, "--jobs", "2")
-    states = {r["name"]: r["state"] for r in found["machines"]}
+    code, result = run(file, tmp_path / "a", capsys, "--jobs", "2")
+    states = {r["name"]: r["state"] for r in result["machines"]}
     assert code == 4 and states.pop("m001") == "failed" and set(states.values()) == {"done"}
-    assert found["machines"][0]["name"] == "m001" and "recording.csv" in found["machines"][0]["message"]
-    left = [r["responses"]["EXX"]["rms_after"] for r in found["machines"][1:]]
-    assert left == sorted(left, reverse=True) and all(t["peak_mb"] > 20 for t in found["times"].values())
+    assert result["machines"][0]["name"] == "m001" and "recording.csv" in result["machines"][0]["message"]
+    left = [r["responses"]["EXX"]["rms_after"] for r in result["machines"][1:]]
+    assert left == sorted(left, reverse=True) and all(t["peak_mb"] > 20 for t in result["times"].values())
 
     killed = threading.Event()
 
@@ -81,10 +81,10 @@ def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path
 
     killer = threading.Thread(target=kill_one)
     killer.start()
-    code, found = run(file, tmp_path / "b", capsys, "--jobs", "2")
+    code, result = run(file, tmp_path / "b", capsys, "--jobs", "2")
     killer.join()
     assert killed.is_set() and code == 4
-    assert max(t["attempts"] for t in found["times"].values()) >= 2
+    assert max(t["attempts"] for t in result["times"].values()) >= 2
     assert bytes_below(tmp_path / "a") == bytes_below(tmp_path / "b")
 
     # resumed: what is done is not run again
@@ -172,10 +172,10 @@ def test_twelve_machines_and_what_they_borrow_from_their_type(
         return (fleet_stage.run_machine(*task) for task in tasks)
 
     monkeypatch.setattr(fleet_stage, "_in_processes", in_this_process)
-    code, found = run(site(tmp_path / "site", 12, days=4), tmp_path / "o", capsys)
-    assert code == 4 and [r["name"] for r in found["machines"] if r["state"] != "done"] == ["m001"]
+    code, result = run(site(tmp_path / "site", 12, days=4), tmp_path / "o", capsys)
+    assert code == 4 and [r["name"] for r in result["machines"] if r["state"] != "done"] == ["m001"]
     assert (tmp_path / "o/fleet.md").read_text(encoding="utf-8").count("| m0") == 12
-    (kind,) = found["types"]
+    (kind,) = result["types"]
     pooled = kind["responses"]["EXX"]
     assert len(pooled["machines"]) == 11
     for name in pooled["machines"]:

@@ -138,6 +138,6 @@ def positions(python: Path, folder: Path, config: str, gcode: str) -> list[dict[
     )
     log = folder / "klippy.log"
     told = run.stdout + run.stderr + (log.read_text(errors="replace") if log.is_file() else "")
-    found = re.findall(r"toolhead: X:(\S+) Y:(\S+) Z:(\S+)", told)
-    assert found, told[-4000:]
-    return [dict(zip("XYZ", map(float, row), strict=True)) for row in found]
+    matches = re.findall(r"toolhead: X:(\S+) Y:(\S+) Z:(\S+)", told)
+    assert matches, told[-4000:]
+    return [dict(zip("XYZ", map(float, row), strict=True)) for row in matches]

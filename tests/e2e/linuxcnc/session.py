@@ -88,12 +88,12 @@ def end(env: dict[str, str], folder: Path) -> None:
 
 def left(folder: Path) -> list[int]:
     """Numbers of the processes that a session in a folder started (its mark stands in their environment)."""
-    mark, found = f"{MARK}={folder}".encode(), []
+    mark, pair = f"{MARK}={folder}".encode(), []
     for path in Path("/proc").glob("[0-9]*/environ"):
         with contextlib.suppress(OSError):
             if mark in path.read_bytes().split(b"\0"):
-                found.append(int(path.parent.name))
-    return found
+                pair.append(int(path.parent.name))
+    return pair
 
 
 def quiet(command: list[str], env: dict[str, str], folder: Path, seconds: float) -> int:
@@ -217,5 +217,5 @@ def run(folder: Path, seconds: float) -> tuple[dict, np.ndarray]:
 
 def clocks(count: int) -> str:
     """A `.tmax` in words: HAL counts in clocks of the processor's time-stamp counter."""
-    found = re.search(r"cpu MHz\s*:\s*([\d.]+)", Path("/proc/cpuinfo").read_text())
-    return f"{count} clocks" + (f" = {1e3 * count / float(found[1]):.0f} ns" if found else "")
+    match = re.search(r"cpu MHz\s*:\s*([\d.]+)", Path("/proc/cpuinfo").read_text())
+    return f"{count} clocks" + (f" = {1e3 * count / float(match[1]):.0f} ns" if match else "")

@@ -161,9 +161,9 @@ def judge(made, temperature, facts, rows, capsys) -> None:
     stops = np.array(facts["stops"])
     assert stops.shape == (9, 2) and abs(stops[0, 0]) > 20 and np.ptp(stops, axis=0).tolist() == [0, 0], stops
     wanted, raw, counter, injected, illegal = rows[:, 1], *(rows[:, k].astype(int) for k in (2, 3, 4, 5))
-    found = rows[:, 8].astype(bool)
+    flags = rows[:, 8].astype(bool)
     assert not np.any(rows[:, 7]) and illegal[-1] == 0
-    assert found[-1] and not found[0] and np.all(injected[: np.argmax(found)] == 0), "nothing before the index"
+    assert flags[-1] and not flags[0] and np.all(injected[: np.argmax(flags)] == 0), "nothing before the index"
     # Two counters that are read one after the other in a cycle may differ by the counts of one base period or two.
     rest = np.flatnonzero(
         np.convolve(np.abs(np.diff(wanted, prepend=wanted[0])) < 1e-9, np.ones(80), "full")[: len(wanted)] == 80

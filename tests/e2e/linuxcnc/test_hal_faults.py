@@ -103,9 +103,9 @@ def test_seven_thousand_cycles_of_faults_stay_within_the_limits_and_are_the_refe
 def test_whole_sequences_at_the_pace_of_the_thread_give_the_kernels_bits():
     """`make faults` runs ten thousand of them."""
     ran = 0
-    for parts, found in hal.corrections([1, 4, 7, 10]):
-        assert not hal.differ(parts, found) and sequences.judge(parts, found).is_safe()
-        assert hal.differ(parts, np.nextafter(found, np.inf)), "a last bit is seen"
+    for parts, match in hal.corrections([1, 4, 7, 10]):
+        assert not hal.differ(parts, match) and sequences.judge(parts, match).is_safe()
+        assert hal.differ(parts, np.nextafter(match, np.inf)), "a last bit is seen"
         ran += 1
     assert ran == 4
 

@@ -22,12 +22,12 @@ def example() -> Any:
 
 @pytest.mark.slow
 def test_a_year_promotes_when_it_should_and_names_the_sensor(example: Any, tmp_path: Path) -> None:
-    found = example.year(tmp_path / "year", seed=3, every=10)
-    assert found["worse_promotions"] == 0
-    nights = [p["night"] for p in found["promotions"]]
+    report = example.year(tmp_path / "year", seed=3, every=10)
+    assert report["worse_promotions"] == 0
+    nights = [p["night"] for p in report["promotions"]]
     assert any(example.BEARING < n <= example.BEARING + 60 for n in nights), nights
     assert not any(n < example.BEARING for n in nights), nights
-    assert example.DRIFT <= found["sensors_named"]["T_nut"] <= example.DRIFT + 30
+    assert example.DRIFT <= report["sensors_named"]["T_nut"] <= example.DRIFT + 30
 
 
 def test_quiet_years_see_no_promotion_that_harms(example: Any) -> None:

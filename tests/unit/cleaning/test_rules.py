@@ -72,9 +72,9 @@ def test_planted_outliers_are_found_and_little_else(seed):
     error = source.array("E_Z").copy()
     error[rows] += rng.choice([-1, 1], 40) * rng.uniform(4.0, 15.0, 40)
     _, report = clean(changed(source, E_Z=error), (Outliers(),))
-    found = touched(report, "outliers", "E_Z")
-    assert len(set(found) & set(rows)) >= 38
-    assert len(set(found) - set(rows)) <= 2
+    counts = touched(report, "outliers", "E_Z")
+    assert len(set(counts) & set(rows)) >= 38
+    assert len(set(counts) - set(rows)) <= 2
 
 
 def noise(rows, seed=0):

@@ -23,9 +23,9 @@ def test_pages_fit_into_eighty_columns(line: str, capsys: pytest.CaptureFixture[
 def test_folding_breaks_no_word_and_loses_none() -> None:
     path = "/a/" + "b" * 100
     lines = ["name        " + "some words " * 20, f"see {path} for more of it and then some", "| " + "x" * 99 + " |"]
-    found = folded(lines)
-    assert " ".join(found).split() == " ".join(lines).split() and path in "\n".join(found) and lines[2] in found
-    assert found[1].startswith(" " * 12 + "some")
+    wrapped = folded(lines)
+    assert " ".join(wrapped).split() == " ".join(lines).split() and path in "\n".join(wrapped) and lines[2] in wrapped
+    assert wrapped[1].startswith(" " * 12 + "some")
 
 
 def test_every_page_of_a_term_fits_into_eighty_columns(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,9 +45,9 @@ def test_a_markdown_table_becomes_columns() -> None:
         f"| `bb` | | {long.strip()} |",
         "after",
     ]
-    found = folded(table)
-    assert found[0] == "name  unit" and found[1] == "a     um    short" and found[-1] == "after"
-    assert " ".join(found[2:-1]).split() == ["bb", *long.split()] and found[3].startswith(" " * 12 + "word")
+    wrapped = folded(table)
+    assert wrapped[0] == "name  unit" and wrapped[1] == "a     um    short" and wrapped[-1] == "after"
+    assert " ".join(wrapped[2:-1]).split() == ["bb", *long.split()] and wrapped[3].startswith(" " * 12 + "word")
     wide = folded(["| a | b |", "| --- | --- |", f"| {'x' * 70} | {long.strip()} |"])
     assert wide[2] == "x" * 70 and max(map(len, wide)) <= WIDTH
 

@@ -166,10 +166,10 @@ def main(shape: str) -> None:
 
     made = SHAPES[shape].make()
     start, cpu = perf_counter(), process_time()
-    found, _ = diagnose(made)
+    diagnosis, _ = diagnose(made)
     took = {"seconds": round(perf_counter() - start, 2), "cpu_seconds": round(process_time() - cpu, 2)}
     peak = peak_kb() / 1024
-    told = {f.effect: [p.value for p in f.parameters if p.name == "period"] for f in found.responses[0].findings}
+    told = {f.effect: [p.value for p in f.parameters if p.name == "period"] for f in diagnosis.responses[0].findings}
     rows, columns = made.frame.shape
     print(json.dumps({**took, "peak_mb": round(peak), "rows": rows, "columns": columns, "periods_by_name": told}))
 

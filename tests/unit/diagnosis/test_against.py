@@ -22,9 +22,9 @@ def machine(seed: int, lost: float = 8.0, warm: float = 9e-3, noise: float = 0.5
 
 @pytest.fixture(scope="module")
 def earlier() -> Diagnosis:
-    found, _ = diagnose(machine(4))
-    assert [f.effect for f in found.responses[0].findings[:2]] == ["backlash", "scale_expansion"]
-    return found
+    diagnosis, _ = diagnose(machine(4))
+    assert [f.effect for f in diagnosis.responses[0].findings[:2]] == ["backlash", "scale_expansion"]
+    return diagnosis
 
 
 def states(recording, earlier) -> dict[str, str]:
@@ -40,9 +40,9 @@ def test_an_unchanged_machine_is_called_unchanged_19_times_of_20(earlier) -> Non
         for k in range(1, wander.size):
             wander[k] = 0.8 * wander[k - 1] + 0.2 * rng.standard_normal()
         later.frame["EXX"] += wander
-        found = against(later, earlier)
-        alarms += any(h.changed for h in found)
-        assert all(h.state in ("unchanged", "larger", "smaller") for h in found)
+        comparison = against(later, earlier)
+        alarms += any(h.changed for h in comparison)
+        assert all(h.state in ("unchanged", "larger", "smaller") for h in comparison)
     assert alarms <= 5  # 2 are expected; 6 or more of 40 have a chance of 1 % at 5 %
 
 
@@ -94,12 +94,12 @@ def test_a_wave_that_moved_has_not_gone() -> None:
 def test_where_positions_alone_are_recorded() -> None:
     """Speeds that the first recording implied are implied by the later one, too."""
     wave = lambda turn: lambda c: 30 * np.sign(c["v"]) + 12 * np.sin(2 * np.pi * c["x"] / 24 + turn)  # noqa: E731
-    found, _ = diagnose(bare(trace(1, hidden=wave(0.0))))
-    assert states(bare(trace(2, hidden=wave(0.0))), found) == {
+    diagnosis, _ = diagnose(bare(trace(1, hidden=wave(0.0))))
+    assert states(bare(trace(2, hidden=wave(0.0))), diagnosis) == {
         "coulomb_friction": "unchanged",
         "torque_ripple": "unchanged",
     }
-    assert states(bare(trace(3, hidden=wave(1.5))), found) == {
+    assert states(bare(trace(3, hidden=wave(1.5))), diagnosis) == {
         "coulomb_friction": "unchanged",
         "torque_ripple": "moved",
     }
@@ -108,8 +108,8 @@ def test_where_positions_alone_are_recorded() -> None:
 def test_what_a_recording_cannot_tell_is_not_called_changed(earlier) -> None:
     later = machine(9)
     few = later.take(np.flatnonzero(later.frame["dir"] > 0))  # one direction: lost motion never acts
-    found = {h.effect: h for h in against(few, earlier)}
-    assert found["backlash"].state == "not judged" and not found["backlash"].changed
+    by_name = {h.effect: h for h in against(few, earlier)}
+    assert by_name["backlash"].state == "not judged" and not by_name["backlash"].changed
     loud = against(machine(9, noise=60.0), earlier)
     assert {h.state for h in loud} <= {"undecided", "unchanged"}
 

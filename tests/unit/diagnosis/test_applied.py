@@ -63,9 +63,9 @@ CASES = {
 
 def module(path: Path):
     spec = importlib.util.spec_from_file_location("patch", path)
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    outcome = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(outcome)
+    return outcome
 
 
 SLOW = ("friction of an axis whose places alone are known", "a force that comes late", "a machine that rings")
@@ -75,9 +75,9 @@ PARAMS = [pytest.param(c, id=c.replace(" ", "-"), marks=[pytest.mark.slow] if c 
 @pytest.fixture(scope="module", params=PARAMS)
 def done(request, tmp_path_factory):
     recording = CASES[request.param]()
-    found, rows = diagnose(recording)
+    diagnosis, rows = diagnose(recording)
     out = tmp_path_factory.mktemp("corrected")
-    document = apply_findings(recording, found, out, [r.simulated_parts for r in rows])
+    document = apply_findings(recording, diagnosis, out, [r.simulated_parts for r in rows])
     return recording, document, out
 
 
@@ -119,8 +119,8 @@ def test_the_fmu_says_the_same_as_the_python_patch(tmp_path: Path) -> None:
     from errpipe.simulation import external
 
     recording = trace(3, hidden=lambda c: 30 * np.sign(c["v"]) + 12 * np.sin(2 * np.pi * c["x"] / 24))
-    found, rows = diagnose(recording)
-    document = apply_findings(recording, found, tmp_path, [r.simulated_parts for r in rows])
+    diagnosis, rows = diagnose(recording)
+    document = apply_findings(recording, diagnosis, tmp_path, [r.simulated_parts for r in rows])
     assert document["fmu"] == "patch.fmu"
     bare = recording.take(np.arange(len(recording)) < 1500)
     how = external.by_name(bare, tmp_path / "patch.fmu")
@@ -134,11 +134,13 @@ def test_the_fmu_says_the_same_as_the_python_patch(tmp_path: Path) -> None:
 
 def test_what_is_not_sure_or_has_no_equation_is_not_put_in() -> None:
     recording = axis(1, hidden=lambda c: -4.0 * c["dir"])
-    found, _ = diagnose(recording)
-    (response,) = found.responses
+    diagnosis, _ = diagnose(recording)
+    (response,) = diagnosis.responses
     unsure = response.findings[0].model_copy(update={"confidence": 0.5, "confidence_of_class": None})
     nameless = response.findings[0].model_copy(update={"effect": "unknown", "term": None})
-    partial = found.model_copy(update={"responses": (response.model_copy(update={"findings": (unsure, nameless)}),)})
+    partial = diagnosis.model_copy(
+        update={"responses": (response.model_copy(update={"findings": (unsure, nameless)}),)}
+    )
     (done,) = corrected(recording, partial, 0.8)
     assert not done.parts and len(done.refused) == 2
     assert_allclose(done.simulated, recording.array("EXX_sim"), rtol=0, atol=0)
@@ -147,8 +149,8 @@ def test_what_is_not_sure_or_has_no_equation_is_not_put_in() -> None:
 def test_the_corrected_simulation_knows_nothing_of_what_comes() -> None:
     """The same rows get the same correction, whatever follows them."""
     recording = axis(4, hidden=lambda c: 9e-3 * c["x"] * (c["T_nut"] - 20))
-    found, rows = diagnose(recording)
-    (whole,) = corrected(recording, found, 0.8, [r.simulated_parts for r in rows])
+    diagnosis, rows = diagnose(recording)
+    (whole,) = corrected(recording, diagnosis, 0.8, [r.simulated_parts for r in rows])
     part = whole.parts[0]
     first = np.arange(len(recording)) < 200
     (term,), (values,) = part.terms, part.values
@@ -165,9 +167,9 @@ def test_a_datum_for_each_session_only_where_it_explains_more() -> None:
 
 def test_equal_findings_give_equal_bytes(tmp_path: Path) -> None:
     recording = spindle(2, hidden=lambda c: 2.5 * late(c["t"], c["T_room"] - 20, 3600.0))
-    found, rows = diagnose(recording)
+    diagnosis, rows = diagnose(recording)
     for name in "ab":
-        apply_findings(recording, found, tmp_path / name, [r.simulated_parts for r in rows])
+        apply_findings(recording, diagnosis, tmp_path / name, [r.simulated_parts for r in rows])
     for file in ("patch.py", "patch.fmu", "terms.yaml", "recording.parquet", "apply.json"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     assert json.loads((tmp_path / "a/apply.json").read_text())["apply"] == 1

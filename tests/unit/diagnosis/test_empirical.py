@@ -37,12 +37,12 @@ def test_a_product_of_columns_is_found_with_its_coefficient() -> None:
     room, bearing = conditioned.array("T_room"), conditioned.array("T_bearing")
     rng = np.random.default_rng(0)
     y = 0.8 * (room - room.mean()) * (bearing - bearing.mean()) + coloured(rng, room.size, 10.0)
-    found = equation(conditioned, np.arange(room.size), y, "um")
-    assert found is not None and "whole runs" in found.scheme
-    top = max(found.terms, key=lambda t: t.rms_um)
+    fitted = equation(conditioned, np.arange(room.size), y, "um")
+    assert fitted is not None and "whole runs" in fitted.scheme
+    top = max(fitted.terms, key=lambda t: t.rms_um)
     assert "T_room" in top.column and "T_bearing" in top.column and top.unit == "um/K2"
     assert top.ci95[0] < 0.8 < top.ci95[1] or abs(top.coefficient - 0.8) < 0.08
-    assert len(found.terms) <= 3 and found.share > 0.5 and found.says.startswith("Empirical, no mechanism")
+    assert len(fitted.terms) <= 3 and fitted.share > 0.5 and fitted.says.startswith("Empirical, no mechanism")
 
 
 def test_a_square_that_is_there_in_one_run_alone_is_not_said() -> None:
@@ -67,8 +67,8 @@ def test_units_are_those_of_powers_and_products() -> None:
 def test_an_unknown_mechanism_is_shown_with_its_equation() -> None:
     """A deviation with the product of two temperatures: no effect of the vocabulary."""
     hidden = lambda c: 0.9 * (c["T_room"] - 20.5) * (c["T_bearing"] - 24.0)  # noqa: E731
-    found, _ = diagnose(mornings(5, hidden=hidden, days=12))
-    response = found.responses[0]
+    diagnosis, _ = diagnose(mornings(5, hidden=hidden, days=12))
+    response = diagnosis.responses[0]
     unknown = [f for f in response.findings if f.effect == "unknown"]
     if not unknown:
         pytest.fail(f"named {[f.effect for f in response.findings]}")

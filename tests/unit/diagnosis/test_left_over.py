@@ -65,9 +65,9 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
         "the other direction in one place": 0.8 * side * (np.abs(x - 450) < 60),
         "order": np.sin(np.arange(x.size) / 4.0),
     }[what]
-    found = whiteness.whiteness(with_mismatch(quiet, planted + 0.5 * rng.standard_normal(x.size)))
-    assert found.p < whiteness.ALARM
-    alarming = whiteness.structured(found)
+    statistic = whiteness.whiteness(with_mismatch(quiet, planted + 0.5 * rng.standard_normal(x.size)))
+    assert statistic.p < whiteness.ALARM
+    alarming = whiteness.structured(statistic)
     expected = {
         "a kink in one temperature": ("T_nut", "level"),
         "one run": ("run", "level"),
@@ -75,7 +75,7 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
         "order": ("order of the rows", "Ljung-Box"),
     }[what]
     assert expected in [(t.against, t.how) for t in alarming]
-    assert alarming[0].against in found.says and "not all noise" in found.says
+    assert alarming[0].against in statistic.says and "not all noise" in statistic.says
 
 
 @pytest.mark.slow
@@ -92,10 +92,10 @@ def test_on_nulls_every_p_of_the_search_is_as_likely_as_any(quiet):
 
 def test_a_planted_effect_is_beyond_chance():
     case = judged(axis(3, hidden=lambda c: -2.0 * c["dir"]))
-    found = significance.chance(case, 0)
+    probability = significance.chance(case, 0)
     assert case.explanation.accepted[0].hypothesis.effect in ("backlash", "friction_hysteresis")  # no short reversals
-    assert found.p == 0.01 and found.gain > 5 * max(found.limit, 1.0)
-    assert found.rows == pytest.approx(case.run.size, rel=0.3)  # what is left is noise: rows count
+    assert probability.p == 0.01 and probability.gain > 5 * max(probability.limit, 1.0)
+    assert probability.rows == pytest.approx(case.run.size, rel=0.3)  # what is left is noise: rows count
 
 
 def test_rows_that_repeat_their_neighbours_count_for_less():
@@ -111,10 +111,10 @@ def test_a_step_for_good_is_a_change_point_and_noise_has_none(quiet):
     t = recording.time()[rows]
     flat = 0.5 * rng.standard_normal(rows.size)
     assert locate.changes(recording, rows, flat) == ()
-    (found,) = locate.changes(recording, rows, flat + 2.0 * (t > 3000))
-    assert found.what == "level" and found.column == "t"
-    assert abs(found.at - 3000) < 0.05 * (t[-1] - t[0])
-    assert found.after_um - found.before_um == pytest.approx(2.0, abs=0.3)
+    (changes,) = locate.changes(recording, rows, flat + 2.0 * (t > 3000))
+    assert changes.what == "level" and changes.column == "t"
+    assert abs(changes.at - 3000) < 0.05 * (t[-1] - t[0])
+    assert changes.after_um - changes.before_um == pytest.approx(2.0, abs=0.3)
     assert "size" in [c.what for c in locate.changes(recording, rows, flat * np.where(t > 3000, 4.0, 1.0))]
 
 

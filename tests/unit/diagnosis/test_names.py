@@ -38,8 +38,8 @@ def test_a_hidden_effect_is_named_with_its_size(effect):
     assert effect in (first.effect, *first.indistinguishable_from)
     assert first.confidence > 0.5
     if first.effect == effect:
-        found = next(p for p in first.parameters if p.name == parameter)
-        low, high = sorted(map(abs, found.ci95))
+        match = next(p for p in first.parameters if p.name == parameter)
+        low, high = sorted(map(abs, match.ci95))
         assert low * 0.98 <= size <= high * 1.02
     assert response.holdout.rms_after_um < 0.5 * response.holdout.rms_before_um or effect == "sensor_drift"
 
@@ -79,8 +79,8 @@ def test_wrong_gains_are_a_recalibration_and_nothing_is_missing():
 
 def test_two_effects_at_once_are_both_found():
     both = axis(5, hidden=lambda c: -3.0 * c["dir"] + 1.5 * np.sin(2 * np.pi * c["x"] / 10.0))
-    found = [f.effect for f in diagnose(both)[0].responses[0].findings]
-    assert {"backlash", "pitch_cyclic"} <= set(found)
+    matches = [f.effect for f in diagnose(both)[0].responses[0].findings]
+    assert {"backlash", "pitch_cyclic"} <= set(matches)
 
 
 def test_an_effect_that_acts_in_two_runs_is_located():

@@ -71,11 +71,11 @@ def log(lost_motion: float, sign: float = 1.0):
 
 def test_a_slow_lag_and_lost_motion_are_both_found_from_positions_alone():
     (response,) = diagnose(log(2.0))[0].responses
-    found = {f.effect: f for f in response.findings if f.effect != "recalibration"}
-    assert set(found) == {"thermal_lag", "backlash"} and all(f.confidence >= 0.6 for f in found.values())
-    tau = next(p for p in found["thermal_lag"].parameters if p.name == "tau")
+    by_name = {f.effect: f for f in response.findings if f.effect != "recalibration"}
+    assert set(by_name) == {"thermal_lag", "backlash"} and all(f.confidence >= 0.6 for f in by_name.values())
+    tau = next(p for p in by_name["thermal_lag"].parameters if p.name == "tau")
     assert tau.ci95[0] <= 40.0 <= tau.ci95[1] < 80.0
-    assert found["backlash"].drivers == ("x",)  # the column that the recording has
+    assert by_name["backlash"].drivers == ("x",)  # the column that the recording has
 
 
 def test_a_reversed_sign_is_a_recalibration_and_is_said():

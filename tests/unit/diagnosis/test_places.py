@@ -34,10 +34,10 @@ def test_a_wave_of_few_targets_is_named(period):
     said = positioning(
         TARGETS, "X", "mm", "EXX", lambda x: 2 * np.sin(2 * np.pi * x / period + 1), lambda x: 0.02 * x
     )  # fmt: skip
-    found = {p.name: p.value for p in said.findings[0].parameters}
+    by_name = {p.name: p.value for p in said.findings[0].parameters}
     assert said.findings[0].effect == "pitch_cyclic" and said.findings[0].confidence > 0.6
-    assert 320 / found["period"] == pytest.approx(320 / period, abs=0.1)
-    assert found["amplitude"] == pytest.approx(2.0, rel=0.15)
+    assert 320 / by_name["period"] == pytest.approx(320 / period, abs=0.1)
+    assert by_name["amplitude"] == pytest.approx(2.0, rel=0.15)
 
 
 def test_a_wave_beside_another_one_that_the_simulation_holds():
@@ -115,15 +115,15 @@ def test_passes_one_way_have_no_sides():
 
 
 def test_an_axis_in_degrees_turns_where_no_constant_says_so():
-    found = one_pass("ECC", "deg", lambda x, warm: 5 * np.sin(2 * np.pi * x / 9))
-    assert {p.name: p.unit for p in found.parameters}["period"] == "deg"
+    one_pass_fit = one_pass("ECC", "deg", lambda x, warm: 5 * np.sin(2 * np.pi * x / 9))
+    assert {p.name: p.unit for p in one_pass_fit.parameters}["period"] == "deg"
 
 
 def test_an_expansion_within_a_minute_is_one():
     """Its departures, usual delays of minutes, must not take the place of the textbook form."""
-    found = one_pass("EXX", "mm", lambda x, warm: 20e-3 * x * (warm - 20))
-    assert found.effect == "scale_expansion" and found.confidence > 0.7
-    low, high = found.parameters[0].ci95
+    one_pass_fit = one_pass("EXX", "mm", lambda x, warm: 20e-3 * x * (warm - 20))
+    assert one_pass_fit.effect == "scale_expansion" and one_pass_fit.confidence > 0.7
+    low, high = one_pass_fit.parameters[0].ci95
     assert low < 20 < high and high - low < 20
 
 

@@ -53,10 +53,10 @@ def test_one_cause_is_not_taken_for_two():
 
 def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monkeypatch):
     """Else its finding counts as excluded, too, when the two are compared, and the other one always stands."""
-    found = SimpleNamespace(effect="a", drivers=("x",))
-    made = SimpleNamespace(library=SimpleNamespace(hypotheses=[found]), prior=np.zeros(1))
+    namespace = SimpleNamespace(effect="a", drivers=("x",))
+    made = SimpleNamespace(library=SimpleNamespace(hypotheses=[namespace]), prior=np.zeros(1))
     earlier = SimpleNamespace(prior=made.prior)
     monkeypatch.setattr(judge, "_settled", lambda made: ())
     monkeypatch.setattr(judge, "_explained", lambda made: made)
-    other = judge._without(made, SimpleNamespace(hypothesis=found))
+    other = judge._without(made, SimpleNamespace(hypothesis=namespace))
     assert other.prior[0] == NEVER and earlier.prior[0] == 0.0

@@ -82,9 +82,9 @@ def test_events_of_every_width_are_found(width: int) -> None:
     places = np.arange(20_000, 1_190_000, 230_011)
     for a in places:
         values[a : a + width] += 12.0
-    found = thinning.events(values)
-    assert found is not None and found.height > 4.0
-    near = [np.abs(found.rows - a).min() < 2 * max(width, found.width) + 1 for a in places]
+    events = thinning.events(values)
+    assert events is not None and events.height > 4.0
+    near = [np.abs(events.rows - a).min() < 2 * max(width, events.width) + 1 for a in places]
     assert np.mean(near) >= 0.8
 
 
@@ -120,5 +120,5 @@ def test_a_spike_that_outlasts_the_time_between_turns_is_not_offered(whole) -> N
 def test_lost_motion_of_a_long_log_is_named() -> None:
     from errpipe.diagnosis import diagnose
 
-    found, _ = diagnose(log(150_000, lambda c: -1.5 * c["d"]))
-    assert [f.effect for f in found.responses[0].findings] == ["backlash"]
+    diagnosis, _ = diagnose(log(150_000, lambda c: -1.5 * c["d"]))
+    assert [f.effect for f in diagnosis.responses[0].findings] == ["backlash"]

@@ -123,9 +123,9 @@ def test_batches_and_memory_give_the_same_model_and_the_same_held_out_figures(tm
     if scheme is None:
         same(family.fit_batches(source).model.model_dump(), family.fit(recording).model.model_dump())
     chosen = None if scheme is None else held_out.holdout.parse(scheme)
-    found, rows = held_out.judged_in_batches(source, family, chosen)
+    judged_in_batches_result, rows = held_out.judged_in_batches(source, family, chosen)
     known, expected = held_out.judged(recording, family, chosen)
-    same(found, known)
+    same(judged_in_batches_result, known)
     for name, folds in rows.items():
         for one, other in zip(folds, expected[name], strict=True):
             np.testing.assert_array_equal(one.rows, other.rows)

@@ -47,11 +47,11 @@ def parameters(model):
 
 def test_parameters_come_back_within_their_intervals(axis):
     model = fit(with_response(axis, truth(axis), 0.4), spec_of(OFFSET, BOW, SCALE, BACKLASH))
-    found = parameters(model)
+    values = parameters(model)
     for key, value in {("scale_expansion", "coefficient"): 11.5, ("backlash", "lost_motion"): 7.0}.items():
-        assert found[key].ci95[0] < value < found[key].ci95[1]
-        assert found[key].ci95[1] - found[key].ci95[0] < 0.5
-    assert found[("scale_expansion", "coefficient")].unit == "um/m/K"
+        assert values[key].ci95[0] < value < values[key].ci95[1]
+        assert values[key].ci95[1] - values[key].ci95[0] < 0.5
+    assert values[("scale_expansion", "coefficient")].unit == "um/m/K"
     component = model.components[0]
     assert component.rms_after == pytest.approx(0.4, rel=0.1)
     assert component.noise_floor == pytest.approx(0.4, rel=0.25)
@@ -61,10 +61,10 @@ def test_parameters_come_back_within_their_intervals(axis):
 
 def test_exact_data_give_exact_parameters(axis):
     model = fit(with_response(axis, truth(axis)), spec_of(OFFSET, BOW, SCALE, BACKLASH), calibrate=False)
-    found = parameters(model)
-    assert found[("scale_expansion", "coefficient")].value == pytest.approx(11.5, abs=1e-8)
-    assert found[("backlash", "lost_motion")].value == pytest.approx(7.0, abs=1e-8)
-    assert found[("chebyshev", "c2")].value == pytest.approx(3.0, abs=1e-8)
+    values = parameters(model)
+    assert values[("scale_expansion", "coefficient")].value == pytest.approx(11.5, abs=1e-8)
+    assert values[("backlash", "lost_motion")].value == pytest.approx(7.0, abs=1e-8)
+    assert values[("chebyshev", "c2")].value == pytest.approx(3.0, abs=1e-8)
 
 
 def test_another_axis_gives_the_same_numbers(axis):
@@ -84,10 +84,10 @@ def test_a_lag_is_found(axis):
     y = 4.0 * (drive(Lag(of=Input(name="T_nut"), tau_up=tau, tau_down=tau), axis) - 20.0)
     late = {"term": "thermal_lag", "sensor": "T_nut"}
     model = fit(with_response(axis, y, 0.02), spec_of(late), calibrate=False)
-    found = parameters(model)
-    assert found[("thermal_lag", "tau")].ci95[0] < tau < found[("thermal_lag", "tau")].ci95[1]
-    assert found[("thermal_lag", "tau")].ci95[1] < 1.5 * tau
-    assert found[("thermal_lag", "tau")].ci95[0] > 0
+    values = parameters(model)
+    assert values[("thermal_lag", "tau")].ci95[0] < tau < values[("thermal_lag", "tau")].ci95[1]
+    assert values[("thermal_lag", "tau")].ci95[1] < 1.5 * tau
+    assert values[("thermal_lag", "tau")].ci95[0] > 0
 
 
 def test_the_model_survives_its_file_and_equal_input_gives_equal_bytes(axis):
@@ -107,12 +107,12 @@ def test_nothing_to_fit_is_a_model_too(axis):
 
 def test_a_fixed_parameter_stays_and_the_rest_makes_room(axis):
     fixed = {**SCALE, "fixed": {"coefficient": 10.0}}
-    found = parameters(
+    values = parameters(
         fit(with_response(axis, truth(axis), 0.1), spec_of(OFFSET, BOW, fixed, BACKLASH), calibrate=False)
     )
-    assert found[("scale_expansion", "coefficient")].value == 10.0
-    assert found[("scale_expansion", "coefficient")].ci95 is None
-    assert found[("backlash", "lost_motion")].value == pytest.approx(7.0, abs=0.3)
+    assert values[("scale_expansion", "coefficient")].value == 10.0
+    assert values[("scale_expansion", "coefficient")].ci95 is None
+    assert values[("backlash", "lost_motion")].value == pytest.approx(7.0, abs=0.3)
 
 
 def test_a_prior_settles_what_the_rows_cannot(axis):
@@ -131,8 +131,8 @@ def test_robust_is_not_moved_by_outliers(axis):
     y = truth(axis) + np.random.default_rng(0).normal(0, 0.3, len(axis))
     y[::25] += 80.0
     model = fit(with_response(axis, y), spec_of(OFFSET, BOW, SCALE, BACKLASH, method="robust"), calibrate=False)
-    found = parameters(model)[("scale_expansion", "coefficient")]
-    assert found.ci95[0] < 11.5 < found.ci95[1] and found.standard_error < 0.2
+    values = parameters(model)[("scale_expansion", "coefficient")]
+    assert values.ci95[0] < 11.5 < values.ci95[1] and values.standard_error < 0.2
 
 
 def test_ridge_holds_twins_that_least_squares_refuses(axis):
@@ -236,9 +236,9 @@ def test_a_response_that_is_not_there_is_named(axis):
 
 
 def refusal(recording, *terms):
-    with pytest.raises(NotIdentifiable) as found:
+    with pytest.raises(NotIdentifiable) as match:
         fit(recording, spec_of(*terms))
-    return str(found.value)
+    return str(match.value)
 
 
 def test_refusals_name_the_pair_the_reason_and_a_remedy(axis):

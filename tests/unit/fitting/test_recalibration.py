@@ -50,8 +50,8 @@ def test_schedule_counts_from_the_start_of_each_run():
 
 def test_an_offset_of_the_day_is_taken_whole_and_the_model_is_worth_most_with_few_readings():
     rng = np.random.default_rng(1)
-    found = figures(np.repeat(rng.normal(0, 5, 6), 240) + rng.normal(0, 0.2, 6 * 240))
-    levels = found["levels"]
+    values = figures(np.repeat(rng.normal(0, 5, 6), 240) + rng.normal(0, 0.2, 6 * 240))
+    levels = values["levels"]
     assert [level["per_shift"] for level in levels] == [0, 1, 2, 4, 8, 16]
     assert levels[3]["share"] > 0.98 and levels[3]["rms"] < 0.5 * levels[0]["rms"]
     assert levels[2]["rms"] < 0.9 * levels[2]["rms_readings_alone"]
@@ -59,8 +59,8 @@ def test_an_offset_of_the_day_is_taken_whole_and_the_model_is_worth_most_with_fe
 
 def test_readings_of_noise_get_no_share_and_cost_nothing():
     """A share of 1 would add a reading's noise to every row: 1.41 times what is left."""
-    found = figures(np.random.default_rng(2).normal(0, 1, 6 * 240))
-    assert all(level["share"] < 0.3 and level["rms"] < 1.06 * found["levels"][0]["rms"] for level in found["levels"])
+    values = figures(np.random.default_rng(2).normal(0, 1, 6 * 240))
+    assert all(level["share"] < 0.3 and level["rms"] < 1.06 * values["levels"][0]["rms"] for level in values["levels"])
 
 
 def test_a_group_has_no_say_in_its_own_share():

@@ -15,31 +15,31 @@ def problem(seed=0, rows=400, columns=5, noise=0.5):
 def test_equals_lstsq_whatever_the_units_of_the_columns():
     design, _, y = problem()
     units = np.array([1e-9, 1e-3, 1.0, 1e4, 1e9])
-    found = solve.least_squares(design * units, y)
-    assert_allclose(found.coefficients * units, np.linalg.lstsq(design, y, rcond=None)[0], rtol=1e-12)
-    assert found.degrees == pytest.approx(5) and found.rank == 5
+    solution = solve.least_squares(design * units, y)
+    assert_allclose(solution.coefficients * units, np.linalg.lstsq(design, y, rcond=None)[0], rtol=1e-12)
+    assert solution.degrees == pytest.approx(5) and solution.rank == 5
 
 
 def test_inverse_is_that_of_the_weighted_normal_matrix():
     design, _, y = problem()
     weights = np.linspace(0.1, 2.0, y.size)
-    found = solve.least_squares(design, y, weights=weights)
-    assert_allclose(found.inverse, np.linalg.inv(design.T @ (weights[:, None] * design)), rtol=1e-9, atol=1e-15)
+    solution = solve.least_squares(design, y, weights=weights)
+    assert_allclose(solution.inverse, np.linalg.inv(design.T @ (weights[:, None] * design)), rtol=1e-9, atol=1e-15)
 
 
 def test_a_direction_never_seen_stays_zero():
     design, _, y = problem()
-    found = solve.least_squares(np.column_stack([design, design[:, 0]]), y)
-    assert found.rank == 5
-    assert_allclose(found.coefficients[0], found.coefficients[5], rtol=1e-9)
+    solution = solve.least_squares(np.column_stack([design, design[:, 0]]), y)
+    assert solution.rank == 5
+    assert_allclose(solution.coefficients[0], solution.coefficients[5], rtol=1e-9)
 
 
 def test_a_prior_pulls_as_much_as_its_precision():
     # One column of ones: the posterior mean of a normal level is the precision-weighted mean.
     y = np.array([10.0, 12.0, 14.0, 16.0])
-    found = solve.least_squares(np.ones((4, 1)), y, priors=[solve.Prior(0, 3.0, 0.5)], noise=2.0)
+    solution = solve.least_squares(np.ones((4, 1)), y, priors=[solve.Prior(0, 3.0, 0.5)], noise=2.0)
     expected = (4 * 13.0 / 4.0 + 3.0 / 0.25) / (4 / 4.0 + 1 / 0.25)
-    assert_allclose(found.coefficients, [expected])
+    assert_allclose(solution.coefficients, [expected])
 
 
 @pytest.mark.parametrize("loss", ["huber", "tukey"])
@@ -47,9 +47,9 @@ def test_robust_sets_outliers_aside(loss):
     design, truth, y = problem(rows=600)
     y[::12] += 60.0
     plain = np.abs(solve.least_squares(design, y).coefficients - truth).max()
-    found = solve.robust(design, y, loss=loss)
-    assert np.abs(found.coefficients - truth).max() < 0.15 < plain
-    assert found.weights[::12].max() < (0.05 if loss == "huber" else 1e-6)
+    solution = solve.robust(design, y, loss=loss)
+    assert np.abs(solution.coefficients - truth).max() < 0.15 < plain
+    assert solution.weights[::12].max() < (0.05 if loss == "huber" else 1e-6)
 
 
 def test_robust_loses_little_on_clean_rows():
@@ -72,12 +72,12 @@ def test_ridge_beats_least_squares_on_twins():
     shrunk = np.r_[False, np.ones(6, dtype=bool)]
     folds = [(np.arange(60) % 5 != k, np.arange(60) % 5 == k) for k in range(5)]
     errors = {}
-    for name, found in {
+    for name, match in {
         "plain": solve.least_squares(design, y),
         "gcv": solve.ridge(design, y, shrunk),
         "held-out": solve.ridge(design, y, shrunk, folds=folds),
     }.items():
-        errors[name] = np.sqrt(np.mean((fresh @ (found.coefficients - truth)) ** 2))
+        errors[name] = np.sqrt(np.mean((fresh @ (match.coefficients - truth)) ** 2))
     assert errors["gcv"] < errors["plain"] and errors["held-out"] < errors["plain"]
 
 
@@ -104,9 +104,9 @@ def curve(rows, noise, seed, shape):
 
 def test_smoothing_finds_the_curve_and_leaves_the_noise():
     design, penalty, exact, y = curve(400, 1.0, 0, lambda x: 8 * np.sin(x / 60.0))
-    found = solve.penalised(design, y, [penalty])
-    assert np.sqrt(np.mean((design @ found.coefficients - exact) ** 2)) < 0.3
-    assert 8 < found.degrees < 25
+    solution = solve.penalised(design, y, [penalty])
+    assert np.sqrt(np.mean((design @ solution.coefficients - exact) ** 2)) < 0.3
+    assert 8 < solution.degrees < 25
 
 
 def test_smoothing_a_line_needs_about_two_parameters():

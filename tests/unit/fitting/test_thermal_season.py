@@ -74,9 +74,9 @@ def truth(recording: Recording) -> np.ndarray:
 
 
 def test_sensors_are_told_apart_by_where_they_sit():
-    found = thermal_causes.sensors(machine(1))
-    assert (found.room, found.spindles, found.bed) == ("T_room", ("T_spindle",), "T_bed")
-    assert found.starts == ("T_bed",)
+    sensors = thermal_causes.sensors(machine(1))
+    assert (sensors.room, sensors.spindles, sensors.bed) == ("T_room", ("T_spindle",), "T_bed")
+    assert sensors.starts == ("T_bed",)
     with pytest.raises(DataError, match=r"'T_rom' is not a temperature.*Did you mean T_room"):
         thermal_causes.sensors(machine(1), room="T_rom")
 
@@ -119,11 +119,11 @@ def test_running_is_read_off_all_bearings_so_that_one_that_drifts_changes_it_lit
 
 def test_the_levels_of_running_come_from_the_rows_that_may_be_looked_at():
     recording = machine(4)
-    found = thermal_causes.sensors(recording)
+    sensors = thermal_causes.sensors(recording)
     rows = recording.run_codes() < 2
     wild = recording.frame.assign(T_spindle=np.where(rows, recording.array("T_spindle"), 1e3 * np.arange(rows.size)))
-    switch = thermal_causes.running(recording, found, rows)
-    assert thermal_causes.running(Recording(recording.manifest, wild), found, rows) == switch
+    switch = thermal_causes.running(recording, sensors, rows)
+    assert thermal_causes.running(Recording(recording.manifest, wild), sensors, rows) == switch
     assert 0.0 < switch.off < switch.on < 12.0 * 3600 / 5400  # K/h: standing, and the heat this spindle makes
 
 
@@ -219,11 +219,11 @@ def test_far_outside_only_a_share_is_used_and_the_interval_is_as_much_wider():
 
 def test_warm_oil_rubs_less():
     recording = machine(2)
-    found = thermal_causes.sensors(recording)
-    friction = drive(thermal_causes.oil(found, 0.05), recording)
+    sensors = thermal_causes.sensors(recording)
+    friction = drive(thermal_causes.oil(sensors, 0.05), recording)
     level = recording.frame.groupby("run")[["T_spindle", "T_bed"]].transform("first").mean(axis=1).to_numpy()
     assert_allclose(friction, np.exp(-0.05 * (level - 20.0)), rtol=3e-3)
-    assert thermal_causes.oil(found, 0.0) is None
+    assert thermal_causes.oil(sensors, 0.0) is None
 
 
 def test_a_follower_may_begin_some_of_the_way_to_the_room():
@@ -259,9 +259,9 @@ def test_signed_gains_keep_their_sign():
     x[:, 1] = x[:, 0] + 0.01 * x[:, 1]
     y = 3.0 * x[:, 0] + rng.normal(0, 0.5, 200)
     triangle = thermal_network.stack(thermal_network.triangles(x, y, np.zeros(200, int)), [0])
-    found = thermal_network.signed_gains(triangle, 200, [np.array([0, 1])], np.array([1.0, -1.0]), 1e-6)
-    assert found[0] >= 0.0 and found[1] <= 0.0
-    assert_allclose(found.sum(), 3.0, atol=0.15)
+    gains = thermal_network.signed_gains(triangle, 200, [np.array([0, 1])], np.array([1.0, -1.0]), 1e-6)
+    assert gains[0] >= 0.0 and gains[1] <= 0.0
+    assert_allclose(gains.sum(), 3.0, atol=0.15)
 
 
 def test_conformal_half_width_counts_every_group_once():

@@ -53,11 +53,11 @@ def coverage(runs, length, rho, share, seeds):
         rng = np.random.default_rng(seed)
         sequence, design = axis(rng, runs, length)
         e = draw(rng, sequence, rho, share, 1.3)
-        found = least_squares(design, e)
-        noise = u.noise_model(sequence, design, found.residual, None)
-        spread = u.covariance(sequence, design, found.inverse, noise, found.residual)
+        solution = least_squares(design, e)
+        noise = u.noise_model(sequence, design, solution.residual, None)
+        spread = u.covariance(sequence, design, solution.inverse, noise, solution.residual)
         freedom = u.degrees_of_freedom(e.size, 5, noise)
-        hits.append(np.abs(found.coefficients) < u.half_width(np.sqrt(np.diag(spread)), freedom))
+        hits.append(np.abs(solution.coefficients) < u.half_width(np.sqrt(np.diag(spread)), freedom))
     return np.mean(hits)
 
 
@@ -77,9 +77,9 @@ def test_counting_rows_would_cover_far_too_little():
     for seed in range(60):
         rng = np.random.default_rng(seed)
         sequence, design = axis(rng, 9, 60)
-        found = least_squares(design, draw(rng, sequence, 0.9, 0.4))
-        sigma = np.sqrt(np.sum(found.residual**2) / (found.residual.size - 5))
-        hits.append(np.abs(found.coefficients) < 1.96 * sigma * np.sqrt(np.diag(found.inverse)))
+        solution = least_squares(design, draw(rng, sequence, 0.9, 0.4))
+        sigma = np.sqrt(np.sum(solution.residual**2) / (solution.residual.size - 5))
+        hits.append(np.abs(solution.coefficients) < 1.96 * sigma * np.sqrt(np.diag(solution.inverse)))
     assert np.mean(hits) < 0.8
 
 
@@ -88,10 +88,10 @@ def test_runs_that_disagree_widen_the_interval():
     rng = np.random.default_rng(5)
     sequence, design = axis(rng, 12, 60)
     e = draw(rng, sequence, 0.0, 0.0) + np.repeat(rng.normal(0, 5.0, 12), 60) * design[:, 1]
-    found = least_squares(design, e)
+    solution = least_squares(design, e)
     white = u.Noise(1.0, 0.0, 0.0)
-    spread = u.covariance(sequence, design, found.inverse, white, found.residual)
-    assert np.sqrt(spread[1, 1]) > 3 * np.sqrt(found.inverse[1, 1])
+    spread = u.covariance(sequence, design, solution.inverse, white, solution.residual)
+    assert np.sqrt(spread[1, 1]) > 3 * np.sqrt(solution.inverse[1, 1])
 
 
 def test_effective_rows():

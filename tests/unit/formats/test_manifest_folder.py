@@ -45,8 +45,8 @@ def folder(path: Path, rows=ROWS, header=HEADER, manifest=MANIFEST, encoding="ut
 
 
 def test_units_are_converted_once_and_missing_cells_stay_missing(tmp_path):
-    found = manifest_folder.read(folder(tmp_path))
-    frame = found.frame
+    recording = manifest_folder.read(folder(tmp_path))
+    frame = recording.frame
     assert list(frame) == ["run", "t", "x", "dir", "T", "EXX"]
     assert list(frame["run"]) == ["1", "1", "2"]
     np.testing.assert_array_equal(frame["t"], [0, 30, 0])
@@ -54,11 +54,11 @@ def test_units_are_converted_once_and_missing_cells_stay_missing(tmp_path):
     np.testing.assert_allclose(frame["T"], [20, np.nan, 100])
     np.testing.assert_allclose(frame["EXX"], [1, np.nan, -2])
     assert all(frame[n].dtype == float for n in frame if n != "run")
-    assert found.manifest.columns["x"].unit == "mm" and found.manifest.columns["EXX"].unit == "um"
-    axis = found.manifest.axis("X")
+    assert recording.manifest.columns["x"].unit == "mm" and recording.manifest.columns["EXX"].unit == "um"
+    axis = recording.manifest.axis("X")
     assert (axis.travel, axis.screw_lead, axis.unit) == ((0, 800), 10, "mm")
-    assert found.manifest.constants["tool_length"].value == pytest.approx(152.4)
-    assert type(found.manifest) is Manifest
+    assert recording.manifest.constants["tool_length"].value == pytest.approx(152.4)
+    assert type(recording.manifest) is Manifest
 
 
 def test_several_tables_are_appended_in_order_whatever_their_kind(tmp_path):
@@ -66,10 +66,10 @@ def test_several_tables_are_appended_in_order_whatever_their_kind(tmp_path):
     folder(tmp_path, manifest=manifest)
     more = {"run": [3, 3], "t": [0.0, 1.0], "x": [3, 4], "dir": [1, -1], "T": [None, 50.0], "EXX": [0.0, np.nan]}
     pq.write_table(pa.table({**more, "note": ["a", "b"]}), tmp_path / "more.parquet")
-    found = manifest_folder.read(tmp_path)
-    assert list(found.frame["run"]) == ["1", "1", "2", "3", "3"]
-    np.testing.assert_allclose(found.frame["x"], np.array([0, 1, 2, 3, 4]) * 25.4)
-    np.testing.assert_allclose(found.frame["T"], [20, np.nan, 100, np.nan, 10])
+    recording = manifest_folder.read(tmp_path)
+    assert list(recording.frame["run"]) == ["1", "1", "2", "3", "3"]
+    np.testing.assert_allclose(recording.frame["x"], np.array([0, 1, 2, 3, 4]) * 25.4)
+    np.testing.assert_allclose(recording.frame["T"], [20, np.nan, 100, np.nan, 10])
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 7, 1000])

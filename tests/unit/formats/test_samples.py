@@ -16,9 +16,9 @@ SAMPLES = Path(__file__).parents[2] / "data" / "formats"
 
 def sample_of(name: str) -> Path:
     """The one file or folder named after a format."""
-    found = [path for path in SAMPLES.iterdir() if path.name.split(".")[0] == name]
-    assert len(found) == 1, f"tests/data/formats needs one sample named {name} (found {[p.name for p in found]})"
-    return found[0]
+    matches = [path for path in SAMPLES.iterdir() if path.name.split(".")[0] == name]
+    assert len(matches) == 1, f"tests/data/formats needs one sample named {name} (found {[p.name for p in matches]})"
+    return matches[0]
 
 
 @pytest.mark.parametrize("door", FORMATS, ids=lambda door: door.name)

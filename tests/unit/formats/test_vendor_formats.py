@@ -87,13 +87,13 @@ def test_a_wrong_ecmc_file_is_refused(tmp_path, old, new):
 
 
 def test_a_laser_file():
-    found = formats.read(RTL)
-    frame = found.frame
+    recording = formats.read(RTL)
+    frame = recording.frame
     assert list(frame) == ["run", "y", "direction", "EYY"]
     np.testing.assert_array_equal(frame["y"], [0, 100, 200, 300, 400, 500, 500, 400, 300, 200, 100, 0])
     np.testing.assert_array_equal(frame["direction"], [1] * 6 + [-1] * 6)
     np.testing.assert_array_equal(frame["EYY"], [0, -1.2, -2.5, -3.1, -3.9, -5, -4.1, -3, -2.2, -1.9, -0.4, 0.9])
-    assert (found.manifest.title, found.names("error")) == ("six targets, one cycle", ("EYY",))
+    assert (recording.manifest.title, recording.names("error")) == ("six targets, one cycle", ("EYY",))
     assert formats.read(RTL, None, {"axis": "X"}).components() == ("EXX",)
 
 
@@ -129,11 +129,11 @@ def test_a_laser_file_in_an_old_code_page(tmp_path):
 
 @pytest.mark.parametrize("path", [DAT, RTL])
 def test_what_was_read_can_be_written_and_read_again(tmp_path, path):
-    found = formats.read(path)
-    manifest_folder.write(found, tmp_path)
+    recording = formats.read(path)
+    manifest_folder.write(recording, tmp_path)
     again = manifest_folder.read(tmp_path)
-    np.testing.assert_array_equal(again.frame.to_numpy(), found.frame.to_numpy())
-    assert again.manifest.columns == found.manifest.columns
+    np.testing.assert_array_equal(again.frame.to_numpy(), recording.frame.to_numpy())
+    assert again.manifest.columns == recording.manifest.columns
 
 
 # ---------------------------------------------------------------- which way is up

@@ -247,9 +247,9 @@ def test_no_failure_costs_more_than_a_third_where_a_season_is_left_out(season):
     model = thermal_season.fit(recording, "E_D", rows=~judged)
     learnt_from, fresh = recording.take(~judged), recording.take(judged)
     guard = learn.learn(learnt_from)
-    found = list(trials.trials(fresh, guard, model.values, thermal_arithmetic.since_start_of(fresh, "E_D")))
-    assert len(found) == 30
-    for f in found:
+    names = list(trials.trials(fresh, guard, model.values, thermal_arithmetic.since_start_of(fresh, "E_D")))
+    assert len(names) == 30
+    for f in names:
         assert f.ratio <= 1.3, f
 
 
@@ -281,10 +281,10 @@ def test_on_the_real_turning_centre():
         gains[run == r] = np.linalg.solve(
             f.T @ f / len(f) + 3.0 * np.eye(len(names)), f.T @ measured[run != r] / len(f)
         )
-    found = list(trials.trials(recording, guard, lambda source: np.sum(rises(source) * gains, axis=1), measured))
-    assert len(found) == 30
-    assert sum(f.wrongly_blamed for f in found) <= 0.05 * sum(f.runs for f in found)  # the two bearings, for each other
-    for f in found:
+    items = list(trials.trials(recording, guard, lambda source: np.sum(rises(source) * gains, axis=1), measured))
+    assert len(items) == 30
+    assert sum(f.wrongly_blamed for f in items) <= 0.05 * sum(f.runs for f in items)  # the two bearings, for each other
+    for f in items:
         assert f.ratio < 1.1, f
         if f.reading_off > 1.6 or f.way == "stuck":
             assert f.detected >= f.runs - 1, f

@@ -54,12 +54,12 @@ def holds_the_truth(recording: Recording) -> None:
     side = recording.name("direction", axis="X")
     assert place and side
     run = recording.frame[recording.name("run")].astype(str)
-    found = {
+    by_name = {
         (r[-1], round(x, 6), s): d
         for r, x, s, d in zip(run, recording.array(place), recording.array(side), recording.array(error), strict=True)
     }
     for label, x, s, d in long_rows():
-        assert found[label, x, s] == pytest.approx(d, abs=1e-6), (label, x, s)
+        assert by_name[label, x, s] == pytest.approx(d, abs=1e-6), (label, x, s)
 
 
 WORDS = {"sign": ("+", "-"), "english": ("up", "down"), "german": ("auf", "ab"), "number": ("1", "-1")}

@@ -101,9 +101,9 @@ def test_a_full_synthesis_has_few_terms():
 
 
 def test_a_component_left_out_leaves_its_terms_out():
-    found = compensation.outputs(ready("cmm"), used=("EXX", "C0Y"))
-    assert {t.component for o in found for t in o.terms} == {"EXX", "C0Y"}
-    assert {o.name for o in found} == {"E_X"}
+    outputs = compensation.outputs(ready("cmm"), used=("EXX", "C0Y"))
+    assert {t.component for o in outputs for t in o.terms} == {"EXX", "C0Y"}
+    assert {o.name for o in outputs} == {"E_X"}
 
 
 def test_inputs_can_be_named():
@@ -115,12 +115,12 @@ def test_inputs_can_be_named():
 def test_no_deviation_lies_further_from_the_lattice_than_its_bound(counts):
     chain = ready("gantry")
     errors = MachineErrors.of(chain, metrology.smooth_machine(chain, 2))
-    found = compensation.lattice(errors, counts)
-    assert 0.05 * found.bound < found.largest_seen <= found.bound
+    lattice = compensation.lattice(errors, counts)
+    assert 0.05 * lattice.bound < lattice.largest_seen <= lattice.bound
     q = np.random.default_rng(5).uniform(chain.travel[:, 0], chain.travel[:, 1], (20000, 3))
     true = synthesis.first_order(chain, q, errors.at(q))[:, :3]
-    gap = np.linalg.norm(true - compensation.interpolate(found.grids, found.values, q), axis=1)
-    assert gap.max() <= found.bound
+    gap = np.linalg.norm(true - compensation.interpolate(lattice.grids, lattice.values, q), axis=1)
+    assert gap.max() <= lattice.bound
 
 
 def test_a_lattice_over_rotary_axes_is_refused():

@@ -84,14 +84,14 @@ def test_both_directions_stay_apart():
     x = np.r_[P, P[::-1], P, P[::-1]]
     side = np.repeat([1, -1, 1, -1], 17)
     columns = {"x": X, "d": {"role": "direction", "axis": "X"}, "EXX": error("EXX")}
-    found = direct.identify(recording(columns, x=x, d=side, EXX=0.02 * x - 3.0 * side))
-    curve = found.curves["EXX"]
+    fitted = direct.identify(recording(columns, x=x, d=side, EXX=0.02 * x - 3.0 * side))
+    curve = fitted.curves["EXX"]
     assert_allclose(curve.reversal, -6.0)
     assert_allclose(curve.mean, 0.02 * P, atol=1e-9)
 
 
 def test_positioning_is_zero_at_the_datum_straightness_has_no_line_angles_no_offset():
-    found = direct.identify(
+    fitted = direct.identify(
         recording(
             {"x": X, "EXX": error("EXX"), "EYX": error("EYX"), "EBX": error("EBX")},
             x=P,
@@ -101,10 +101,10 @@ def test_positioning_is_zero_at_the_datum_straightness_has_no_line_angles_no_off
         ),
         zero={"X": 400.0},
     )
-    assert np.interp(400, P, found.curves["EXX"].mean) == pytest.approx(0.0, abs=1e-9)
-    assert abs(np.polyfit(P, found.curves["EYX"].mean, 1)).max() < 1e-9
-    assert found.curves["EYX"].slope == pytest.approx(30.0, abs=3)  # 0.03 um/mm, the cosine's share aside
-    assert np.trapezoid(found.curves["EBX"].mean, P) == pytest.approx(0.0, abs=1e-6)
+    assert np.interp(400, P, fitted.curves["EXX"].mean) == pytest.approx(0.0, abs=1e-9)
+    assert abs(np.polyfit(P, fitted.curves["EYX"].mean, 1)).max() < 1e-9
+    assert fitted.curves["EYX"].slope == pytest.approx(30.0, abs=3)  # 0.03 um/mm, the cosine's share aside
+    assert np.trapezoid(fitted.curves["EBX"].mean, P) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_slopes_against_one_square_are_squareness():
@@ -144,9 +144,9 @@ def test_a_machine_measured_throughout_is_predicted():
         frames.append(part)
         columns |= {axis.lower(): X | {"axis": axis}} | {n: error(n) for n in chain.of_axis(axis)}
     manifest = Manifest.model_validate({"recording": 1, "tables": ["t.csv"], "columns": columns})
-    found = direct.identify(Recording(manifest, pd.concat(frames, ignore_index=True)), chain=chain)
+    fitted = direct.identify(Recording(manifest, pd.concat(frames, ignore_index=True)), chain=chain)
     squares = {n: (plain[n], 0.0) for n in ("C0Y", "A0Z", "B0Z")}
-    errors = direct.Direct(found.curves, squares).errors(chain)
+    errors = direct.Direct(fitted.curves, squares).errors(chain)
     q = metrology.volume_points(chain, [6, 5, 4])
     truth = synthesis.exact(chain, q, metrology.components_at(chain, plain, q))[:, :3]
     assert np.abs(truth - synthesis.first_order(chain, q, errors.at(q))[:, :3]).max() < 0.02 * np.abs(truth).max()

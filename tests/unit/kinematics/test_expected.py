@@ -21,17 +21,17 @@ def played(machine: str, protocol: str, seed: int):
 
 def test_the_probability_is_what_draws_from_the_posterior_say():
     """Monte Carlo of |e| > |m + e| for a weak test, less the workpiece's pose, beside the closed form."""
-    found, _ = played("vertical-centre", "diagonal", 2)
-    chain = found.model.chain
-    judged, q = remaining.expected(found), remaining.places(chain, remaining.JUDGED)
+    solved, _ = played("vertical-centre", "diagonal", 2)
+    chain = solved.model.chain
+    judged, q = remaining.expected(solved), remaining.places(chain, remaining.JUDGED)
     rng = np.random.default_rng(0)
     jac = remaining.synthesis.jacobian(chain, q, None)[:, :3]
-    rows = (jac[:, :, found.model.prior.component] * found.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
+    rows = (jac[:, :, solved.model.prior.component] * solved.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
     pose = remaining._pose_columns(chain, q, None, remaining.synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
     base, _ = np.linalg.qr(pose.reshape(-1, 6))
     rows = rows - base @ (base.T @ rows)
-    mean = (rows @ found.mean)[:, None]
-    off = rows @ rng.multivariate_normal(np.zeros(len(found.mean)), found.covariance, 4000, method="eigh").T
+    mean = (rows @ solved.mean)[:, None]
+    off = rows @ rng.multivariate_normal(np.zeros(len(solved.mean)), solved.covariance, 4000, method="eigh").T
     worse = np.linalg.norm(off, axis=0) > np.linalg.norm(mean + off, axis=0)
     assert judged.harm == pytest.approx(worse.mean(), abs=0.02)
     assert judged.left_rms_um == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=0)) / len(q)), rel=0.05)
@@ -57,8 +57,8 @@ def test_what_no_reading_knows_of_counts_at_its_prior_spread():
 @pytest.mark.parametrize("machine", ["five-axis-table-table", "five-axis-head-head"])
 def test_measurements_are_proposed_beside_a_bar_that_would_have_no_length(machine):
     """ISO 230-7 bars: a tool moved by 100 mm puts the ball into the socket at some poses."""
-    found, obs = played(machine, "rotary_ballbar", 1)
-    chain = found.model.chain
+    solved, obs = played(machine, "rotary_ballbar", 1)
+    chain = solved.model.chain
     offered = observability.candidates(chain, obs)
     shifted = [o for n, o in offered.items() if n.startswith("the same test with")]
     assert shifted and all(np.isfinite(o.weights).all() for o in shifted)

@@ -43,13 +43,13 @@ def score(build, seeds) -> tuple[float, float, float]:
     inside, constants, squares = [], [], []
     for seed in seeds:
         values, recording = play(chain, known, protocol, runs, seed)
-        found = identify.identify(model, protocols.observations(chain, recording))
+        fitted = identify.identify(model, protocols.observations(chain, recording))
         truth = synthesis.exact(chain, q, metrology.components_at(chain, values, q), tip)[:, :3]
-        gap = take @ (truth - found.predict(q, tip)[0]).ravel()
-        spread = np.sqrt(np.diag(take @ found.covariance_at(q, tip) @ take.T))
+        gap = take @ (truth - fitted.predict(q, tip)[0]).ravel()
+        spread = np.sqrt(np.diag(take @ fitted.covariance_at(q, tip) @ take.T))
         inside.append(np.mean(np.abs(gap) < 1.96 * spread))
         squares.append((np.mean(gap**2), np.mean(spread**2)))
-        constants += [row["ci95"][0] < values[row["component"]] < row["ci95"][1] for row in found.table()]
+        constants += [row["ci95"][0] < values[row["component"]] < row["ci95"][1] for row in fitted.table()]
     left, noise = np.sqrt(np.mean(squares, axis=0))
     return float(np.mean(inside)), float(np.mean(constants)), float(left / noise)
 
@@ -68,12 +68,12 @@ def test_intervals_cover_and_the_residual_is_the_propagated_noise(build):
 def test_every_protocol_explains_its_readings_and_predicts_what_it_did_not_see(build):
     chain, known, model, protocol, runs = setting(build)
     values, recording = play(chain, known, protocol, runs, 1)
-    found = identify.identify(model, protocols.observations(chain, recording))
-    assert 0.7 < found.noise / 0.5 < 1.4
+    fitted = identify.identify(model, protocols.observations(chain, recording))
+    assert 0.7 < fitted.noise / 0.5 < 1.4
     q, tip = played.unseen_places(protocol, chain, runs)
     take = played.rigid_free(chain, q, tip)
     truth = synthesis.exact(chain, q, metrology.components_at(chain, values, q), tip)[:, :3]
-    before, after = take @ truth.ravel(), take @ (truth - found.predict(q, tip)[0]).ravel()
+    before, after = take @ truth.ravel(), take @ (truth - fitted.predict(q, tip)[0]).ravel()
     weak = build in (played.circles, played.diagonals, played.step_diagonals, played.ball_array)
     assert np.sqrt(np.mean(after**2)) < (0.95 if weak else 0.25) * np.sqrt(np.mean(before**2))
 
@@ -103,13 +103,13 @@ def test_the_identified_machine_compensates_down_to_the_noise():
     take, squares = played.rigid_free(chain, q, tip), []
     for seed in (11, 12, 13, 14):
         values, recording = play(chain, known, protocol, runs, seed)
-        found = identify.identify(model, protocols.observations(chain, recording))
-        errors = found.errors()
+        fitted = identify.identify(model, protocols.observations(chain, recording))
+        errors = fitted.errors()
         command = synthesis.correct(chain, q, synthesis.first_order(chain, q, errors.at(q), tip), tip)
         comps = metrology.components_at(chain, values, command)
         gap = synthesis.actual_pose(chain, command, comps, tip)[:, 0] - synthesis.ideal_pose(chain, q, tip)[:, 0]
         left = take @ gap.ravel() * 1e3
-        squares.append((np.mean(left**2), np.mean(np.diag(take @ found.covariance_at(q, tip) @ take))))
+        squares.append((np.mean(left**2), np.mean(np.diag(take @ fitted.covariance_at(q, tip) @ take))))
     left, noise = np.sqrt(np.mean(squares, axis=0))
     assert left < 1.2 * noise < 0.3  # um; every reading has 0.5 um of noise
 
@@ -122,10 +122,10 @@ def test_large_set_up_errors_do_not_matter():
     values = metrology.smooth_machine(chain, 3)
     recording = metrology.record(chain, values, protocol, runs, 4, noise=0.2, setup=1500.0)
     test = protocols.observations(chain, recording)
-    found = identify.identify(model, test, iterations=4)
-    assert found.noise < 0.35
+    fitted = identify.identify(model, test, iterations=4)
+    assert fitted.noise < 0.35
     once = identify.identify(model, test, iterations=1)
-    assert once.noise > 1.5 * found.noise
+    assert once.noise > 1.5 * fitted.noise
 
 
 @pytest.mark.parametrize("build", played.THREE_AXES, ids=lambda b: b.__name__)
@@ -134,11 +134,11 @@ def test_where_a_test_stood_is_no_error_of_the_machine(build):
     chain = ready("cmm")
     protocol, runs = build(chain)
     recording = metrology.record(chain, {}, protocol, runs, 6, noise=0.5, setup=100.0)
-    found = identify.identify(identify.Parametrisation.of(chain, modes=10), protocols.observations(chain, recording))
+    fitted = identify.identify(identify.Parametrisation.of(chain, modes=10), protocols.observations(chain, recording))
     q, tip = remaining.places(chain, 60), chain.tip(120.0)
     take = played.rigid_free(chain, q, tip)
-    predicted = take @ found.predict(q, tip)[0].ravel()
-    left_open = np.trace(take @ found.covariance_at(q, tip) @ take.T) / len(predicted)
+    predicted = take @ fitted.predict(q, tip)[0].ravel()
+    left_open = np.trace(take @ fitted.covariance_at(q, tip) @ take.T) / len(predicted)
     assert np.mean(predicted**2) < max(0.5**2, 1.5 * left_open)  # um2; they were placed some 100 um off
 
 
@@ -146,14 +146,14 @@ def test_x_and_y_exchanged_give_the_same_numbers():
     """Squareness of one pair of axes seen through a mirror changes its sign and nothing else."""
     chain = ready("cmm")
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 200.0, 120.0, 60)
-    found = []
+    out = []
     for value in (30.0, -30.0):
         recording = metrology.record(chain, {"C0Y": value}, "ballbar_circle", runs, 1, noise=0.01, setup=0.0)
         result = identify.identify(
             identify.Parametrisation.of(chain, modes=4), protocols.observations(chain, recording)
         )
-        found.append(result.component("C0Y")[0][0])
-    assert_allclose(found[0], -found[1], rtol=0.02, atol=0.3)
+        out.append(result.component("C0Y")[0][0])
+    assert_allclose(out[0], -out[1], rtol=0.02, atol=0.3)
 
 
 def test_what_is_known_may_be_given():
@@ -161,8 +161,8 @@ def test_what_is_known_may_be_given():
     protocol, runs = played.cloud(chain)
     _, recording = play(chain, (), protocol, runs, 1)
     model = identify.Parametrisation.of(chain, modes=6)
-    found = identify.identify(model, protocols.observations(chain, recording), noise=0.5, power=3.0)
-    assert found.noise == pytest.approx(0.5) and found.power == pytest.approx(3.0)
+    fitted = identify.identify(model, protocols.observations(chain, recording), noise=0.5, power=3.0)
+    assert fitted.noise == pytest.approx(0.5) and fitted.power == pytest.approx(3.0)
 
 
 def test_an_unknown_protocol_is_named():

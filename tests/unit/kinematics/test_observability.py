@@ -21,20 +21,20 @@ def cloud(chain, tools):
 
 def test_one_tool_cannot_show_the_roll_of_the_last_axis():
     chain = ready("cmm")
-    found = observability.examine(chain, cloud(chain, [(120.0, (0, 0, 0))]))
-    assert found.seen["ECZ"] < 0.05 < 0.9 < found.seen["EXX"]
-    assert any("ECZ" in u.components for u in found.unseen)
-    assert found.rank < found.parameters
+    examination = observability.examine(chain, cloud(chain, [(120.0, (0, 0, 0))]))
+    assert examination.seen["ECZ"] < 0.05 < 0.9 < examination.seen["EXX"]
+    assert any("ECZ" in u.components for u in examination.unseen)
+    assert examination.rank < examination.parameters
 
 
 def test_three_tools_show_everything():
     chain = ready("cmm")
-    found = observability.examine(
+    examination = observability.examine(
         chain, cloud(chain, [(80.0, (0, 0, 0)), (200.0, (0, 0, 0)), (120.0, (60.0, 40.0, 0))])
     )
-    assert found.unseen == ()
-    assert found.rank == found.parameters
-    assert min(found.seen.values()) > 0.9
+    assert examination.unseen == ()
+    assert examination.rank == examination.parameters
+    assert min(examination.seen.values()) > 0.9
 
 
 def test_rank_of_constants_with_one_and_three_tools_at_the_papers_machine():
@@ -63,8 +63,8 @@ def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
     chain = ready("cmm")
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 150.0, 120.0, 36)
     test = protocols.observations(chain, metrology.record(chain, {}, "ballbar_circle", runs, 1))
-    found = observability.examine(chain, test)
-    assert found.seen["ECX"] < 0.05
+    examination = observability.examine(chain, test)
+    assert examination.seen["ECX"] < 0.05
     extra = observability.smallest_extra(chain, test)
     assert any("along X, about C" in e.name for e in extra)
 
@@ -100,10 +100,10 @@ def test_a_planned_test_identifies_the_machine():
         metrology.Run(str(i), b.q, b.length, b.offset, socket=np.array(b.socket)) for i, b in enumerate(proposed.blocks)
     ]
     test = protocols.observations(chain, metrology.record(chain, values, "telescoping_bar", runs, 3))
-    found = identify.identify(identify.Parametrisation.of(chain), test)
+    fitted = identify.identify(identify.Parametrisation.of(chain), test)
     q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (200, 3))
     truth = synthesis.exact(chain, q, metrology.components_at(chain, values, q))[:, :3]
-    left = truth - found.predict(q)[0]
+    left = truth - fitted.predict(q)[0]
     assert np.sqrt(np.mean(left**2)) < 0.12 * np.sqrt(np.mean(truth**2))
 
 

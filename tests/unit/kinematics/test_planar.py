@@ -200,7 +200,7 @@ def test_held_out_holes_of_real_plates(plates, every):
 
 @pytest.mark.realdata
 def test_the_same_plate_twice_gives_the_floor(plates):
-    found = planar.repeated(plates, "1597A_2003", "1597A_2010")
-    assert found["holes"] == 650
-    assert_allclose(found["difference"], 3.70, atol=0.01)  # the difference of two measurements, shift and turn free
-    assert_allclose(found["smooth"], 2.46 / np.sqrt(2), atol=0.01)
+    repeats = planar.repeated(plates, "1597A_2003", "1597A_2010")
+    assert repeats["holes"] == 650
+    assert_allclose(repeats["difference"], 3.70, atol=0.01)  # the difference of two measurements, shift and turn free
+    assert_allclose(repeats["smooth"], 2.46 / np.sqrt(2), atol=0.01)

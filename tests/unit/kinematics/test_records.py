@@ -87,8 +87,8 @@ def test_the_band_holds_the_uncertainty_of_the_air():
             wrong = air.refractivity(t, hpa, air.vapour_pressure(t, percent))
             shown = recording.array("EXX") + recording.array("x") * 1e3 * (true - wrong)
             moved = Recording(recording.manifest, recording.frame.assign(EXX=shown))
-            found = solve(chain, moved, lasers={"EXX": direct.Laser(air_uncertainty=sensors)})
-            value, error = found.component("EXX", p)
+            solution = solve(chain, moved, lasers={"EXX": direct.Laser(air_uncertainty=sensors)})
+            value, error = solution.component("EXX", p)
             inside.append(np.mean(np.abs(value - values["EXX"](p)) <= 1.96 * error))
         covered[sensors] = float(np.mean(inside))
     assert 0.85 <= covered[air.SENSORS] <= 1.0
@@ -188,14 +188,14 @@ def test_straightness_beside_its_point_reads_the_angles_too():
 
 def test_both_ways_are_one_curve_and_a_reversal():
     chain, values, recording = played_x({}, reversal=6.0)
-    found = solve(chain, recording)
-    reversal = records.reversals(chain, found.setup)["EXX"]
+    solution = solve(chain, recording)
+    reversal = records.reversals(chain, solution.setup)["EXX"]
     side = recording.array("dir_x")
     raw = recording.array("EXX")
     seen = np.mean(raw[side > 0]) - np.mean(raw[side < 0])
     assert reversal["value"] == pytest.approx(seen, abs=0.1) and abs(seen) > 1.0
     assert abs(reversal["per_metre"]) < 3 * reversal["per_metre_half_width95"]
-    assert largest_gap(chain, values, found) < 0.12
+    assert largest_gap(chain, values, solution) < 0.12
     assert records.reversal_line(reversal)[0] == reversal["value"]
 
 
@@ -208,10 +208,10 @@ def test_squareness_from_two_straightness_records_and_the_square_s_own_error():
     recording = played.record(chain, values, setup, 6)
     without = tuple(n for n in chain.components if n[2:] == "S")
     model = identify.Parametrisation.of(chain, 8, without)
-    found = identify.identify(model, records.observations(chain, {"": recording}, squares=own))
+    fitted = identify.identify(model, records.observations(chain, {"": recording}, squares=own))
     wrong = identify.identify(model, records.observations(chain, {"": recording}, squares=dict.fromkeys(own, 0.0)))
     for name, value in truth.items():
-        assert found.component(name)[0][0] == pytest.approx(value, abs=1.0)
+        assert fitted.component(name)[0][0] == pytest.approx(value, abs=1.0)
         assert wrong.component(name)[0][0] == pytest.approx(value - own[name], abs=1.0)
 
 
@@ -233,8 +233,8 @@ def test_records_and_a_ball_bar_together_give_what_neither_gives():
     single = records.observations(chain, {"": played.record(chain, values, played.SetUp(targets=11, cycles=2), 4)})
     bar = metrology.record(chain, values, "ballbar_circle", measuring_runs.circles(chain), 4, noise=0.3)
     both = o.concatenate([protocols.observations(chain, bar), single])
-    found = identify.identify(identify.Parametrisation.of(chain, 8), both)
-    for row in found.table():
+    fitted = identify.identify(identify.Parametrisation.of(chain, 8), both)
+    for row in fitted.table():
         assert row["value"] == pytest.approx(values[row["component"]], abs=2.5)
     assert observability.examine(chain, both, noise=1.0).unseen == ()
 
@@ -257,9 +257,9 @@ def test_a_machine_too_long_is_too_long_whichever_part_moves(definition):
     }
     frame = pd.DataFrame({"run": np.repeat(["1", "2"], 11).astype(object), "x": x, "EXX": 10.0 * x / 500.0})
     recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
-    found = solve(chain, recording)
+    solution = solve(chain, recording)
     q = np.array([[500.0, 0.0, 0.0], [-500.0, 0.0, 0.0]])
-    assert_allclose(synthesis.first_order(chain, q, found.errors().at(q))[:, 0], [10.0, -10.0], atol=0.02)
+    assert_allclose(synthesis.first_order(chain, q, solution.errors().at(q))[:, 0], [10.0, -10.0], atol=0.02)
 
 
 def test_guideway_reference_reads_its_own_straightness():
@@ -269,8 +269,8 @@ def test_guideway_reference_reads_its_own_straightness():
     chain = compile_chain(Machine.model_validate(given))
     values = metrology.smooth_machine(chain, 9)
     recording = of_axis(played.record(chain, values, played.SetUp(noise=0.05, angle_noise=0.05), 9), "X")
-    found = solve(chain, recording)
-    assert largest_gap(chain, values, found, "EYX") < 0.15
+    solution = solve(chain, recording)
+    assert largest_gap(chain, values, solution, "EYX") < 0.15
 
 
 def test_readings_that_sat_out_are_left_with_the_noise():
@@ -355,15 +355,15 @@ def coverage(seeds) -> tuple[float, float, float]:
     for seed in seeds:
         values = metrology.smooth_machine(chain, seed)
         recording = played.record(chain, values, setup, seed + 900)
-        found = identify.identify(model, records.observations(chain, {"": recording}, lasers=lasers, squares=squares))
+        fitted = identify.identify(model, records.observations(chain, {"": recording}, lasers=lasers, squares=squares))
         for name in (n for n in chain.components if n[0] == "E"):
             p = np.linspace(*chain.travel[chain.axes.index(name[2:])], 33)
-            low, high = found.interval(name, p)
+            low, high = fitted.interval(name, p)
             inside.append(np.mean((low < values[name](p)) & (values[name](p) < high)))
-        constants += [r["ci95"][0] < values[r["component"]] < r["ci95"][1] for r in found.table()]
+        constants += [r["ci95"][0] < values[r["component"]] < r["ci95"][1] for r in fitted.table()]
         true = {n: v for n, v in values.items() if n not in without}
-        gap = synthesis.exact(chain, q, metrology.components_at(chain, true, q))[:, :3] - found.predict(q)[0]
-        volume.append((np.mean(gap**2), np.mean(found.predict(q)[1] ** 2)))
+        gap = synthesis.exact(chain, q, metrology.components_at(chain, true, q))[:, :3] - fitted.predict(q)[0]
+        volume.append((np.mean(gap**2), np.mean(fitted.predict(q)[1] ** 2)))
     left, told = np.sqrt(np.mean(volume, axis=0))
     return float(np.mean(inside)), float(np.mean(constants)), float(left / told)
 
@@ -403,15 +403,15 @@ def test_the_curve_follows_what_the_targets_show_or_says_what_it_misses(most, fo
     obs, _ = readings.of_tests(chain, {"x": recording})
     modes = readings.modes({"x": recording}) if most is None else most
     rest = tuple(c for c in chain.components if c != "EXX")
-    found = identify.identify(identify.Parametrisation.of(chain, modes, rest), obs)
-    missed = readings.unfollowed(chain, obs, found.residual)
-    curve = summary.document(found, obs, extra=False, missed=missed)["curves"]["EXX"]
+    fitted = identify.identify(identify.Parametrisation.of(chain, modes, rest), obs)
+    missed = readings.unfollowed(chain, obs, fitted.residual)
+    curve = summary.document(fitted, obs, extra=False, missed=missed)["curves"]["EXX"]
     at = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
     off = np.array(curve["value"]) - 2.0 * np.sin(2 * np.pi * at / 50.0)
     off -= off.mean()
     assert (np.sqrt(np.mean(off**2)) < 0.25) == followed
     assert np.mean(np.abs(off) <= curve["half_width95"]) > 0.9
     assert bool(missed.get("EXX", 0.0) > 1.0) != followed
-    largest = readings.unfollowed(chain, obs, found.residual, largest=True)
+    largest = readings.unfollowed(chain, obs, fitted.residual, largest=True)
     stated = unfollowed(chain, {"unfollowed_largest": largest})  # of a table of these curves, at the tool
     assert (stated == 0.0) if followed else (np.quantile(np.abs(off), 0.95) < stated < 2.5)

@@ -70,11 +70,11 @@ def test_polynomials_are_the_jacobian_in_letters():
         }
         values |= {f"tool_offset_{d}": v for d, v in zip("XYZ", offset, strict=True)}
         jac = s.jacobian(chain, q, chain.tip(length, offset))[0]
-        found = np.zeros_like(jac)
+        result = np.zeros_like(jac)
         for (output, component), letters in polynomials.jacobian(chain, "workpiece").items():
             row = ("E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C").index(output)
-            found[row, chain.index(component)] = polynomials.value(letters, values)
-        assert_allclose(found, jac, atol=1e-9)
+            result[row, chain.index(component)] = polynomials.value(letters, values)
+        assert_allclose(result, jac, atol=1e-9)
 
 
 def test_no_errors_no_deviation():

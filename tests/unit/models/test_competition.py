@@ -95,9 +95,9 @@ def test_the_table_gives_the_mixture_back(family) -> None:
     fitted = machine(3, runs=2)
     model = family.fit(fitted).model
     table = compile_model(model, CompileOptions())
-    found = family.train(fitted).values(fitted)
-    assert np.abs(found).max() > 1.0
-    assert_allclose(table_values(table, model, fitted)["E_Z"], found, atol=1e-3)
+    values = family.train(fitted).values(fitted)
+    assert np.abs(values).max() > 1.0
+    assert_allclose(table_values(table, model, fitted)["E_Z"], values, atol=1e-3)
 
 
 def test_a_mixture_of_more_parts_than_a_sum_may_have_compiles() -> None:
@@ -162,9 +162,9 @@ def test_of_one_labelled_season_only_gains_with_a_sign_are_used() -> None:
 def test_time_constants_follow_the_recording() -> None:
     recording = machine(1, runs=2)
     slower = recording.with_columns({"t": 10.0 * recording.time()}, {})
-    found = thermal_linear.time_constants(recording)
-    assert found[-1] == pytest.approx(STEP * (ROWS - 1), rel=0.01) and found[0] >= thermal_linear.SAMPLES * STEP
-    assert_allclose(thermal_linear.time_constants(slower), 10.0 * np.array(found), rtol=0.01)
+    taus = thermal_linear.time_constants(recording)
+    assert taus[-1] == pytest.approx(STEP * (ROWS - 1), rel=0.01) and taus[0] >= thermal_linear.SAMPLES * STEP
+    assert_allclose(thermal_linear.time_constants(slower), 10.0 * np.array(taus), rtol=0.01)
 
 
 def test_lasso_on_a_triangle_is_lasso_on_the_rows() -> None:
@@ -238,8 +238,8 @@ def test_an_entrant_that_does_not_carry_over_to_another_season_is_out() -> None:
 
     def mixture(predict, ways):
         rival = thermal_competition.Entrant("fickle", "fickle", predict, lambda groups: ())
-        found = thermal_competition.compete([rival, entrant("good", good)], ways, truth, np.ones(400, bool), group)
-        return {e.family for e, _ in found.weights}
+        outcome = thermal_competition.compete([rival, entrant("good", good)], ways, truth, np.ones(400, bool), group)
+        return {e.family for e, _ in outcome.weights}
 
     assert "fickle" in mixture(fickle, (runs,))
     assert mixture(fickle, (runs, seasons)) == {"good"}
@@ -263,8 +263,8 @@ def test_surroundings_that_contradict_each_other_leave_the_least_regretted() -> 
         return thermal_competition.Entrant(f"{in_season}", f"{in_season}", predict, lambda groups: ())
 
     rivals = [by(1.0, 4.0), by(2.5, 1.0)]
-    found = thermal_competition.compete(rivals, (runs, seasons, warmth), truth, np.ones(400, bool), group)
-    assert [e.family for e, _ in found.weights] == ["2.5"]
+    outcome = thermal_competition.compete(rivals, (runs, seasons, warmth), truth, np.ones(400, bool), group)
+    assert [e.family for e, _ in outcome.weights] == ["2.5"]
 
 
 def test_an_entrant_that_helps_by_chance_does_not_join() -> None:
@@ -274,8 +274,8 @@ def test_an_entrant_that_helps_by_chance_does_not_join() -> None:
     truth = rng.normal(0, 5.0, 400)
     runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
     noise = [entrant(str(k % 6), rng.normal(0, 5.0, 400)) for k in range(30)]
-    found = thermal_competition.compete(noise, (runs,), truth, np.ones(400, bool), group)
-    assert sum(w for _, w in found.weights) < 0.3
+    outcome = thermal_competition.compete(noise, (runs,), truth, np.ones(400, bool), group)
+    assert sum(w for _, w in outcome.weights) < 0.3
 
 
 def test_every_family_is_read_back_from_its_procedure() -> None:

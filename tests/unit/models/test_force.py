@@ -93,14 +93,14 @@ def test_gauges_at_three_places_give_each_its_compliance_and_the_table_their_sum
     """Pushed apart at +X by a positive force (sign 1): the deviation that is said is positive, and all of it."""
     recording = gauged(sign, bed)
     fitted = turning(sign=sign, gauge_datum="bed" if bed else "neighbour").fit(recording)
-    found = fitted.documents["compliance.json"]
-    assert found["not_gauged"] == []
-    levels = {name: part["structure_um_per_N"] for name, part in found["parts"].items()}
+    value = fitted.documents["compliance.json"]
+    assert value["not_gauged"] == []
+    levels = {name: part["structure_um_per_N"] for name, part in value["parts"].items()}
     assert levels["tool_post"]["level"] == pytest.approx(POST, abs=2e-4)
     assert levels["workpiece"]["level"] == pytest.approx(CLAMP, abs=4e-4)
-    at = np.array(found["curve"]["position"])
+    at = np.array(value["curve"]["position"])
     spindle = SPINDLE + TILT * (at * 1e-3) ** 2
-    np.testing.assert_allclose(found["curve"]["spindle_gauged_um_per_N"], spindle, atol=6e-4)
+    np.testing.assert_allclose(value["curve"]["spindle_gauged_um_per_N"], spindle, atol=6e-4)
     said = evaluate(fitted.model, recording)["E_X"]
     z = recording.array("Z")
     shaft = beam.compliance([beam.Stretch(220.0, diameter=70.0)], z)
@@ -119,8 +119,8 @@ def test_gauges_that_sat_out_are_predicted_at_their_noise():
 
 def test_a_gauge_that_was_not_there_is_named():
     fitted = turning().fit(gauged(drop=("spindle",)))
-    found = fitted.documents["compliance.json"]
-    assert found["not_gauged"] == ["spindle"] and "spindle" not in found["parts"]
+    value = fitted.documents["compliance.json"]
+    assert value["not_gauged"] == ["spindle"] and "spindle" not in value["parts"]
     (table,) = turning().tables(fitted.documents, {})
     assert "No gauge at spindle" in table.caption and "tool post gauged, um/kN" in table.columns
 

@@ -106,8 +106,8 @@ def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() 
 
     def weights(decides: bool) -> float:
         cycles = thermal_competition.Grouping("duty", ((0, 1, 2, 3), (4, 5, 6, 7)), ("A", "B"), decides)
-        found = thermal_competition.compete([rival], (runs, cycles), truth, np.ones(400, bool), group)
-        return sum(w for _, w in found.weights)
+        outcome = thermal_competition.compete([rival], (runs, cycles), truth, np.ones(400, bool), group)
+        return sum(w for _, w in outcome.weights)
 
     assert weights(False) > 0.99 and weights(True) == 0.0
 
@@ -127,8 +127,8 @@ def test_among_blocks_of_one_run_the_strongest_penalty_that_ties_is_taken() -> N
     blocks = (thermal_competition.Grouping("run", tuple((g,) for g in range(5))),)
 
     def chosen(cautious: bool) -> str:
-        found = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, cautious)
-        return found.weights[0][0].name
+        outcome = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, cautious)
+        return outcome.weights[0][0].name
 
     assert chosen(False) == "penalty 0" and chosen(True) == "penalty 1"
 

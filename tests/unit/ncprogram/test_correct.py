@@ -102,12 +102,12 @@ def tool_points(program, deviation):
         absolute = {"G90": True, "G91": False}.get(next(iter(re.findall(r"G9[01](?![.\d])", line)), ""), absolute)
         unit = {"G20": 25.4, "G21": 1.0}.get(next(iter(re.findall(r"G2[01]", line)), ""), unit)
         assert not re.search(r"G[23](?!\d)", line)
-        found = {k: float(v) * unit for k, v in re.findall(r"([XYZ])([-+]?[\d.]+)", line)}
-        if not found:
+        by_name = {k: float(v) * unit for k, v in re.findall(r"([XYZ])([-+]?[\d.]+)", line)}
+        if not by_name:
             continue
         for n, k in enumerate("XYZ"):
-            if k in found:
-                at[n] = found[k] if absolute else at[n] + found[k]
+            if k in by_name:
+                at[n] = by_name[k] if absolute else at[n] + by_name[k]
         machine = np.array(at) + SETUP.offsets[offset] + [0.0, 0.0, length]
         out.append((machine, length))
     return out

@@ -67,8 +67,8 @@ def canonical(text):
     at, offset, tool, unit, plane = np.zeros(3), np.zeros(3), 0.0, 1.0, "XY"
     out = []
     for name, arguments in re.findall(r"N[\d.]+ *([A-Z_0-9]+)\((.*)\)", text):
-        found = [] if name == "COMMENT" else re.findall(r"-?\d+\.\d+|-?\d+(?=[,)]|$)", arguments)
-        values = [float(v) for v in found]
+        value = [] if name == "COMMENT" else re.findall(r"-?\d+\.\d+|-?\d+(?=[,)]|$)", arguments)
+        values = [float(v) for v in value]
         if name == "USE_LENGTH_UNITS":
             unit = INCH if "INCH" in arguments else 1.0
         elif name == "SELECT_PLANE":

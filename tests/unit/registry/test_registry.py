@@ -150,8 +150,8 @@ def test_an_entry_that_is_lost_is_seen(tmp_path: Path, monkeypatch: pytest.Monke
 
     def forgetful(self: Registry, machine: str) -> list[Any]:
         calls.append(1)
-        found = whole(self, machine)
-        return found[:-1] if len(calls) % 3 == 0 else found
+        complete = whole(self, machine)
+        return complete[:-1] if len(calls) % 3 == 0 else complete
 
     monkeypatch.setattr(Registry, "history", forgetful)
     assert campaign(tmp_path, 60, seed=5)[1] != []

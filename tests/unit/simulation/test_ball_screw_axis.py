@@ -184,9 +184,9 @@ def test_true_parameters_lie_in_their_intervals(simulated):
     ("method", "memory", "outliers"), [("linear", 0.2, 0.0), ("linear", 0.8, 0.0), ("robust", 0.2, 0.01)]
 )
 def test_true_parameters_lie_in_their_intervals_in_about_95_of_100_seeds(simulated, method, memory, outliers):
-    found = hits(simulated.recording, known_axis(method=method), 100, memory, outliers)
-    assert 0.93 <= found.mean() <= 0.975
-    assert found.mean(axis=0).min() >= 0.88  # a fair 95 % interval falls below 88 of 100 once in 400 parameters
+    counted = hits(simulated.recording, known_axis(method=method), 100, memory, outliers)
+    assert 0.93 <= counted.mean() <= 0.975
+    assert counted.mean(axis=0).min() >= 0.88  # a fair 95 % interval falls below 88 of 100 once in 400 parameters
 
 
 def test_held_out_residual_is_the_noise_put_in(simulated):

@@ -56,9 +56,9 @@ def closed_forms(made: Recording) -> dict[str, np.ndarray]:
 def module(where: Path, made: Recording):
     (where / "patch.py").write_text(patch.python_module((RINGS, LATE), made, "test", {}))
     spec = importlib.util.spec_from_file_location("patch_of_test", where / "patch.py")
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    outcome = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(outcome)
+    return outcome
 
 
 def test_python(tmp_path: Path) -> None:

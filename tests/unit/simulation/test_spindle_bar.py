@@ -94,9 +94,9 @@ def test_column_leans_away_from_the_heat_and_a_pair_of_sensors_tells_how_far():
     lean = column.lean(field)
     assert (lean > 0).all() and (field >= 0).all() and field[:, 0].max() < 0.1 * field.max()
     pair = field[:, :, 0] - field[:, :, -1]
-    found = placement.linearity(pair, lean)
-    height = column.places()[0][found.best, 0]
-    assert 0.8 < height < 0.95 and found.residual[found.best] < 0.02 < 0.05 < np.median(found.residual)
+    linearity = placement.linearity(pair, lean)
+    height = column.places()[0][linearity.best, 0]
+    assert 0.8 < height < 0.95 and linearity.residual[linearity.best] < 0.02 < 0.05 < np.median(linearity.residual)
 
 
 def test_column_conserves_heat_without_losses():

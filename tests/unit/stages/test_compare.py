@@ -35,14 +35,14 @@ def test_a_machine_10_um_too_long_at_plus_x_becomes_14(tmp_path: Path, capsys: p
     """The difference is a straight line: 4 um at x = 500, 4 / sqrt(3) rms; the sign is that of the deviation."""
     old = table(tmp_path / "old.ect", machines.straight("X", 10.0))
     new = table(tmp_path / "new.ect", machines.straight("X", 14.0))
-    code, found = asked(old, new, "--max-um", "4.1", capsys=capsys)
-    (change,) = found["changes"]
-    assert code == 0 and found["within"] is True
+    code, answer = asked(old, new, "--max-um", "4.1", capsys=capsys)
+    (change,) = answer["changes"]
+    assert code == 0 and answer["within"] is True
     assert change["largest"] == pytest.approx(4.0, abs=0.01) and change["rms"] == pytest.approx(4 / 3**0.5, rel=0.03)
     assert change["at"]["x"] == pytest.approx(500.0) and change["new"] - change["old"] == pytest.approx(4.0, abs=0.01)
     assert change["goes_with"] == "x" and change["share"] > 0.97
-    code, found = asked(old, new, "--max-um", "3.9", capsys=capsys)
-    assert code == 4 and found["within"] is False
+    code, answer = asked(old, new, "--max-um", "3.9", capsys=capsys)
+    assert code == 4 and answer["within"] is False
     assert asked(old, old, "--max-um", "0", capsys=capsys)[0] == 0
 
 
@@ -56,10 +56,10 @@ def test_directions_and_time_constants_count_although_places_at_rest_agree(
         lag = d.Lag(of=d.Affine(offset=-20.0, weights=(1.0,), of=(d.Input(name="T"),)), tau_up=tau, tau_down=tau)
         return Lowered(lag, None, lambda x: np.full(np.shape(x), 2.0))
 
-    _, found = asked(table(tmp_path / "a.ect", gap(6.0)), table(tmp_path / "b.ect", gap(2.0)), capsys=capsys)
-    assert found["largest_um"] == pytest.approx(2.0, abs=0.01)
-    _, found = asked(table(tmp_path / "c.ect", slow(600.0)), table(tmp_path / "d.ect", slow(1200.0)), capsys=capsys)
-    (change,) = found["changes"]
+    _, answer = asked(table(tmp_path / "a.ect", gap(6.0)), table(tmp_path / "b.ect", gap(2.0)), capsys=capsys)
+    assert answer["largest_um"] == pytest.approx(2.0, abs=0.01)
+    _, answer = asked(table(tmp_path / "c.ect", slow(600.0)), table(tmp_path / "d.ect", slow(1200.0)), capsys=capsys)
+    (change,) = answer["changes"]
     # 7.5 K beyond the middle of 15..30 degC: 15 um, of which the slower one lacks exp(-1/2) - exp(-1) after 600 s
     assert change["largest"] == pytest.approx(15.0 * (np.exp(-0.5) - np.exp(-1.0)), rel=0.1)
     assert change["at"]["seconds after a step"] == 600.0
@@ -69,12 +69,12 @@ def model(path: Path, alpha: float, ci: tuple[float, float], top: float = 30.0) 
     term = {"term": "scale_expansion", "axis": "X", "sensor": "T"}
     parameter = FittedParameter(name="coefficient", value=alpha, unit="um/m/K", ci95=ci)
     columns = {"x": {"role": "position", "axis": "X", "unit": "mm"}, "T": {"role": "temperature", "unit": "degC"}}
-    found = ErrorModel(
+    outcome = ErrorModel(
         components=(ComponentModel(component="EXX", terms=(FittedTerm(term=term, parameters=(parameter,)),)),),
         columns=columns,
         validity=Validity(ranges={"x": (0.0, 1000.0), "T": (20.0, top)}),
     )
-    path.write_text(found.model_dump_json(), encoding="utf-8")
+    path.write_text(outcome.model_dump_json(), encoding="utf-8")
     return path
 
 
@@ -84,8 +84,8 @@ def test_models_say_which_parameter_moved_and_how_far(tmp_path: Path, capsys: py
     text = capsys.readouterr().out
     assert "coefficient: 11 -> 13 um/m/K, outside its 95 % interval" in text
     assert "validity of T: 20 .. 30 -> 20 .. 35" in text
-    _, found = asked(old, new, "--figure", tmp_path / "f.svg", capsys=capsys)
-    assert found["largest_um"] == pytest.approx(2.0 * 15.0)  # um/m/K times 1 m times 15 K: over the wider box
+    _, answer = asked(old, new, "--figure", tmp_path / "f.svg", capsys=capsys)
+    assert answer["largest_um"] == pytest.approx(2.0 * 15.0)  # um/m/K times 1 m times 15 K: over the wider box
     assert (tmp_path / "f.svg").read_text(encoding="utf-8").startswith("<svg")
 
 
@@ -97,23 +97,23 @@ def test_a_changed_reading_a_new_run_and_a_lost_column(tmp_path: Path, capsys: p
     *cells, last = lines[30].split(",")
     lines[30] = ",".join([*cells, f"{float(last) + 7:.3f}"])
     file.write_text("\n".join([*lines, ""]), encoding="utf-8")
-    code, found = asked(tmp_path / "old", tmp_path / "new", "--max-um", "5", capsys=capsys)
-    assert code == 4 and found["largest_um"] == pytest.approx(7.0)
-    assert found["columns"] == {"EXX": {"rows": 1, "largest": pytest.approx(7.0), "rms": pytest.approx(7 / 110**0.5)}}
-    assert found["only_in_new"]["run"] == ["day 5"] and found["only_in_old"]["run"] == []
+    code, answer = asked(tmp_path / "old", tmp_path / "new", "--max-um", "5", capsys=capsys)
+    assert code == 4 and answer["largest_um"] == pytest.approx(7.0)
+    assert answer["columns"] == {"EXX": {"rows": 1, "largest": pytest.approx(7.0), "rms": pytest.approx(7 / 110**0.5)}}
+    assert answer["only_in_new"]["run"] == ["day 5"] and answer["only_in_old"]["run"] == []
 
 
 def diagnosis(path: Path, **size: float) -> Path:
-    found = [Finding(effect=effect, confidence=0.9, rms_um=um) for effect, um in size.items()]
+    matches = [Finding(effect=effect, confidence=0.9, rms_um=um) for effect, um in size.items()]
     held = HoldOutFigures(scheme="runs", rms_before_um=9.0, rms_after_um=1.0)
     response = ResponseDiagnosis(
         component="EXX",
-        verdict="missing_physics" if found else "no_mismatch",
+        verdict="missing_physics" if matches else "no_mismatch",
         rms_before_um=9.0,
         rms_after_um=1.0,
         noise_floor_um=0.8,
         holdout=held,
-        findings=tuple(found),
+        findings=tuple(matches),
     )
     path.write_text(json.dumps(Diagnosis(responses=(response,)).document()), encoding="utf-8")
     return path
@@ -121,9 +121,9 @@ def diagnosis(path: Path, **size: float) -> Path:
 
 def test_a_finding_that_is_new_counts_with_its_whole_size(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     old, new = diagnosis(tmp_path / "a.json", backlash=3.0), diagnosis(tmp_path / "b.json", backlash=3.5, sag=6.0)
-    code, found = asked(old, new, "--max-um", "5", capsys=capsys)
-    assert code == 4 and found["largest_um"] == 6.0
-    assert found["responses"]["EXX"]["effects"] == [["backlash"], ["backlash", "sag"]]
+    code, answer = asked(old, new, "--max-um", "5", capsys=capsys)
+    assert code == 4 and answer["largest_um"] == 6.0
+    assert answer["responses"]["EXX"]["effects"] == [["backlash"], ["backlash", "sag"]]
 
 
 def test_two_runs_of_a_pipeline_and_two_kinds(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -131,13 +131,13 @@ def test_two_runs_of_a_pipeline_and_two_kinds(tmp_path: Path, capsys: pytest.Cap
     for name, changed in (("old", None), ("new", 0)):
         record(tmp_path / "recording", 12, changed_from=changed)
         assert main(["run", str(tmp_path / "axis.yaml"), "--out", str(tmp_path / name)]) == 0
-    code, found = asked(tmp_path / "old", tmp_path / "new", "--max-um", "5", capsys=capsys)
+    code, answer = asked(tmp_path / "old", tmp_path / "new", "--max-um", "5", capsys=capsys)
     # 6 um/m/K more over 0.6 m and a few kelvin
-    assert code == 4 and 10.0 < found["largest_um"] < 60.0
-    artefacts = found["stages"]["fit"]["artefacts"]["error_model.json"]
+    assert code == 4 and 10.0 < answer["largest_um"] < 60.0
+    artefacts = answer["stages"]["fit"]["artefacts"]["error_model.json"]
     moved = {p["parameter"]: p["new"] - p["old"] for p in artefacts["parameters"]}
     assert moved["EXX scale_expansion(X, T_nut).coefficient"] == pytest.approx(6.0, abs=0.6)
-    assert "EXX" in found["stages"]["validate"]["artefacts"]["validation.json"]
+    assert "EXX" in answer["stages"]["validate"]["artefacts"]["validation.json"]
     assert asked(tmp_path / "old", tmp_path / "old", "--max-um", "0", capsys=capsys)[0] == 0
     assert main(["compare", str(tmp_path / "old"), str(tmp_path / "recording")]) == 3
     assert "is a run folder and" in capsys.readouterr().err

@@ -75,8 +75,8 @@ def test_parts_are_the_whole_to_the_bit(model, recording, timed, datum, short, m
     whole = rows.predict(source, given)
     assert whole["E_Z_predicted"].nunique() > 500 and whole["run"].nunique() == 8
     for count, most in PARTS.items():
-        found = rows.predict_parts(source, cut(given.take(np.arange(min(most, len(given)))), count))
-        same(pd.concat(found, ignore_index=True), whole[:most])
+        parts = rows.predict_parts(source, cut(given.take(np.arange(min(most, len(given)))), count))
+        same(pd.concat(parts, ignore_index=True), whole[:most])
 
 
 def test_a_part_that_forgot_its_run_would_be_seen(model, recording):

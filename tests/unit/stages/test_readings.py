@@ -136,8 +136,8 @@ def test_runs_that_overlap_in_time_need_their_name(recording):
     frame = recording.frame.assign(t=recording.time() % 86400.0)
     with pytest.raises(DataError, match="600 s lies in several runs"):
         _read(_readings, Recording(recording.manifest, frame), "time,x\n600,1\n")
-    found = _read(_readings, Recording(recording.manifest, frame), "time,run,x\n600,b,1\n")
-    assert found[["run", "time", "E_X"]].to_numpy().tolist() == [[1.0, 600.0, 1.0]]
+    contents = _read(_readings, Recording(recording.manifest, frame), "time,run,x\n600,b,1\n")
+    assert contents[["run", "time", "E_X"]].to_numpy().tolist() == [[1.0, 600.0, 1.0]]
 
 
 def _read(module, recording, text):

@@ -62,6 +62,6 @@ def test_a_table_with_its_model_beside_it_has_the_models_intervals(fitted, model
     jsonfile.write(tmp_path / _artefacts.MODEL, _artefacts.model_json(model))
     both = predict(tmp_path / "table.ect", tmp_path / "rows", tmp_path / "both.csv")
     assert "intervals" not in both
-    found, own = pd.read_csv(tmp_path / "both.csv"), fitted.predict(one)
-    assert_allclose(found["E_D_upper"] - found["E_D_lower"], own.upper - own.lower, rtol=1e-6)
-    assert_allclose(found["E_D_predicted"], own.predicted, atol=1e-6)
+    pair, own = pd.read_csv(tmp_path / "both.csv"), fitted.predict(one)
+    assert_allclose(pair["E_D_upper"] - pair["E_D_lower"], own.upper - own.lower, rtol=1e-6)
+    assert_allclose(pair["E_D_predicted"], own.predicted, atol=1e-6)

@@ -50,13 +50,13 @@ def finding(data: bytes, by_c: Callable[[bytes], bool] | None) -> str:
 def run(count: int, seed: int, by_c: Callable[[bytes], bool] | None) -> tuple[int, list[tuple[str, bytes]]]:
     """(tables accepted, findings) of so many damaged tables."""
     r, bases = random.Random(seed), sound()
-    taken, found = 0, []
+    taken, pair = 0, []
     for _ in range(count):
         data = c.damaged(r, r.choice(bases))
         if told := finding(data, by_c):
-            found.append((told, data))
+            pair.append((told, data))
         taken += by_c(data) if by_c is not None else 0
-    return taken, found
+    return taken, pair
 
 
 def c_reader(folder: Path) -> Callable[[bytes], bool]:
@@ -70,11 +70,11 @@ def main() -> int:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
     with tempfile.TemporaryDirectory() as folder:
-        taken, found = run(count, seed, c_reader(Path(folder)))
-    print(f"{count} executions of both readers, {taken} tables taken, {len(found)} findings")
-    for told, data in found[:20]:
+        taken, result = run(count, seed, c_reader(Path(folder)))
+    print(f"{count} executions of both readers, {taken} tables taken, {len(result)} findings")
+    for told, data in result[:20]:
         print(told, data.hex())
-    return 1 if found else 0
+    return 1 if result else 0
 
 
 if __name__ == "__main__":

@@ -81,8 +81,8 @@ def test_gridding_keeps_its_bound_with_few_points(bound):
     assert profile.interpolation_error <= bound and profile.rounding_error <= 0.5001e-3
     x = np.random.default_rng(0).uniform(0, 700, 50_000)
     nodes = profile.start + profile.step * np.arange(len(profile.values))
-    found = np.interp(x, nodes, np.array(profile.values) * profile.scale)
-    assert np.abs(found - curve(x)).max() <= bound + 0.0006
+    interpolated = np.interp(x, nodes, np.array(profile.values) * profile.scale)
+    assert np.abs(interpolated - curve(x)).max() <= bound + 0.0006
     fewer = interpolation_error(curve, 0.0, 700.0, int(0.8 * (len(profile.values) - 1)))
     assert fewer > bound
 
@@ -91,8 +91,8 @@ def test_gridding_sees_kinks():
     profile = grid(lambda x: np.abs(x - 123.4), 0.0, 700.0, bound=0.1)
     nodes = profile.start + profile.step * np.arange(len(profile.values))
     x = np.linspace(123, 124, 999)
-    found = np.interp(x, nodes, np.array(profile.values) * profile.scale)
-    assert np.abs(found - np.abs(x - 123.4)).max() < 0.11
+    interpolated = np.interp(x, nodes, np.array(profile.values) * profile.scale)
+    assert np.abs(interpolated - np.abs(x - 123.4)).max() < 0.11
 
 
 def test_a_step_is_refused_with_the_error_it_would_leave():
@@ -150,8 +150,8 @@ def test_outputs_are_sums_of_monomials():
     outputs = [OutputSource("E_X", (MonomialSource(1.0, "EXX"), lean), "X")]
     inputs = [position(), position("y", "Y")]
     table = compile_table(components, inputs=inputs, outputs=outputs, travel=TRAVEL)
-    found = batch.position(table, np.array([[1000.0, 300.0], [0.0, -300.0]]))[:, 0]
-    assert found == pytest.approx([10.0 - 6.0, 6.0])
+    values = batch.position(table, np.array([[1000.0, 300.0], [0.0, -300.0]]))[:, 0]
+    assert values == pytest.approx([10.0 - 6.0, 6.0])
     assert table.outputs[0].correction_unit == "mm"
 
 

@@ -109,20 +109,20 @@ def test_points_are_the_first_cycle_of_the_reference(seed):
     rng = np.random.default_rng(seed)
     own = [table.inputs[table.input_index(m)] for m in moving]
     points = np.column_stack([rng.uniform(i.low, i.high, 700) for i in own])
-    found = batch.Positions(table, moving)(points)
+    result = batch.Positions(table, moving)(points)
     start = {i.name: i.default for i in table.inputs}
     for k in range(0, 700, 13):
         evaluator = Evaluator(table)
         cycle = evaluator.cycle(start | dict(zip(moving, points[k], strict=True)), dt=0.0)
         if "not_finite" not in cycle.says():
-            assert list(cycle.deviation.values()) == list(found[k])
+            assert list(cycle.deviation.values()) == list(result[k])
 
 
 def test_points_hold_at_the_ends_and_pass_nan_on():
     table = ten_um_too_long()
     points = np.array([[-1e9], [-1.0], [0.0], [500.0], [1000.0], [1000.1], [1e9], [np.nan], [np.inf]])
-    found = batch.position(table, points)[:, 0]
-    assert np.array_equal(found, [0.0, 0.0, 0.0, 5.0, 10.0, 10.0, 10.0, np.nan, 10.0], equal_nan=True)
+    values = batch.position(table, points)[:, 0]
+    assert np.array_equal(values, [0.0, 0.0, 0.0, 5.0, 10.0, 10.0, 10.0, np.nan, 10.0], equal_nan=True)
 
 
 def test_a_machine_ten_um_too_long_is_moved_back():
@@ -144,10 +144,10 @@ def test_every_knot_and_its_neighbours(period):
     (profile,) = [p for p in table.profiles if any(p.values)]  # the other says how far X travels
     x = every_knot(profile)
     values = np.array(profile.values) * profile.scale
-    found = batch.position(table, x[:, None])[:, 0]
-    assert np.max(np.abs(found - np.tile(values, 3))) < 1e-9
+    outcome = batch.position(table, x[:, None])[:, 0]
+    assert np.max(np.abs(outcome - np.tile(values, 3))) < 1e-9
     evaluator = Evaluator(table)
-    for point, value in zip(x, found, strict=True):
+    for point, value in zip(x, outcome, strict=True):
         assert evaluator.cycle({"x": point}).deviation["EXX"] == value
 
 

@@ -68,10 +68,10 @@ def lateness(nodes) -> float:
 @pytest.mark.parametrize("name", NODES)
 def test_the_bound_holds_and_is_not_idle(name):
     (bound,) = held.outputs(made(100, NODES[name]))
-    found = lateness(NODES[name])
-    assert bound.unbounded == () and found <= bound.largest
+    delays = lateness(NODES[name])
+    assert bound.unbounded == () and delays <= bound.largest
     if name in ("a rise", "a clip", "a switch"):
-        assert found > 0.9 * bound.largest
+        assert delays > 0.9 * bound.largest
     assert held.outputs(made(1, NODES[name]))[0].largest == 0.0
 
 

@@ -32,8 +32,8 @@ def steps(made: t.CompensationTable) -> tuple[float, float]:
     for k in range(3000):
         if k % 300 == 0:
             at = dict(zip("xyz", r.uniform(0, 500, 3).tolist(), strict=True))
-        found = evaluator.cycle(at).correction
-        seen.append(1e3 * sum(v for name, v in found.items() if name.startswith("EX")))
+        value = evaluator.cycle(at).correction
+        seen.append(1e3 * sum(v for name, v in value.items() if name.startswith("EX")))
     return float(np.abs(np.diff(seen, prepend=0.0)).max()), float(np.abs(seen).max())
 
 

@@ -105,5 +105,5 @@ def test_damaged_tables_in_both_readers(tmp_path):
     """Twenty thousand of what `python -m tests.unit.tables.fuzz_readers 1000000` does."""
     from tests.unit.tables import fuzz_readers
 
-    taken, found = fuzz_readers.run(20_000, 5, fuzz_readers.c_reader(tmp_path))
-    assert found == [] and 500 < taken < 8_000
+    taken, result = fuzz_readers.run(20_000, 5, fuzz_readers.c_reader(tmp_path))
+    assert result == [] and 500 < taken < 8_000

@@ -33,8 +33,8 @@ def _turning(moved: Moved, low: float = 0.0) -> Moved:
 
 
 def _rows(text: str, columns: int, start: str = "", between: str = r"[ \t]+") -> list[tuple[float, ...]]:
-    found = re.finditer(rf"^{start}" + between.join([f"({NUMBER})"] * columns) + r"$", text, re.M)
-    return [tuple(float(v) for v in row.groups()) for row in found]
+    matches = re.finditer(rf"^{start}" + between.join([f"({NUMBER})"] * columns) + r"$", text, re.M)
+    return [tuple(float(v) for v in row.groups()) for row in matches]
 
 
 def _half(text: str, pattern: str, parts: float = 0.5) -> Moved:

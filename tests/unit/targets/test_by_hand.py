@@ -74,13 +74,13 @@ def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
         x = np.linspace(low, high, PLACES)[1:-1]
         want = {side: -unit * (mean(x) + side * half(x)) for side in (1, -1)}
         moved = getattr(manual_readers, target.name)(files, letter)
-        found = {side: np.array([moved(float(p), side) for p in x]) for side in (1, -1)}
+        by_name = {side: np.array([moved(float(p), side) for p in x]) for side in (1, -1)}
         if "screw" not in target.holds:  # the reversal alone, its mean over the travel
-            gap = np.full(1, np.mean(found[1] - found[-1] - (want[1] - want[-1])))
+            gap = np.full(1, np.mean(by_name[1] - by_name[-1] - (want[1] - want[-1])))
         elif "both directions" in target.holds:
-            gap = np.array([found[side] - want[side] for side in (1, -1)])
+            gap = np.array([by_name[side] - want[side] for side in (1, -1)])
         else:
-            gap = (found[1] + found[-1] - want[1] - want[-1]) / 2
+            gap = (by_name[1] + by_name[-1] - want[1] - want[-1]) / 2
         level = 0.0 if target.keeps_level else np.mean(gap)
         assert 1e3 * np.abs(gap - level).max() < max(1.05 * target.rounding_um, 0.3), letter
 
@@ -133,8 +133,8 @@ def test_a_turn_that_does_not_close_is_refused_where_it_is_read():
     ):
         (target,) = [t for t in TARGETS if t.name == name]
         files = target.write(c)
-        found = re.search(pattern, files[key])
-        changed = files[key][: found.start(1)] + "5" + files[key][found.end(1) :]
+        match = re.search(pattern, files[key])
+        changed = files[key][: match.start(1)] + "5" + files[key][match.end(1) :]
         with pytest.raises(VerifyError):
             target.read_back({**files, key: changed})
 

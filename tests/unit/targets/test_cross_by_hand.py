@@ -100,8 +100,8 @@ def cross_gap(reader, machine, sign=1.0):
     for side in (1, -1):
         way = side if "both directions" in target.holds and reader is sinumerik_cec else 0
         want = -scale * (mean(x) + way * half(x))
-        found = [1e3 * sign * float(moved(p, side)) for p in x]
-        gaps.append(np.abs(found - want).max())
+        matches = [1e3 * sign * float(moved(p, side)) for p in x]
+        gaps.append(np.abs(matches - want).max())
     return max(gaps)
 
 
@@ -161,11 +161,11 @@ def test_a_bed_is_lifted_where_it_is_low(reader, bed):
     parts = (Lowered(d.ONE, "X", over_x), Lowered(d.ONE, "Y", over_y))
     inputs = [place("X", x0, x1), place("Y", y0, y1), place("Z", -100, 0)]
     table = moving("Z", parts, inputs, {"X": (x0, x1), "Y": (y0, y1), "Z": (-100.0, 0.0)})
-    found = reader(BY_NAME[reader.__name__].write(table))
-    assert len(found) >= 25 and {x for x, _ in found} >= {x0, x1} and {y for _, y in found} >= {y0, y1}
-    gaps = [1e3 * z + over_x(x) + over_y(y) for (x, y), z in found.items()]
+    contents = reader(BY_NAME[reader.__name__].write(table))
+    assert len(contents) >= 25 and {x for x, _ in contents} >= {x0, x1} and {y for _, y in contents} >= {y0, y1}
+    gaps = [1e3 * z + over_x(x) + over_y(y) for (x, y), z in contents.items()]
     assert np.abs(gaps).max() < ROOM
-    assert max(abs(-1e3 * z + over_x(x) + over_y(y)) for (x, y), z in found.items()) > 5.0  # a wrong sign is seen
+    assert max(abs(-1e3 * z + over_x(x) + over_y(y)) for (x, y), z in contents.items()) > 5.0  # a wrong sign is seen
 
 
 def test_every_format_of_a_bed_is_read():

@@ -62,9 +62,9 @@ def search(table, read, axis, seed):
 
     worst = 0.0
     for width in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003):
-        found = gap(states, side)
-        best = int(found.argmax())
-        worst = max(worst, float(found[best]))
+        difference = gap(states, side)
+        best = int(difference.argmax())
+        worst = max(worst, float(difference[best]))
         for name, (low, high) in ends.items():
             near = states[name][best] + width * (high - low) * rng.normal(size=_loss.STATES) * (rng.random(2000) < 0.5)
             near[0] = states[name][best]
@@ -84,11 +84,11 @@ def test_no_state_exceeds_the_bound_and_it_is_close(name, target):
         read = formats[target].read_back(formats[target].write(table)) if target in formats else ReadBack()
     except GateError:
         return  # a format that refuses the table loses nothing of it
-    for axis, found in _loss.bounds(table, read).items():
+    for axis, match in _loss.bounds(table, read).items():
         worst = search(table, read, axis, seed=5)
-        assert worst <= found.bound * (1 + 1e-9) + 1e-9
-        assert found.reached <= found.bound
-        assert found.bound <= FACTOR * worst + 0.02, (axis, found, worst)
+        assert worst <= match.bound * (1 + 1e-9) + 1e-9
+        assert match.reached <= match.bound
+        assert match.bound <= FACTOR * worst + 0.02, (axis, match, worst)
 
 
 def test_a_narrow_peak_that_random_states_miss_is_in_the_bound():
@@ -97,10 +97,10 @@ def test_a_narrow_peak_that_random_states_miss_is_in_the_bound():
         [tables.ComponentSource("EXX", "um", (peak,))], inputs=machines.INPUTS, travel=machines.AXES, error_bound=1.0
     )
     (seen,) = _loss.losses(table, ReadBack())
-    (found,) = _loss.bounds(table, ReadBack()).values()
+    (values,) = _loss.bounds(table, ReadBack()).values()
     profile = table.profiles[0]
     highest = profile.scale * max(profile.values)
-    assert seen.largest < 0.98 * highest <= found.bound == seen.bound == pytest.approx(highest)
+    assert seen.largest < 0.98 * highest <= values.bound == seen.bound == pytest.approx(highest)
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -31,8 +31,8 @@ def correction(found, axis, side=1.0, sensors=None, **at):
 @holding("both directions")
 def test_both_directions_stay_apart(target):
     """Lost motion 6 um: approached from below the axis stops 3 um short, so it is pushed 3 um further there."""
-    found = read(target, machines.wavy_both_directions())
-    up, down = (correction(found, "X", side=s, X=321.0) for s in (1.0, -1.0))
+    recording = read(target, machines.wavy_both_directions())
+    up, down = (correction(recording, "X", side=s, X=321.0) for s in (1.0, -1.0))
     assert up - down == pytest.approx(6.0, abs=max(target.rounding_um, 0.2))
 
 
@@ -53,12 +53,12 @@ def test_fanuc_pulses_do_not_add_up_their_rounding():
 @holding("screw")
 def test_what_is_read_back_is_the_table_within_the_stated_rounding(target):
     table = machines.wavy_both_directions()
-    found = read(target, table)
+    recording = read(target, table)
     x = np.linspace(0.0, 500.0, 777)
     want = _sample.curve(table, "X", "X", x)
     side = np.ones(x.size)
     at = {"X": x, "Y": 0 * x, "Z": 0 * x}
-    up, down = (1e3 * found.correction("X", at, s, {"T": 20 + 0 * x}) for s in (side, -side))
+    up, down = (1e3 * recording.correction("X", at, s, {"T": 20 + 0 * x}) for s in (side, -side))
     gaps = [up - 500 * (want.up + want.down)]
     if "both directions" in target.holds:
         gaps = [up - 1e3 * want.up, down - 1e3 * want.down]
@@ -70,26 +70,28 @@ def test_what_is_read_back_is_the_table_within_the_stated_rounding(target):
 
 @holding("cross")
 def test_cross_curves_move_the_right_axis_the_right_way(target):
-    found = read(target, machines.bent())
-    bow = correction(found, "Y", X=250.0) - correction(found, "Y", X=0.0)
+    recording = read(target, machines.bent())
+    bow = correction(recording, "Y", X=250.0) - correction(recording, "Y", X=0.0)
     assert bow == pytest.approx(-8.0, abs=0.25)
-    lean = correction(found, "X", Y=400.0) - correction(found, "X", Y=0.0)
+    lean = correction(recording, "X", Y=400.0) - correction(recording, "X", Y=0.0)
     assert lean == pytest.approx(+10.0, abs=0.25)  # pushed by -25 urad * 400 mm = -10 um, so moved +10
 
 
 @holding("temperature")
 def test_a_warm_scale_is_told_to_go_less_far(target):
-    found = read(target, machines.warm())
-    growth = correction(found, "X", X=500.0, sensors={"T": 30.0}) - correction(found, "X", X=500.0)
+    recording = read(target, machines.warm())
+    growth = correction(recording, "X", X=500.0, sensors={"T": 30.0}) - correction(recording, "X", X=500.0)
     assert growth == pytest.approx(-55.0, rel=2e-3)
-    assert correction(found, "Z", sensors={"T": 30.0}) - correction(found, "Z") == pytest.approx(-20.0, rel=2e-3)
+    assert correction(recording, "Z", sensors={"T": 30.0}) - correction(recording, "Z") == pytest.approx(
+        -20.0, rel=2e-3
+    )
 
 
 def test_klipper_lifts_z_over_a_low_bed_and_straightens_the_skew():
     (target,) = [t for t in TARGETS if t.name == "klipper_sections"]
-    found = read(target, machines.bent())
-    assert correction(found, "Z", X=500.0) - correction(found, "Z", X=0.0) == pytest.approx(-20.0, abs=0.05)
-    assert correction(found, "X", Y=400.0) - correction(found, "X", Y=0.0) == pytest.approx(10.0, abs=0.01)
+    recording = read(target, machines.bent())
+    assert correction(recording, "Z", X=500.0) - correction(recording, "Z", X=0.0) == pytest.approx(-20.0, abs=0.05)
+    assert correction(recording, "X", Y=400.0) - correction(recording, "X", Y=0.0) == pytest.approx(10.0, abs=0.01)
     warm = read(target, machines.warm())
     assert correction(warm, "Z", sensors={"T": 30.0}) == pytest.approx(-20.0, rel=2e-3)
 

@@ -77,9 +77,9 @@ def test_names_of_companions_exist():
 def test_compare_targets_shows_the_best_choice(tmp_path):
     ect.write(bent_and_warm(), tmp_path / "table.ect")
     says = stage.compare_targets(tmp_path / "table.ect")["comparison"]
-    found = {row["target"] for row in says if " + " in row["target"]}
+    names = {row["target"] for row in says if " + " in row["target"]}
     # The cross tables can hold the screw too, so the leadscrew table is not needed here.
-    assert found == {"sinumerik_cec + sinumerik_temperature", " + ".join(BECKHOFF)}
+    assert names == {"sinumerik_cec + sinumerik_temperature", " + ".join(BECKHOFF)}
     assert all(row["rms_um"] < 0.3 for row in says if " + " in row["target"])
 
 
@@ -98,8 +98,8 @@ def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
 def test_a_cross_curve_that_stands_alone_holds_its_constant(name):
     """Y moves over X only: nothing else would hold the height of the bow in the middle of X."""
     table = bent_and_warm()
-    found = {x.axis: x for x in _loss.losses(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
-    assert found["Y"].largest < 0.15
+    by_name = {x.axis: x for x in _loss.losses(table, BY_NAME[name].read_back(BY_NAME[name].write(table)))}
+    assert by_name["Y"].largest < 0.15
 
 
 def test_a_sensor_may_have_a_space_in_its_name():

@@ -38,10 +38,10 @@ def basis(case, recording=None, values=None):
 def test_finite_and_one_column_per_parameter(case):
     names = [p.name for p in (*case.term.linear(), *case.term.nonlinear())]
     assert len(set(names)) == len(names) and set(names) == set(case.parameters)
-    found = basis(case)
-    assert found.shape[1] == len(case.term.linear()) and np.isfinite(found).all()
-    assert len(found) % len(case.recording) == 0
-    assert np.abs(found).max() > 0
+    columns = basis(case)
+    assert columns.shape[1] == len(case.term.linear()) and np.isfinite(columns).all()
+    assert len(columns) % len(case.recording) == 0
+    assert np.abs(columns).max() > 0
 
 
 def test_no_parameters_no_deviation(case):
@@ -49,10 +49,10 @@ def test_no_parameters_no_deviation(case):
 
 
 def test_its_linear_parameters_can_be_told_apart(case):
-    found = basis(case)
-    size = np.linalg.norm(found, axis=0)
+    columns = basis(case)
+    size = np.linalg.norm(columns, axis=0)
     assert (size > 0).all()
-    assert np.linalg.matrix_rank(found / size) == found.shape[1]
+    assert np.linalg.matrix_rank(columns / size) == columns.shape[1]
 
 
 def test_plain_data_give_the_term_back(case):

@@ -93,8 +93,8 @@ def test_a_resonance_is_located(frequency, damping):
     w = 2 * np.pi * frequency
     ringing = lsim(TransferFunction([w**2], [1, 2 * damping * w, w**2]), a, t)[1]
     seen = -2e-3 * ringing + 0.5 * np.random.default_rng(3).normal(size=t.size)
-    found = {values[0] for _, values in FlexibleMode.located(log(), "EXX", signals(seen))}
-    assert min(abs(f / frequency - 1) for f in found) < 0.02
+    names = {values[0] for _, values in FlexibleMode.located(log(), "EXX", signals(seen))}
+    assert min(abs(f / frequency - 1) for f in names) < 0.02
     basis = FlexibleMode(axis="X", column="a").basis(log(), frequency, damping)[:, 0]
     assert_allclose(2 * basis, -2e-3 * ringing, atol=1e-9)
 
@@ -123,9 +123,9 @@ def test_a_dead_time_is_located(delay):
     f = 40 * np.sin(9 * t) + 25 * np.sin(23 * t + 1)
     late = 40 * np.sin(9 * (t - delay)) + 25 * np.sin(23 * (t - delay) + 1)
     case = log(EXX_sim=f)
-    (found,) = [v[0] for term, v in DeadTime.located(case, "EXX", signals(late - f + 0.05 * rng.normal(size=t.size)))
+    (matches,) = [v[0] for term, v in DeadTime.located(case, "EXX", signals(late - f + 0.05 * rng.normal(size=t.size)))
                 if term.column]  # fmt: skip
-    assert found == pytest.approx(delay, abs=1e-4)
+    assert matches == pytest.approx(delay, abs=1e-4)
     basis = DeadTime(column="EXX_sim").basis(case, delay)[:, 0]
     assert_allclose(basis[50:], (late - f)[50:], atol=0.02)
 
@@ -152,10 +152,10 @@ def test_lines_and_what_they_are_orders_of():
     rng = np.random.default_rng(5)
     x = np.sort(rng.uniform(0, 700, 3000))
     y = 6 * np.cos(2 * np.pi * x / 24 + 1) + 3 * np.cos(2 * np.pi * 6 * x / 24 - 2) + 4 * np.cos(2 * np.pi * x / 55.5)
-    found = lines(x, y + 1.5 * rng.normal(size=x.size) + 1e-4 * x**2)
-    assert_allclose(sorted(1 / f for f, _ in found), [4.0, 24.0, 55.5], rtol=1e-3)
-    assert_allclose([a for _, a in found], [6, 4, 3], rtol=0.1)
-    (base, orders, known), (_, every, _) = combs(found, 700.0)
+    spectral_lines = lines(x, y + 1.5 * rng.normal(size=x.size) + 1e-4 * x**2)
+    assert_allclose(sorted(1 / f for f, _ in spectral_lines), [4.0, 24.0, 55.5], rtol=1e-3)
+    assert_allclose([a for _, a in spectral_lines], [6, 4, 3], rtol=0.1)
+    (base, orders, known), (_, every, _) = combs(spectral_lines, 700.0)
     assert orders == (1, 6) and not known and 1 / base == pytest.approx(24.0, rel=1e-4)
     assert every == (1, pytest.approx(24 / 55.5, rel=1e-3), 6)
 
@@ -180,8 +180,8 @@ def test_the_base_may_be_absent():
 
 def test_orders_of_one_turn_of_a_motor():
     """7 pole pairs and 12 slots over a single turn: all are orders of the turn."""
-    found = [(7.01 / 360, 2.5), (27.98 / 360, 1.3), (12.02 / 360, 0.6), (36.0 / 360, 0.7)]
-    *_, (base, orders, known) = combs(found, 360.0, [1 / 360])
+    out = [(7.01 / 360, 2.5), (27.98 / 360, 1.3), (12.02 / 360, 0.6), (36.0 / 360, 0.7)]
+    *_, (base, orders, known) = combs(out, 360.0, [1 / 360])
     assert 1 / base == 360.0 and orders == (7, 28, 36, 12) and known
 
 
@@ -222,8 +222,8 @@ def test_two_time_constants_against_the_step_response():
     term = ThermalLag(sensor="T", reference=20.0, two_stages=True)
     assert_allclose(term.basis(case, 400.0, 6000.0), np.column_stack(parts), atol=1e-9)
     seen = 2 * parts[0] + 3 * parts[1] + 0.2 * np.random.default_rng(6).normal(size=t.size)
-    _, (found, taus) = ThermalLag.located(case, "E_Z", signals(seen))
-    assert found.two_stages and is_close(taus, (400.0, 6000.0))
+    _, (match, taus) = ThermalLag.located(case, "E_Z", signals(seen))
+    assert match.two_stages and is_close(taus, (400.0, 6000.0))
     ((single, tau),) = ThermalLag.located(case, "E_Z", signals(parts[1] + 0.01 * seen))
     assert not single.two_stages and tau[0] == pytest.approx(6000.0, rel=0.05)
 
@@ -271,8 +271,8 @@ def visited(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("period", [97.0, 41.0, 19.0, 10.3])  # the last ones fall between the targets
 def test_a_wave_of_few_places_is_found(period):
     x, y = visited(np.sin(2 * np.pi * PLACES / period + 1))
-    found = periods(x, (y,))
-    assert min(abs(320 / p - 320 / period) for p in found) < 0.15  # turns over the travel
+    estimates = periods(x, (y,))
+    assert min(abs(320 / p - 320 / period) for p in estimates) < 0.15  # turns over the travel
 
 
 def test_a_profile_of_chance_is_no_wave():

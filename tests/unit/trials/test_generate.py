@@ -135,5 +135,5 @@ def test_no_textbook_effect_explains_a_mechanism_outside_the_vocabulary():
         _, bench, stories, _ = one_case(12, number, "novel", None, list(PROTOCOLS))
         story = next(s for s in stories if s.hidden)
         none = np.zeros((bench.rows, 0))
-        found = compare(bench, story.response.component, story.hidden[0], none, story.noise, bench.measured, False)
-        assert found.best[1] <= MOSTLY_EXPLAINED
+        comparison = compare(bench, story.response.component, story.hidden[0], none, story.noise, bench.measured, False)
+        assert comparison.best[1] <= MOSTLY_EXPLAINED

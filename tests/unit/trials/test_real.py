@@ -134,9 +134,9 @@ def test_cases_are_readable_sealed_and_counted(tmp_path: Path) -> None:
         text = json.dumps({"diagnosis": 1, "responses": [answer]})
         (tmp_path / "a" / "diagnoses" / case.name / "diagnosis.json").write_text(text)
     rows = judge_all(tmp_path / "a")
-    found = figures(rows)
-    assert (found["nulls"], found["quiet"], found["unknown_alarms"]) == (4, 0, 4)
-    assert (found["additions"], found["named"], found["confident_wrong"]) == (5, 5, 0)
+    values = figures(rows)
+    assert (values["nulls"], values["quiet"], values["unknown_alarms"]) == (4, 0, 4)
+    assert (values["additions"], values["named"], values["confident_wrong"]) == (5, 5, 0)
     assert "| all | 0 of 4 (0 %) | 5 of 5 (100 %) | 0 of 9 (0 %) |" in markdown(rows, "title")
 
 
@@ -192,8 +192,8 @@ def test_gaps_and_damaged_recordings_do_no_harm(tmp_path: Path, capsys: pytest.C
     write(tmp_path / "in" / "moving", moving)
     write(tmp_path / "in" / "damaged", strokes())
     (tmp_path / "in" / "damaged" / "recording.csv").write_text("t,x\n1,2\n")
-    found = sources([tmp_path / "in"])
-    assert [name for name, _ in found] == ["holed", "moving"]
+    files = sources([tmp_path / "in"])
+    assert [name for name, _ in files] == ["holed", "moving"]
     assert "damaged is left out" in capsys.readouterr().err
-    assert {t.kind for name, sheet in found for t in twins(name, sheet)} == {"interleaved", "periods"}
-    generate(tmp_path / "out", found, 1, 4, 4)
+    assert {t.kind for name, sheet in files for t in twins(name, sheet)} == {"interleaved", "periods"}
+    generate(tmp_path / "out", files, 1, 4, 4)

@@ -93,12 +93,12 @@ def test_an_oracle_gets_everything_right(drawn, tmp_path):
     for key in sealed_answers(drawn):
         write(tmp_path, key["case"], perfect(key))
     judged = score(drawn, tmp_path)
-    found = figures(judged)
-    assert found["correct"] == 1.0
-    assert found["alarms_on_quiet_responses"] == 0.0
-    assert found["coverage"] == 1.0
-    assert found["location"] == 1.0
-    assert found["residual_over_noise"] == pytest.approx(1.0)
+    values = figures(judged)
+    assert values["correct"] == 1.0
+    assert values["alarms_on_quiet_responses"] == 0.0
+    assert values["coverage"] == 1.0
+    assert values["location"] == 1.0
+    assert values["residual_over_noise"] == pytest.approx(1.0)
     assert "| all | 20 | 100 % |" in markdown(judged, "20 cases")
 
 
@@ -106,10 +106,10 @@ def test_silence_is_wrong_but_no_alarm(drawn, tmp_path):
     for key in sealed_answers(drawn):
         document = {"responses": [{"component": c, "verdict": "no_mismatch", "findings": []} for c in key["responses"]]}
         write(tmp_path, key["case"], document)
-    found = figures(score(drawn, tmp_path))
-    assert found["correct"] < 0.2
-    assert found["alarms_on_quiet_responses"] == 0.0
-    assert found["abstained_on_known"] == 1.0
+    values = figures(score(drawn, tmp_path))
+    assert values["correct"] < 0.2
+    assert values["alarms_on_quiet_responses"] == 0.0
+    assert values["abstained_on_known"] == 1.0
 
 
 def test_a_bold_name_for_a_novel_mechanism_is_a_miss(tmp_path):
@@ -175,5 +175,5 @@ def test_a_greedy_regression_finds_the_easy_half_only(drawn, tmp_path):
 
     for key in sealed_answers(drawn):
         write(tmp_path, key["case"], diagnose(drawn / "cases" / key["case"]))
-    found = figures(score(drawn, tmp_path))
-    assert 0.35 < found["correct"] < 0.9
+    values = figures(score(drawn, tmp_path))
+    assert 0.35 < values["correct"] < 0.9

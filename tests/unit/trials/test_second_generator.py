@@ -122,12 +122,12 @@ def test_figures_lie_in_the_neighbourhood_of_the_public_sample(drawn: Path) -> N
     if not PUBLIC.exists():
         pytest.skip(f"no public sample at {PUBLIC}")
     public, ours = spread(figures(PUBLIC), "protocol"), spread(figures(drawn), "protocol")
-    for protocol, found in ours.items():
+    for protocol, match in ours.items():
         for name, margin in (("rows", 2.0), ("noise", 5.0)):
             low, _, high = public[protocol][name]
-            assert found[name][0] > low / margin and found[name][2] < high * margin, (protocol, name)
-        assert found["oracle/noise"][2] <= 1.15
-        assert found["largest gain off"][2] <= 0.1501
+            assert match[name][0] > low / margin and match[name][2] < high * margin, (protocol, name)
+        assert match["oracle/noise"][2] <= 1.15
+        assert match["largest gain off"][2] <= 0.1501
 
 
 def test_a_heated_rod_keeps_its_energy_and_levels_out() -> None:

@@ -25,9 +25,9 @@ def with_response(recording, values):
 
 
 def test_every_figure_stands_beside_doing_nothing_and_the_floor(drift):
-    found = held_out(drift, spec(*GOOD))
-    figures = found["components"][0]
-    assert found["scheme"] == "leave-one-run-out"
+    judged = held_out(drift, spec(*GOOD))
+    figures = judged["components"][0]
+    assert judged["scheme"] == "leave-one-run-out"
     assert figures["noise_floor"] == pytest.approx(0.7, rel=0.1)
     assert figures["rms_after"] < 0.1 * figures["rms_before"]
     assert [g["label"] for g in figures["groups"]] == ["w1", "w2", "w3", "p1", "p2", "s1", "s2", "s3"]

@@ -38,26 +38,26 @@ DOWN = [[-1.0, -1.0, -1.0], [0.0, 1.0, 2.0]]
 
 
 def test_a_case_worked_by_hand():
-    found = iso230_2.figures(recording(UP, DOWN, [0.0, 100.0]))
-    assert (found.axis, found.component, found.unit, found.cycles) == ("X", "EXX", "um", 3)
-    assert found.targets == (0.0, 100.0)
-    assert found.up.mean == (1.0, 5.0) and found.up.s == (1.0, 2.0)
-    assert found.up.R_i == (4.0, 8.0) and found.up.R == 8.0
-    assert found.up.E == 4.0
-    assert found.up.A == 10.0  # 5 + 4 - (1 - 2)
-    assert found.down.mean == (-1.0, 1.0) and found.down.s == (0.0, 1.0)
-    assert (found.down.R, found.down.E, found.down.A) == (4.0, 2.0, 4.0)  # A: 1 + 2 - (-1)
-    assert found.B_i == (2.0, 4.0) and (found.B, found.B_mean) == (4.0, 3.0)
-    assert found.R_i == (4.0, 10.0) and found.R == 10.0  # 2 + 0 + 2 against 4; 4 + 2 + 4 against 8
-    assert found.E == 6.0  # 5 - (-1)
-    assert found.M == 3.0  # 3 - 0
-    assert found.A == 10.0  # 9 - (-1)
-    assert found.notes[0] == "3 cycles; ISO 230-2 wants 5"
+    values = iso230_2.figures(recording(UP, DOWN, [0.0, 100.0]))
+    assert (values.axis, values.component, values.unit, values.cycles) == ("X", "EXX", "um", 3)
+    assert values.targets == (0.0, 100.0)
+    assert values.up.mean == (1.0, 5.0) and values.up.s == (1.0, 2.0)
+    assert values.up.R_i == (4.0, 8.0) and values.up.R == 8.0
+    assert values.up.E == 4.0
+    assert values.up.A == 10.0  # 5 + 4 - (1 - 2)
+    assert values.down.mean == (-1.0, 1.0) and values.down.s == (0.0, 1.0)
+    assert (values.down.R, values.down.E, values.down.A) == (4.0, 2.0, 4.0)  # A: 1 + 2 - (-1)
+    assert values.B_i == (2.0, 4.0) and (values.B, values.B_mean) == (4.0, 3.0)
+    assert values.R_i == (4.0, 10.0) and values.R == 10.0  # 2 + 0 + 2 against 4; 4 + 2 + 4 against 8
+    assert values.E == 6.0  # 5 - (-1)
+    assert values.M == 3.0  # 3 - 0
+    assert values.A == 10.0  # 9 - (-1)
+    assert values.notes[0] == "3 cycles; ISO 230-2 wants 5"
 
 
 def test_one_direction_alone_has_no_bidirectional_figures():
-    found = iso230_2.figures(recording(UP, None, [0.0, 100.0]))
-    assert found.down is None and found.B is None and found.A is None and found.up.A == 10.0
+    values = iso230_2.figures(recording(UP, None, [0.0, 100.0]))
+    assert values.down is None and values.B is None and values.A is None and values.up.A == 10.0
 
 
 def test_turning_the_axis_round_swaps_the_directions_and_keeps_the_figures():
@@ -94,8 +94,8 @@ def _report(path: Path) -> dict[str, object]:
     text = path.read_text(encoding="utf-8")
     number = r"(-?[\d.]+(?:e-?\d+)?)"
     single = {
-        key: float(found) * 1e3
-        for key, found in re.findall(rf"^\*{{0,2}}([A-Z]\w*) += +{number} \[mm\]", text, re.M)
+        key: float(match) * 1e3
+        for key, match in re.findall(rf"^\*{{0,2}}([A-Z]\w*) += +{number} \[mm\]", text, re.M)
         if key in ("B_avg", "B", "R_fwd", "R_bwd", "R", "E_fwd", "E_bwd", "E", "M", "A_fwd", "A_bwd", "A")
     }
     row = r"^(\d)\|" + r"\|".join([number] * 5) + r"\|$"

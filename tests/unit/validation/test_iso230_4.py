@@ -95,27 +95,27 @@ def test_backlash_is_hysteresis():
     ],
 )
 def test_each_effect_is_read_with_its_sign_and_nothing_else(given, key, value, unit):
-    found = effects(test_recording(**given))
-    assert_allclose(found[key].value, value, rtol=1e-6)
-    assert found[key].unit == unit
-    assert next(iter(found)) == key  # the largest comes first
-    assert all(e.peak_to_peak < 1e-6 for k, e in found.items() if k != key)
+    names = effects(test_recording(**given))
+    assert_allclose(names[key].value, value, rtol=1e-6)
+    assert names[key].unit == unit
+    assert next(iter(names)) == key  # the largest comes first
+    assert all(e.peak_to_peak < 1e-6 for k, e in names.items() if k != key)
 
 
 def test_squareness_and_servo_mismatch_are_told_apart_by_the_sense():
-    found = effects(test_recording(squareness=20.0, servo=0.3, noise=0.2))
-    assert_allclose(found["squareness", "C0Y"].value, 20.0, atol=0.5)
-    assert_allclose(found["servo_mismatch", "XY"].value, 0.3, atol=0.01)
-    assert "leans towards minus X" in found["squareness", "C0Y"].says
+    names = effects(test_recording(squareness=20.0, servo=0.3, noise=0.2))
+    assert_allclose(names["squareness", "C0Y"].value, 20.0, atol=0.5)
+    assert_allclose(names["servo_mismatch", "XY"].value, 0.3, atol=0.01)
+    assert "leans towards minus X" in names["squareness", "C0Y"].says
 
 
 def test_intervals_cover():
     inside = []
     for seed in range(120):
         recording = test_recording(squareness=15.0, backlash=(4.0, 2.0), noise=0.5, seed=seed, count=120)
-        found = {(e.effect, e.where): e for e in iso230_4.read(list(iso230_4.circles(recording)))[0]}
+        by_name = {(e.effect, e.where): e for e in iso230_4.read(list(iso230_4.circles(recording)))[0]}
         for key, value in ((("squareness", "C0Y"), 15.0), (("backlash", "X"), 4.0), (("backlash", "Y"), 2.0)):
-            low, high = found[key].ci95
+            low, high = by_name[key].ci95
             inside.append(low < value < high)
     assert 0.92 <= np.mean(inside) <= 0.985
 
@@ -141,8 +141,8 @@ def test_a_simulated_machine_is_read_with_the_signs_of_its_components():
     values = {"C0Y": 20.0, "B0Z": -15.0, "A0Z": 10.0, "EXX": lambda p: 0.03 * np.asarray(p)}
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 200.0, 100.0, 180)
     recording = metrology.record(chain, values, "ballbar_circle", runs, 1, noise=0.1)
-    found = {(e.effect, e.where): e.value for t in iso230_4.evaluate(recording) for e in t.effects}
+    by_name = {(e.effect, e.where): e.value for t in iso230_4.evaluate(recording) for e in t.effects}
     for name in ("C0Y", "B0Z", "A0Z"):
-        assert_allclose(found["squareness", name], values[name], atol=0.5)
-    assert_allclose(found["scale_error", "X-Y"], 30.0, atol=0.5)
-    assert_allclose(found["scale_error", "Y-Z"], 0.0, atol=0.5)
+        assert_allclose(by_name["squareness", name], values[name], atol=0.5)
+    assert_allclose(by_name["scale_error", "X-Y"], 30.0, atol=0.5)
+    assert_allclose(by_name["scale_error", "Y-Z"], 0.0, atol=0.5)

@@ -34,8 +34,8 @@ def measured(protocol, seed=2):
 
 def identified(chain, recording):
     obs, _ = readings.of_tests(chain, {"test": recording})
-    found = identify.identify(identify.Parametrisation.of(chain), obs)
-    return summary.document(found, obs, extra=False) | {"procedure": HOW}
+    fitted = identify.identify(identify.Parametrisation.of(chain), obs)
+    return summary.document(fitted, obs, extra=False) | {"procedure": HOW}
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +161,6 @@ def test_an_identification_that_nothing_judges_is_refused(tmp_path, capsys):
 def test_nothing_exported_is_worse_than_nothing(name, seeds, fewest):
     """Every protocol on a machine of three axes and on one of five; `make trials-volumetric` plays 20 seeds of all."""
     played = volumetric.campaign([name], list(volumetric.PROTOCOLS), range(1, 1 + seeds))
-    outcomes = [one for *_, found in played for one in found]
+    outcomes = [one for *_, match in played for one in match]
     assert [one for one in outcomes if one.worse] == []
     assert sum(bool(one.axes) for one in outcomes) >= fewest

@@ -34,15 +34,15 @@ def test_there_are_forty_and_more() -> None:
 
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda w: w.declared.replace(" ", "-"))
 def test_a_wrong_declaration_is_refused_by_its_name(wrong: Wrong) -> None:
-    found = plausibility.findings(wrong.made())
-    named = [f for f in found if f.code == wrong.code]
-    assert named, [str(f) for f in found]
+    findings = plausibility.findings(wrong.made())
+    named = [f for f in findings if f.code == wrong.code]
+    assert named, [str(f) for f in findings]
     assert wrong.meant in str(named[0])
     with pytest.raises(GateError, match="export: refused") as refusal:
-        plausibility.refuse(found)
+        plausibility.refuse(findings)
     assert wrong.code in str(refusal.value) and wrong.meant in str(refusal.value)
-    codes = sorted({f.code for f in found})
-    assert any("Allowed by name" in note for note in plausibility.refuse(found, codes))
+    codes = sorted({f.code for f in findings})
+    assert any("Allowed by name" in note for note in plausibility.refuse(findings, codes))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -68,9 +68,9 @@ def test_what_is_rare_but_true_is_not_refused() -> None:
 def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
     plain = axis_test(4)
     turned = put(plain, EXX=plain.frame.EXX + 16 * plain.frame["dir"])
-    (found,) = plausibility.findings(turned)
-    assert found.code == "reversal-sign" and found.level == "ask"
-    assert plausibility.refuse([found])[0].startswith("Check: ")
+    (findings,) = plausibility.findings(turned)
+    assert findings.code == "reversal-sign" and findings.level == "ask"
+    assert plausibility.refuse([findings])[0].startswith("Check: ")
 
 
 def test_a_worn_screw_is_asked_not_refused() -> None:
@@ -78,8 +78,8 @@ def test_a_worn_screw_is_asked_not_refused() -> None:
     plain = axis_test(5, warm=False)
     f = plain.frame
     worn = put(plain, EXX=-(8 + 12 * np.sin(np.pi * f.x / 800)) * f["dir"] + 0.3 * np.sin(f.x / 50))
-    (found,) = plausibility.findings(worn)
-    assert found.code == "mixed-sign" and found.level == "ask"
+    (findings,) = plausibility.findings(worn)
+    assert findings.code == "mixed-sign" and findings.level == "ask"
 
 
 def test_targets_in_a_random_order_have_no_direction_of_motion() -> None:
@@ -101,8 +101,8 @@ def test_a_machine_that_cooled_over_night_has_no_broken_sensor() -> None:
 def test_a_sensor_that_lost_its_power_is_asked() -> None:
     plain = axis_test(9)
     f = plain.frame
-    (found,) = plausibility.findings(put(plain, T_nut=f.T_nut.where(~f.index.isin(range(60, 75)), 85.0)))
-    assert found.code == "temperature-jump" and found.level == "ask"
+    (findings,) = plausibility.findings(put(plain, T_nut=f.T_nut.where(~f.index.isin(range(60, 75)), 85.0)))
+    assert findings.code == "temperature-jump" and findings.level == "ask"
 
 
 def test_a_heated_bed_has_no_broken_sensor() -> None:
@@ -112,11 +112,11 @@ def test_a_heated_bed_has_no_broken_sensor() -> None:
 
 
 def test_allowing_one_name_allows_no_other() -> None:
-    found = plausibility.findings(next(w for w in WRONG if w.declared == "positions in m declared as mm").made())
-    codes = {f.code for f in found if f.level == "refuse"}
+    findings = plausibility.findings(next(w for w in WRONG if w.declared == "positions in m declared as mm").made())
+    codes = {f.code for f in findings if f.level == "refuse"}
     assert len(codes) > 1
     with pytest.raises(GateError):
-        plausibility.refuse(found, [codes.pop()])
+        plausibility.refuse(findings, [codes.pop()])
 
 
 @pytest.mark.parametrize(
@@ -135,8 +135,8 @@ def test_a_correction_beyond_its_limit(largest: float, travel: float, limit: flo
 
 
 def test_the_limit_names_the_unit_that_would_fit() -> None:
-    found = plausibility.too_large("EXX", 12_000.0, "um", 300.0)
-    assert found is not None and "um that were declared as mm" in found.meant
+    problems = plausibility.too_large("EXX", 12_000.0, "um", 300.0)
+    assert problems is not None and "um that were declared as mm" in problems.meant
     assert plausibility.too_large("ECC", 999.0, "urad", None) is None
     assert plausibility.too_large("ECC", 1001.0, "urad", None) is not None
     assert plausibility.too_large("F_X", 1e9, "N", None) is None
@@ -168,7 +168,7 @@ def test_every_name_is_explained() -> None:
 def test_sound_recordings_of_any_layout_are_not_refused() -> None:
     """400 axis tests of random layout, seeds that chose no threshold: at most one refusal (0.25 %)."""
     made = [(seed, plausibility.findings(sound_recording(seed))) for seed in range(20_000, 20_400)]
-    refused = [(seed, str(f)) for seed, found in made for f in found if f.level == "refuse"]
+    refused = [(seed, str(f)) for seed, match in made for f in match if f.level == "refuse"]
     assert len(refused) <= 1, refused
 
 
@@ -187,8 +187,8 @@ def test_wrong_rows_are_refused_whatever_the_noise_drew(code: str) -> None:
 
 def test_one_side_throughout_is_asked_about() -> None:
     recording = axis_test(7)
-    (found,) = plausibility.findings(put(recording, dir=1.0))
-    assert found.code == "direction-not-of-motion" and found.level == "ask"
+    (findings,) = plausibility.findings(put(recording, dir=1.0))
+    assert findings.code == "direction-not-of-motion" and findings.level == "ask"
 
 
 def test_a_long_axis_that_is_good_is_not_too_small() -> None:

@@ -25,11 +25,11 @@ def model(drift):
 
 
 def test_one_row_per_row_in_order(drift, model):
-    found = predict(model, drift)
-    assert list(found) == ["run", "time", "E_Z_predicted", "E_Z_lower", "E_Z_upper", "E_Z_outside"]
-    assert (found["run"] == drift.frame["run"]).all() and (found["time"] == drift.frame["t"]).all()
-    assert (found["E_Z_lower"] < found["E_Z_predicted"]).all()
-    assert np.sqrt(np.mean((found["E_Z_predicted"] - drift.frame["E_Z"]) ** 2)) < 1.5
+    prediction = predict(model, drift)
+    assert list(prediction) == ["run", "time", "E_Z_predicted", "E_Z_lower", "E_Z_upper", "E_Z_outside"]
+    assert (prediction["run"] == drift.frame["run"]).all() and (prediction["time"] == drift.frame["t"]).all()
+    assert (prediction["E_Z_lower"] < prediction["E_Z_predicted"]).all()
+    assert np.sqrt(np.mean((prediction["E_Z_predicted"] - drift.frame["E_Z"]) ** 2)) < 1.5
 
 
 def test_the_future_and_other_runs_change_nothing(drift, model):
@@ -58,11 +58,11 @@ def test_without_the_response_columns_are_named_by_component(drift, model):
 
 
 def test_outside_is_told_and_widens(drift, model):
-    found = predict(model, drift)
-    summer = found["run"].isin(["s1", "s2", "s3"])
-    assert found.loc[summer, "E_Z_outside"].mean() > 0.9
-    assert found.loc[~summer, "E_Z_outside"].mean() == 0.0
-    width = found["E_Z_upper"] - found["E_Z_lower"]
+    prediction = predict(model, drift)
+    summer = prediction["run"].isin(["s1", "s2", "s3"])
+    assert prediction.loc[summer, "E_Z_outside"].mean() > 0.9
+    assert prediction.loc[~summer, "E_Z_outside"].mean() == 0.0
+    width = prediction["E_Z_upper"] - prediction["E_Z_lower"]
     assert width[summer].max() > 1.5 * width[~summer].max()
 
 
@@ -78,8 +78,8 @@ def test_a_sensor_that_drops_out_holds_its_last_value(drift, model):
 def test_before_a_sensors_first_value_nothing_is_predicted(drift, model):
     frame = drift.frame.copy()
     frame.loc[0:4, "T_front"] = np.nan
-    found = predict(model, Recording(drift.manifest, frame))
-    assert (found["E_Z_predicted"][:5] == 0).all() and (found["E_Z_outside"][:5] == 1).all()
+    prediction = predict(model, Recording(drift.manifest, frame))
+    assert (prediction["E_Z_predicted"][:5] == 0).all() and (prediction["E_Z_outside"][:5] == 1).all()
 
 
 def test_a_column_that_is_missing_is_named(drift, model):

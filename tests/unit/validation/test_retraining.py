@@ -121,7 +121,7 @@ def test_the_sensor_that_drifts_is_blamed_and_the_day_is_right(drifting: int) ->
 
 def test_sensors_that_do_not_drift_raise_no_alarm() -> None:
     quiet = [sensor_drift(*sensors(None, 0.0, seed)) for seed in range(20)]
-    assert sum(bool(found) for found in quiet) <= 1
+    assert sum(bool(entry) for entry in quiet) <= 1
 
 
 @pytest.mark.parametrize("culprit", ["sensor", "machine"])
@@ -132,8 +132,8 @@ def test_a_response_that_moved_names_the_sensor_within_three_runs_only_where_the
         recording, reference = sensors(2 if culprit == "sensor" else None, 0.25, seed)
         early = recording.run_codes() < 24
         apparent = np.random.default_rng(seed).normal(0, 0.03, 24) + 0.25 * np.maximum(np.arange(24) - 20, 0)
-        found = sensor_drift(recording.take(early), reference[early], {"T_2": apparent})
-        named += [d.column for d in found if d.blamed]
+        drift = sensor_drift(recording.take(early), reference[early], {"T_2": apparent})
+        named += [d.column for d in drift if d.blamed]
     assert (named.count("T_2") >= 9) if culprit == "sensor" else (len(named) <= 1), named
 
 

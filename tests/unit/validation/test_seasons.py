@@ -124,10 +124,10 @@ def test_a_season_model_is_judged_like_every_other_model(recording):
 
 
 def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):
-    found = learning_curve.curve(recording, "E_D", Slope, sizes=(1, 2), orders=1)
-    spring = [e for e in found if e["left_out"] == "spring" and e["order"] == 0]
+    curve = learning_curve.curve(recording, "E_D", Slope, sizes=(1, 2), orders=1)
+    spring = [e for e in curve if e["left_out"] == "spring" and e["order"] == 0]
     assert [e["runs"] for e in spring] == [1, 2, 3]
     assert_allclose([e["hours"] for e in spring], np.array([1, 2, 3]) * 59 * 300 / 3600)
-    assert all(e["rms"] < e["rms_before"] for e in found)
+    assert all(e["rms"] < e["rms_before"] for e in curve)
     with pytest.raises(DataError):
         learning_curve.curve(recording, "E_D", Slope, sizes=(0,))

@@ -53,27 +53,27 @@ def recorded(offsets) -> Recording:
 
 
 def figures(recording: Recording) -> dict:
-    (found,) = held_out(recording, Terms.model_validate({"components": [OFFSET]}))["components"]
-    return found
+    (judged,) = held_out(recording, Terms.model_validate({"components": [OFFSET]}))["components"]
+    return judged
 
 
 def test_a_gain_in_rows_but_not_in_runs_is_none(monkeypatch):
     recording = recorded(UNEVEN)
-    found = figures(recording)
-    assert found["rms_after"] < 0.95 * found["rms_before"], "of all rows it leaves less"
+    values = figures(recording)
+    assert values["rms_after"] < 0.95 * values["rms_before"], "of all rows it leaves less"
     own = np.array(UNEVEN)
     left = own - (own.sum() - own) / (own.size - 1)
     assert ttest_rel(np.repeat(own**2, ROWS), np.repeat(left**2, ROWS), alternative="greater").pvalue < 1e-3
-    assert found["runs"] == 6 and found["p_value"] > significance.LEVEL
-    assert found["verdict"] == "do nothing" and found["gain"] == 0.0
+    assert values["runs"] == 6 and values["p_value"] > significance.LEVEL
+    assert values["verdict"] == "do nothing" and values["gain"] == 0.0
     # Counted by rows, as the same figures would be without this rule, it would be exported.
     monkeypatch.setattr(significance, "_units", lambda recording, folds: np.concatenate([f.rows for f in folds]))
     assert figures(recording)["gain"] > 0.0
 
 
 def test_a_gain_in_every_run_is_one():
-    found = figures(recorded(ALIKE))
-    assert found["p_value"] < 1e-4 and found["verdict"] == "model"
+    values = figures(recorded(ALIKE))
+    assert values["p_value"] < 1e-4 and values["verdict"] == "model"
 
 
 @pytest.mark.parametrize(("offsets", "code"), [(UNEVEN, 4), (ALIKE, 0)])

@@ -412,8 +412,8 @@ def page() -> str:
         "| --- | --- | --- |",
     ]
     for wrong in WRONG:
-        found = next(f for f in plausibility.findings(wrong.made()) if f.code == wrong.code)
-        lines.append(f"| {wrong.declared} | `{wrong.code}` | {found.found}; probably meant: {found.meant} |")
+        first = next(f for f in plausibility.findings(wrong.made()) if f.code == wrong.code)
+        lines.append(f"| {wrong.declared} | `{wrong.code}` | {first.found}; probably meant: {first.meant} |")
     lines.append(
         "| a correction of -300 mm at 300 mm | `beyond-limit` | any correction beyond `export: {limit: ...}`, by"
         " default 0.5 mm or 1/1000 of the travel |"

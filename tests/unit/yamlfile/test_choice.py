@@ -82,9 +82,9 @@ def _choice(loaded: list[str]) -> Any:
 def test_a_choice_loads_what_is_named_and_nothing_else() -> None:
     loaded: list[str] = []
     model: Any = create_model("File", parts=(tuple[_choice(loaded), ...], ()))
-    found = parse("parts: [{kind: one, size: 2 cm}]").validate(model)
-    assert found.parts[0].size == 20.0 and loaded == ["one"]
-    assert found.model_dump(mode="json") == {"parts": [{"kind": "one", "size": 20.0}]}
+    parsed = parse("parts: [{kind: one, size: 2 cm}]").validate(model)
+    assert parsed.parts[0].size == 20.0 and loaded == ["one"]
+    assert parsed.model_dump(mode="json") == {"parts": [{"kind": "one", "size": 20.0}]}
     assert set(model.model_json_schema()["$defs"]) == {"one", "two"}
 
 

@@ -37,8 +37,8 @@ from tests.unit.yamlfile.written_models import Model, problems
     ],
 )
 def test_plain_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:
-    found = plain(text)
-    assert found == value and type(found) is type(value)
+    rendered = plain(text)
+    assert rendered == value and type(rendered) is type(value)
 
 
 def test_quoted_scalars_are_texts() -> None:

@@ -47,12 +47,12 @@ def played(folder, edges: int, seed: int) -> dict[str, int]:
 
 def test_ten_million_edges(folder, capsys):
     """Output minus input is what was injected, after every period; no illegal transition; the index where it was."""
-    found = played(folder, EDGES, 1)
+    solved = played(folder, EDGES, 1)
     with capsys.disabled():
-        print("\nfeedback interception: " + ", ".join(f"{k} {v}" for k, v in found.items()))
-    assert found["edges"] == EDGES and found["injections"] > 10_000 and found["indices"] > 1_000
+        print("\nfeedback interception: " + ", ".join(f"{k} {v}" for k, v in solved.items()))
+    assert solved["edges"] == EDGES and solved["injections"] > 10_000 and solved["indices"] > 1_000
     nothing = ("illegal", "wrong", "fast", "early", "shifted", "thawed", "jumps", "core_illegal", "difference")
-    assert {k: found[k] for k in nothing} == dict.fromkeys(nothing, 0)
+    assert {k: solved[k] for k in nothing} == dict.fromkeys(nothing, 0)
 
 
 @pytest.mark.parametrize(
@@ -88,8 +88,8 @@ def turned(core, counts, threshold) -> int:
     """How often the direction turned."""
     side = Side(0, 0)
     core.inject_travel.restype = ctypes.c_int8
-    found = np.array([core.inject_travel(ctypes.byref(side), int(c), threshold) for c in counts])
-    return int(np.count_nonzero(np.diff(found[found != 0])))
+    values = np.array([core.inject_travel(ctypes.byref(side), int(c), threshold) for c in counts])
+    return int(np.count_nonzero(np.diff(values[values != 0])))
 
 
 def test_an_encoder_at_rest_does_not_turn_the_direction(core):

@@ -110,8 +110,8 @@ void session_run(void *s, size_t cycles, const double *given, const unsigned cha
 
 def compiler() -> Path | None:
     """iec2c, where there is one with its library beside it."""
-    found = os.environ.get("IEC2C") or shutil.which("iec2c")
-    return Path(found).resolve() if found and (Path(found).resolve().parent / "lib").is_dir() else None
+    value = os.environ.get("IEC2C") or shutil.which("iec2c")
+    return Path(value).resolve() if value and (Path(value).resolve().parent / "lib").is_dir() else None
 
 
 def build(folder: Path, units: list[str]) -> Path:

@@ -319,8 +319,8 @@ def test_every_real_literal_is_the_constant_it_stands_for():
     from errpipe.kernels import arithmetic as a
 
     text = iec_st.unit("EctExp", room()) + iec_st.unit("EctPower", room())
-    found = {float(v) for v in re.findall(r"\d+\.\d+(?:E-?\d+)?", text)}
-    assert {*a.EXP, a.LOG2_E, a.LN2_HIGH, a.LN2_LOW, a.SQRT2, a.SMALLEST_BASE, a.LARGEST_EXPONENT} <= found
+    names = {float(v) for v in re.findall(r"\d+\.\d+(?:E-?\d+)?", text)}
+    assert {*a.EXP, a.LOG2_E, a.LN2_HIGH, a.LN2_LOW, a.SQRT2, a.SMALLEST_BASE, a.LARGEST_EXPONENT} <= names
     assert [1.0 / k for k in range(21, 0, -2)] == list(a.LN)
 
 
@@ -352,8 +352,8 @@ def test_the_library_project_lists_every_type_and_block_and_its_version(tmp_path
     project = solution.TwincatPlcProject.from_filename(tmp_path / "errpipe.plcproj")
     assert {Path(str(s.saved_path)).name.split(".")[0] for s in project.sources} == set(UNITS)
     root = ElementTree.fromstring(files["errpipe.plcproj"].encode())
-    found = {e.tag.split("}")[1]: e.text for e in root[0]}
-    assert found["ProjectVersion"] == iec_st.LIBRARY_VERSION and found["Title"] == "errpipe"
+    by_name = {e.tag.split("}")[1]: e.text for e in root[0]}
+    assert by_name["ProjectVersion"] == iec_st.LIBRARY_VERSION and by_name["Title"] == "errpipe"
     assert f'version="{iec_st.LIBRARY_VERSION}"' in files["ect.plcopen.xml"]
 
 

@@ -82,9 +82,9 @@ def expression(unit: Unit, text: str) -> str:
     bits = "DWORD" in text or "SHL" in text
     out, at, lowest = [], 0, 0
     while at < len(text.rstrip()):
-        found = TOKEN.match(text, at)
-        assert found, text[at:]
-        token, at = found[1], found.end()
+        match = TOKEN.match(text, at)
+        assert match, text[at:]
+        token, at = match[1], match.end()
         member = out and out[-1] == "."
         if token in WORDS or token == "XOR":
             out.append(BITS[token] if bits and token in BITS else WORDS[token])
@@ -325,11 +325,11 @@ def by_tree(units: list[str]) -> str:
 
     out = []
     for text in units:
-        found = parse_source_code(text)
-        if found.exception:
-            raise found.exception
+        parsed = parse_source_code(text)
+        if parsed.exception:
+            raise parsed.exception
         unit = Unit(text)
-        (item,) = found.transform().items
+        (item,) = parsed.transform().items
         body = getattr(item, "body", None)
         out.append(frame(unit, [tree_block(unit, body)]))
     return PRELUDE + "\n".join(out) + HARNESS
