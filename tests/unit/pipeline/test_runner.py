@@ -47,7 +47,7 @@ def test_a_first_run_does_all_and_a_second_nothing(where: Path) -> None:
 def test_every_output_waits_for_the_disk_once_before_it_is_in_its_place(
     where: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    synced, moved, whole = [], [], (os.fsync, os.replace)
+    synced, moved, whole = [], [], (os.fsync, os.replace, os.unlink)
 
     def fsync(number: int) -> None:
         synced.append(os.fstat(number).st_ino)
@@ -56,12 +56,20 @@ def test_every_output_waits_for_the_disk_once_before_it_is_in_its_place(
     def replace(source: Any, target: Any) -> None:
         if Path(target).suffix == ".json" and ".errpipe" not in Path(target).parts:
             moved.append((os.stat(source).st_ino, synced.count(os.stat(source).st_ino)))
-        if Path(target).exists():  # the number of the file that goes may be given to another one
-            synced[:] = [number for number in synced if number != os.stat(target).st_ino]
+        if Path(target).exists():
+            forget(os.stat(target).st_ino)
         whole[1](source, target)
+
+    def unlink(path: Any, **keys: Any) -> None:
+        forget(os.lstat(path, **keys).st_ino)
+        whole[2](path, **keys)
+
+    def forget(gone: int) -> None:  # the number of a file that goes may be given to another one
+        synced[:] = [number for number in synced if number != gone]
 
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(os, "replace", replace)
+    monkeypatch.setattr(os, "unlink", unlink)
     go(where)
     assert len(moved) >= 4 and {times for _, times in moved} == {1}
 
