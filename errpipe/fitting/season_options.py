@@ -21,7 +21,7 @@ class SeasonOptions(Frozen):
         (900.0,), description="Lags of heat while the spindle runs.", json_schema_extra={"unit": "s"}
     )
     slow: tuple[float, ...] = Field(
-        (7200.0, 14400.0, 28800.0),
+        (3600.0, 7200.0, 14400.0, 28800.0),
         description="Lags of parts without a sensor that follow the room.",
         json_schema_extra={"unit": "s"},
     )
