@@ -157,7 +157,7 @@ def test_an_identification_that_nothing_judges_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, seeds, fewest", [("vertical-centre", 3, 9), ("five-axis-table-table", 1, 4)])
+@pytest.mark.parametrize("name, seeds, fewest", [("vertical-centre", 3, 9), ("five-axis-table-table", 1, 3)])
 def test_nothing_exported_is_worse_than_nothing(name, seeds, fewest):
     """Every protocol on a machine of three axes and on one of five; `make trials-volumetric` plays 20 seeds of all."""
     played = volumetric.campaign([name], list(volumetric.PROTOCOLS), range(1, 1 + seeds))
