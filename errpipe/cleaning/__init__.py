@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 RULES: Choice[type[Rule]] = Choice.of_files(
     "errpipe.cleaning",
     "rule",
-    ("time_order", "repeated_rows", "unit_slips", "stuck_sensors", "outliers", "gaps", "quantisation"),
+    ("time_order", "repeated_rows", "unit_slips", "stuck_sensors", "outliers", "sensor_jumps", "gaps", "quantisation"),
 )
 DEFAULT: tuple[Rule, ...] = tuple(cast(Any, rule).model_construct() for rule in RULES)  # defaults need no check
 

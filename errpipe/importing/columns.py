@@ -12,7 +12,7 @@ from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell
-from errpipe.importing.words import CORRECTION, DOWN, UP, WORDS, plain
+from errpipe.importing.words import CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, WORDS, plain
 
 KIND_OF_UNIT = {
     "degC": "temperature",
@@ -41,6 +41,7 @@ _AXIS_ABOVE = re.compile(
     r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
+COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
 _DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./]\d{{1,2}}[./]\d{{2,4}})(?:{MIDNIGHT})?")
@@ -103,11 +104,17 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "error", f"its unit ({unit}: too small for a position)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
+    if kind == "temperature" and unit is None and column.numeric and not _like_degrees(column):
+        return "ignore", "called like a temperature, but its values are none in degC"
+    if kind == "group" and not 1 < len({*_texts(column)}) <= 0.5 * len(column.cells):
+        return "ignore", "called like a label of groups, but its values group no rows"
+    if kind == "error" and re.search(DISPLACEMENT, plain(column.header)) and _as_long_as_a_travel(column):
+        return "actual", "its size: a displacement as long as a travel is a position"
     if kind == "direction" and _side(column) is None:
         return "ignore", "called a direction, but its values are no two signs"
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
         return "ignore", "called a compensation, but of two values: it says whether one is on"
-    if kind not in ("time", "run", "direction") and not column.numeric:
+    if kind not in ("time", "run", "group", "direction") and not column.numeric:
         return "ignore", "its values are no numbers"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "") in NO_PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
@@ -122,6 +129,24 @@ def _too_large_for_a_deviation(column: RawColumn) -> bool:
     """Whether values in um span more than any deviation does: positions that were logged in um."""
     known = _known(column)
     return column.unit == "um" and known.size > 0 and float(np.ptp(known)) > FARTHEST_UM
+
+
+def _like_degrees(column: RawColumn) -> bool:
+    """Whether the middle reading may be one in degC, in a shop or in a machine."""
+    known = _known(column)
+    return known.size == 0 or COLDEST <= float(np.median(known)) <= HOTTEST
+
+
+def _as_long_as_a_travel(column: RawColumn) -> bool:
+    """Whether values in mm (um) span more than any deviation does."""
+    known, unit = _known(column), {"mm": 1e3, "um": 1.0, "m": 1e6}.get(column.unit or "mm", 0.0)
+    return known.size > 0 and float(np.ptp(known)) * unit > FARTHEST_UM
+
+
+def group_of(header: str) -> str:
+    """What the labels of a column stand for: season, month, ... by its header, else the header itself."""
+    text = plain(header)
+    return next((name for name, words in GROUPS.items() if re.match(words, text)), text.replace(" ", "_"))
 
 
 def _known(column: RawColumn) -> np.ndarray:

@@ -244,7 +244,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     elif g.kind == "direction":
         p.put(c.header, guessing.sides(_filled_down(c, p)), why, role="direction", axis=own)
     elif g.kind in ("run", "group"):
-        p.put(c.header, [label(x) for x in _filled_down(c, p).cells], why, role=g.kind, of=stated.get("of"))
+        of = stated.get("of") or (guessing.group_of(c.header) if g.kind == "group" else None)
+        p.put(c.header, [label(x) for x in _filled_down(c, p).cells], why, role=g.kind, of=of)
     elif g.kind in ("command", "position", "actual"):
         unit, why = _unit_or(_known_unit(c, unit), "deg" if own[0] in "ABC" else "mm", why)
         values, unit, why = plain_unit(c.values, unit, why, ROLE_UNITS[g.kind])

@@ -66,7 +66,17 @@ NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are f
 
 
 def settle_units(p: Proposal, layout: Layout) -> None:
-    """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file."""
+    """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file.
+
+    A temperature without one is not taken as degC beside another in degF.
+    """
+    other_scale = next((n for n, e in p.entries.items() if e.get("unit") == "degF"), None)
+    for name in [n for n, e in p.entries.items() if e["role"] == "temperature" and other_scale]:
+        if "no unit is stated" in p.guesses.get(name, ""):
+            raise DataError(
+                f"no unit is stated for {name!r}, and {other_scale!r} is in degF: say it, with "
+                f"--set {name}.unit=degC (or degF)"
+            )
     stated = {c.unit or "" for c in layout.columns} | {split_header(line)[1] or "" for line in layout.above}
     inches = any(u.endswith("inch") for u in stated)
     metric = any(u.endswith(("um", "mm", "nm")) or u in ("m", "cm", "urad", "arcsec") for u in stated)

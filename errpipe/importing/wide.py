@@ -177,8 +177,8 @@ def split_labels(c: RawColumn) -> list[RawColumn]:
     if guessing.guess(c).kind not in ("ignore", "run") or c.numeric:
         return [c]
     labels = [run_and_side(label(cell)) for cell in c.cells]
-    if any(run is None or way is None for run, way in labels):
-        return [c]
+    if any(run is None or way is None for run, way in labels) or len({way for _, way in labels}) < 2:
+        return [c]  # `r01` of a run is no way back
     no_numbers = np.full(len(labels), np.nan)
     ways: list[str | float | None] = ["+" if way == 1.0 else "-" for _, way in labels]
     return [

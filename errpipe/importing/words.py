@@ -18,13 +18,33 @@ FOLLOWING = r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos
 
 _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"
 
+# Of a tool point: a deviation, unless it is as long as a travel.
+DISPLACEMENT = r"(displacement|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento|変位|位移)"
+
+# Header of labels that a hold-out can leave out -> what they are labels of (`of` of the manifest).
+GROUPS = {
+    "season": r"season|saison|jahreszeit",
+    "month": r"month|monat|mois",
+    "day": r"day|tag|jour",
+    "shift": r"shift|schicht",
+    "duty_cycle": r"duty ?cycle|lastzyklus|lastkollektiv",
+    "machine": r"machine|maschine",
+    "session": r"session|sitzung|campaign|kampagne",
+}
+GROUP = rf"^({'|'.join(GROUPS.values())})( ?(no|nr|id|name))?$"
+
 # What headers are called -> what they hold. The first pattern that fits wins.
 WORDS: tuple[tuple[str, str], ...] = (
     (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
     (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
+    (GROUP, "group"),
     (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|時刻|時間|时间|日時)", "time"),
     (r"^(t|ts|sec|sek|x value)$", "time"),
-    (r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)", "temperature"),
+    (
+        r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)|^tc? ?\d{1,2}$"
+        r"|^(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$",
+        "temperature",
+    ),
     (r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向)\b", "direction"),
     (
         r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数",
@@ -43,6 +63,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"|errore|偏差|誤差|误差)",
         "error",
     ),
+    (DISPLACEMENT, "error"),
     (FOLLOWING, "error"),
     (CORRECTION, "error"),
     (r"(straightness|geradheit)", "error"),

@@ -18,6 +18,9 @@ else:
     AnyRule = RULES
 
 
+LOUD = ("blank cells", "set column aside")  # what a user is told at once; all else stands in cleaning.json
+
+
 class Clean(Stage):
     """Apply cleaning rules; refuse where one would remove more than its share."""
 
@@ -48,7 +51,8 @@ class Clean(Stage):
             cleaned, report = clean(_artefacts.recording_in(folder), self.rules)
             manifest_folder.write(cleaned, context.folder)
         context.write_json("cleaning.json", {**report.plain(), "inputs": context.fingerprint})
-        return {"rows": report.rows_after, "removed": report.rows_before - report.rows_after}
+        done = {d.column: f"{d.what}: {d.reason}" for r in report.rules for d in r.done if d.what in LOUD and d.column}
+        return {"rows": report.rows_after, "removed": report.rows_before - report.rows_after, **done}
 
     def _in_pieces(self, folder: Path) -> bool:
         from errpipe.cleaning import _pieces

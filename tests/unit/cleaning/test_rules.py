@@ -10,6 +10,7 @@ from errpipe.cleaning.gaps import Gaps
 from errpipe.cleaning.outliers import Outliers, outlying
 from errpipe.cleaning.quantisation import Quantisation
 from errpipe.cleaning.repeated_rows import RepeatedRows
+from errpipe.cleaning.sensor_jumps import SensorJumps
 from errpipe.cleaning.stuck_sensors import StuckSensors
 from errpipe.cleaning.time_order import TimeOrder
 from errpipe.cleaning.unit_slips import UnitSlips
@@ -379,3 +380,35 @@ def test_a_step_is_read_off_a_column_of_text():
     assert resolution(values) == 0.05
     assert resolution(np.random.default_rng(0).standard_normal(100)) == 0.0
     assert resolution(np.array([1.0, 1.0])) == 0.0
+
+
+@pytest.mark.parametrize("size", [5.0, -12.0])
+def test_a_sensor_that_jumps_and_stays_is_blanked_to_the_end_of_its_run(size):
+    source = warm_up(step=0.05)
+    values = source.array("T_bearing").copy()
+    values[400:600] += size
+    values[900:902] += size  # two wrong readings are no jump of the level
+    cleaned, report = clean(changed(source, T_bearing=values), (Outliers(), SensorJumps()))
+    assert touched(report, "sensor_jumps", "T_bearing") == list(range(400, 600))
+    assert np.isnan(cleaned.array("T_bearing")[400:600]).all()
+    assert "stays there" in report.rules[1].done[0].reason
+
+
+def test_a_sensor_that_jumped_early_is_set_aside():
+    source = warm_up(runs=1)
+    values = source.array("T_motor").copy()
+    values[100:] += 8.0
+    cleaned, _ = clean(changed(source, T_motor=values), (SensorJumps(),))
+    assert "T_motor" not in cleaned.frame and "T_bearing" in cleaned.frame
+
+
+def test_heat_of_a_fluid_and_steps_that_come_again_are_no_jump_of_a_sensor():
+    """A fluid that is switched on warms its sensor over some readings; a coolant that is switched often steps often."""
+    source = warm_up()
+    after = np.maximum(np.arange(600) - 300.0, 0.0)
+    fast = source.array("T_motor") + np.tile(6.0 * (1 - np.exp(-after * 60 / 90)), 2)  # K: a body of 90 s
+    switched = source.array("T_column") + 6.0 * (np.arange(1200) // 100 % 2)
+    assert touched(clean(changed(source, T_motor=fast, T_column=switched), (SensorJumps(),))[1], "sensor_jumps") == []
+    new_run = source.array("T_room").copy()
+    new_run[600:] += 10.0  # another day
+    assert touched(clean(changed(source, T_room=new_run), (SensorJumps(),))[1], "sensor_jumps") == []

@@ -1,0 +1,68 @@
+"""Drift of a spindle in the words of those who log it: temperatures by bare names, displacements, labels of groups."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from tests.unit.importing import test_import
+
+HOURS = np.arange(0.0, 4.0, 0.25)
+
+
+def drift(header: str, mark: str = ",", factor: float = 1.0) -> str:
+    """Two runs of a spindle that warms by 10 K and grows by 2 um/K."""
+    lines = [header.replace(";", mark)]
+    for run, season in (("r01", "winter"), ("r02", "summer")):
+        for h in HOURS:
+            rise = 10.0 * (1.0 - np.exp(-h))
+            cells = (run, f"{3600 * h:g}", f"{21.5:g}", f"{22 + rise:.3f}", f"{21 + 0.4 * rise:.3f}")
+            lines.append(mark.join([*cells, f"{factor * 2.0 * rise:.6f}", season]))
+    return "\n".join(lines)
+
+
+def imported(tmp_path: Path, text: str, **said: str) -> Recording:
+    (tmp_path / "log.csv").write_text(text)
+    return test_import.imported(tmp_path, tmp_path / "log.csv", **said)
+
+
+@pytest.mark.parametrize("response", ["drift [um]", "Z displacement [um]", "Verlagerung Z [um]", "E_Z"])
+@pytest.mark.parametrize("group", ["season", "Saison", "Jahreszeit"])
+def test_temperatures_a_displacement_and_groups_are_understood(tmp_path: Path, response: str, group: str) -> None:
+    recording = imported(tmp_path, drift(f"run;time_s;ambient;T1;T02;{response};{group}"), component="E_Z")
+    columns = recording.manifest.columns
+    assert {n: columns[n].role for n in ("ambient", "T1", "T02")} == dict.fromkeys(
+        ("ambient", "T1", "T02"), "temperature"
+    )
+    (label,) = recording.names("group")
+    assert columns[label].of == "season" and set(recording.frame[label]) == {"winter", "summer"}
+    assert recording.run_labels() == ("r01", "r02"), "`r01` names a run, not a way back"
+    assert recording.name("direction") is None
+    (error,) = recording.names("error")
+    assert columns[error].component == "E_Z"
+    largest = 20.0 * (1.0 - np.exp(-HOURS[-1]))
+    assert recording.array(error).max() == pytest.approx(largest, abs=0.01)  # um too far: positive
+
+
+def test_a_displacement_in_mm_is_a_deviation_and_one_as_long_as_a_travel_is_a_position(tmp_path: Path) -> None:
+    small = imported(tmp_path, drift("run;t;room;T1;T2;Z displacement [mm];month", factor=1e-3), component="E_Z")
+    assert small.array(small.names("error")[0]).max() == pytest.approx(19.5, abs=0.5)
+    targets = "\n".join(["target [mm],displacement [mm]", *(f"{x},{x + 1e-5 * x:.5f}" for x in range(0, 500, 50))])
+    (tmp_path / "log").mkdir()
+    log = imported(tmp_path / "log", targets, axis="X")
+    assert log.array(log.names("error")[0])[-1] == pytest.approx(4.5, abs=0.01)  # actual less commanded, um
+
+
+def test_numbers_that_are_no_degrees_are_not_taken_for_a_temperature(tmp_path: Path) -> None:
+    text = drift("run;t;room;T1;T2;drift [um];month").replace(",21.5,", ",1850,")
+    recording = imported(tmp_path, text, component="E_Z")
+    assert set(recording.names("temperature")) == {"T1", "T2"}
+
+
+def test_a_temperature_without_a_unit_beside_fahrenheit_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no unit is stated for 'ambient', and 'T1' is in degF"):
+        imported(tmp_path, drift("run;t;ambient;T1 [degF];T2 [degF];drift [um];month"), component="E_Z")
