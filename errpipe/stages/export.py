@@ -108,13 +108,18 @@ def _guard(context: Context, recording: Recording) -> SensorGuard:
 
 
 def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict[str, Any]]:
-    """Table beside model on the recording's own rows: largest and rms difference per component, um or urad."""
+    """Table beside model on the recording's own rows: largest and rms difference per component, um or urad.
+
+    Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
+    """
     import numpy as np
 
     from errpipe.fitting.components import evaluate
     from errpipe.fitting.lowering import left_behind
+    from errpipe.fitting.thermal_arithmetic import held_readings
     from errpipe.stages.predict import table_values
 
+    recording = held_readings(recording)
     by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
     behind = left_behind(model)
     out = []
