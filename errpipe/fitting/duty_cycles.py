@@ -77,7 +77,7 @@ class DutyCycles:
         run = recording.run_codes()
         deviation = since_start_of(recording, component, DATUM_ROWS)
         with one_thread():
-            states = _components(centred(_thermal_states(recording), run, DATUM_ROWS, 1.0))
+            states = _components(centred(_thermal_states(recording), run, DATUM_ROWS, np.isfinite(deviation), 1.0))
         seen = np.isfinite(states).all(axis=1)
         runs = {}
         for code in np.unique(run[seen]).tolist():

@@ -18,7 +18,7 @@ BLOCKS = 5  # inner groups where there are fewer than three runs
 # Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
-LONGEST_HELD = 3  # rows: an empty cell or two of a log; a sensor that is silent for longer is not known
+LONGEST_HELD = 3  # readings of a sensor, at its usual rate: an empty cell or two; silent for longer it is not known
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 
@@ -35,16 +35,19 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
 def held_readings(recording: Recording) -> Recording:
     """The recording with short holes of its temperatures filled as a controller does: the reading before holds.
 
-    Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD rows stay empty.
+    Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate
+    at which the sensor is logged, stay empty.
     """
-    names = list(recording.names("temperature"))
-    readings = recording.frame[names]
-    if not readings.isna().to_numpy().any():
-        return recording
-    runs = readings.groupby(recording.run_codes())
-    held, none_yet = runs.ffill(limit=LONGEST_HELD), runs.ffill().isna()
-    held = held.where(~none_yet, runs.bfill(limit=LONGEST_HELD))
-    return recording.with_columns({n: held[n].to_numpy() for n in names}, {})
+    held = {}
+    for name in recording.names("temperature"):
+        values = recording.frame[name]
+        known = np.flatnonzero(values.notna())
+        if known.size in (0, len(values)):
+            continue
+        limit = LONGEST_HELD * max(int(np.median(np.diff(known))) if known.size > 1 else 1, 1)
+        runs = values.groupby(recording.run_codes())
+        held[name] = runs.ffill(limit=limit).where(runs.ffill().notna(), runs.bfill(limit=limit)).to_numpy()
+    return recording.with_columns(held, {}) if held else recording
 
 
 def no_usable_row(recording: Recording, component: str) -> DataError:
@@ -86,13 +89,25 @@ def conformal_half_width(
     return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 
 
-def centred(columns: np.ndarray, run: np.ndarray, rows: int, share: float = DATUM_SHARE) -> np.ndarray:
-    """Columns (n, p) less a share of the mean of each run's first `rows` rows (see `DATUM_SHARE`)."""
+def centred(
+    columns: np.ndarray, run: np.ndarray, rows: int, measured: np.ndarray, share: float = DATUM_SHARE
+) -> np.ndarray:
+    """Columns (n, p) less a share of the mean of each run's first `rows` measured rows (see `DATUM_SHARE`).
+
+    measured: whether a row has a deviation, (n,): temperatures are often logged faster, and both count from the same
+    rows.
+    """
     out = columns.copy()
     for code in np.unique(run):
         own_rows = np.flatnonzero(run == code)
-        out[own_rows] -= share * columns[own_rows[:rows]].mean(axis=0)
+        datum = own_rows[measured[own_rows]][:rows]
+        out[own_rows] -= share * columns[datum if datum.size else own_rows[:rows]].mean(axis=0)
     return out
+
+
+def predicted_since_start(values: np.ndarray, run: np.ndarray, rows: int, measured: np.ndarray) -> np.ndarray:
+    """Predictions less their mean in each run's first `rows` measured rows, as `since_start` of deviations, (n,)."""
+    return values - since_start(np.where(measured, values, np.nan), run, rows)[1]
 
 
 def inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:

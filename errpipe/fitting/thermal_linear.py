@@ -85,7 +85,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     heat = spindle_heat(recording, taus)
     nodes += heat
     response, _ = since_start(recording.array(response_name(recording, component)), run, datum_rows)
-    values = centred(columns(recording, nodes), run, datum_rows, 1.0)
+    values = centred(columns(recording, nodes), run, datum_rows, np.isfinite(response), 1.0)
     good = np.isfinite(response) & np.isfinite(values).all(axis=1)
     good = good if rows is None else good & rows
     if not good.any():
@@ -99,7 +99,8 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
 def extended(problem: LinearProblem, nodes: Sequence[d.Driver], datum_rows: int) -> LinearProblem:
     """The same problem with further drivers behind its own, of the same sensors."""
     rows, group = problem.rows, problem.group
-    further = centred(columns(problem.recording, nodes), problem.recording.run_codes(), datum_rows, 1.0)
+    run, measured = problem.recording.run_codes(), np.isfinite(problem.response)
+    further = centred(columns(problem.recording, nodes), run, datum_rows, measured, 1.0)
     values = np.column_stack([problem.values, further])
     parts = triangles(values[rows], problem.response[rows], group[rows])
     return replace(problem, drivers=(*problem.drivers, *nodes), values=values, triangle=parts)

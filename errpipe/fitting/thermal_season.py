@@ -96,8 +96,9 @@ class Problem:
         deviation = recording.array(response_name(recording, component))
         run = recording.run_codes()
         self.response, self.zero = since_start(deviation, run, options.datum_rows)
-        core = centred(self.core, run, options.datum_rows)
-        extra = centred(self.extra, run, options.datum_rows)
+        measured = np.isfinite(self.response)
+        core = centred(self.core, run, options.datum_rows, measured)
+        extra = centred(self.extra, run, options.datum_rows, measured)
         good = np.isfinite(self.response) & np.isfinite(core).all(axis=1) & np.isfinite(extra).all(axis=1)
         if rows is not None:
             good &= rows
@@ -123,7 +124,8 @@ class Problem:
 
     def full_core(self) -> np.ndarray:
         """Values of the causes less the mean of each run's first rows, (rows, causes), K."""
-        return centred(self.core, self.recording.run_codes(), self.options.datum_rows, 1.0)
+        measured = np.isfinite(self.response)
+        return centred(self.core, self.recording.run_codes(), self.options.datum_rows, measured, 1.0)
 
     def orient(self) -> None:
         """Reverse all signs where held-out runs are predicted better so: a response may count the other way."""

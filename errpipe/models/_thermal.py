@@ -92,14 +92,15 @@ class ThermalFamily(Family):
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
         """
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import held_readings, since_start, since_start_of
+        from errpipe.fitting.thermal_arithmetic import held_readings, predicted_since_start, since_start_of
         from errpipe.fitting.validity import distance
 
         holdout.check(fold)
         recording = held_readings(recording)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.datum_rows)
-        residual = since - since_start(model.values(recording), recording.run_codes(), self.datum_rows)[0]
+        run = recording.run_codes()
+        residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
         return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:

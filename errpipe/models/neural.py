@@ -50,7 +50,7 @@ def _entrant(family: str, problem: LinearProblem, beside: bool, datum_rows: int)
     values = np.nan_to_num(columns(problem.recording, nodes))
     size = np.sqrt(np.mean(values[problem.rows] ** 2, axis=0))
     size[size == 0] = 1.0
-    start = _Start.of(run, datum_rows)
+    start = _Start.of(run, datum_rows, np.isfinite(problem.response))
 
     @cache
     def gains(groups: tuple[int, ...]) -> np.ndarray:
@@ -91,7 +91,7 @@ def _drivers(problem: LinearProblem) -> list[d.Driver]:
 
 
 class _Start(NamedTuple):
-    """First rows of every run, whose mean is its zero: their numbers, their mean (runs, first), run of each row.
+    """First measured rows of every run, whose mean is its zero: their numbers, mean (runs, first), run of each row.
 
     A bent function of inputs that count from the start is not zero in the mean of the first rows. A net that was
     trained as if it were, was off by up to 12 um where a machine warms quickly (`trials.thermal`, seed 7301).
@@ -102,11 +102,12 @@ class _Start(NamedTuple):
     run: np.ndarray
 
     @classmethod
-    def of(cls, run: np.ndarray, rows: int) -> _Start:
+    def of(cls, run: np.ndarray, rows: int, measured: np.ndarray) -> _Start:
         import numpy as np
 
         codes, number = np.unique(run, return_inverse=True)
-        own = [np.flatnonzero(number == k)[:rows] for k in range(codes.size)]
+        whole = [np.flatnonzero(number == k) for k in range(codes.size)]
+        own = [k[measured[k]][:rows] if measured[k].any() else k[:rows] for k in whole]
         mean = np.zeros((codes.size, sum(o.size for o in own)))
         mean[np.repeat(np.arange(codes.size), [o.size for o in own]), np.arange(mean.shape[1])] = 1.0
         return cls(np.concatenate(own), mean / mean.sum(axis=1, keepdims=True), number)

@@ -64,7 +64,7 @@ class Season(Family):
         import numpy as np
 
         from errpipe.errors import DataError
-        from errpipe.fitting.thermal_arithmetic import since_start
+        from errpipe.fitting.thermal_arithmetic import predicted_since_start
         from errpipe.fitting.thermal_competition import Entrant
         from errpipe.fitting.thermal_season import Problem
 
@@ -84,7 +84,8 @@ class Season(Family):
             rows = np.isin(run, run[left_out])
             out = np.full(run.size, np.nan)
             values = model(groups).values(recording.take(rows))
-            out[rows] = since_start(values, run[rows], self.options.datum_rows)[0]
+            measured = np.isfinite(problem.response[rows])
+            out[rows] = predicted_since_start(values, run[rows], self.options.datum_rows, measured)
             return out
 
         def parts(groups: tuple[int, ...]) -> Any:
@@ -109,14 +110,14 @@ class Season(Family):
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; deviations count from the start of each run."""
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import held_readings, since_start_of
+        from errpipe.fitting.thermal_arithmetic import held_readings, predicted_since_start, since_start_of
         from errpipe.fitting.validity import distance
 
         holdout.check(fold)
         recording = held_readings(recording)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.options.datum_rows)
-        residual = since - model.values(recording)
+        residual = since - predicted_since_start(model.values(recording), recording.run_codes(), 1, since == since)
         return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:

@@ -74,7 +74,7 @@ def test_products_of_many_sensors_or_of_one_run_do_not_compete() -> None:
 def test_a_net_learns_a_bent_function_from_its_zero() -> None:
     """Counted from the mean of first rows that already move; constant inputs give nothing."""
     rng = np.random.default_rng(0)
-    x, start = rng.normal(size=(120, 3)), _Start.of(np.repeat([0, 1, 2], 40), 3)
+    x, start = rng.normal(size=(120, 3)), _Start.of(np.repeat([0, 1, 2], 40), 3, np.ones(120, dtype=bool))
     y = 5.0 * start.centred(np.tanh(2.0 * x[:, 0]))
     inner, bias, outer = _trained(x, start, np.arange(120), y, 1e-3)
     assert_allclose(start.centred(np.tanh(x @ inner + bias) @ outer), y, atol=0.2)

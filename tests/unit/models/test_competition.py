@@ -305,3 +305,25 @@ def test_a_list_of_families_competes(tmp_path) -> None:
     (tmp_path / "p.yaml").write_text("pipeline: 1\nstages:\n" + stages % "lagged, netwrok")
     with pytest.raises(ConfigError, match="Did you mean network"):
         load_pipeline(tmp_path / "p.yaml", STAGES)
+
+
+@pytest.mark.parametrize("family", [Lagged, Neural])
+def test_deviations_that_are_measured_more_seldom_than_temperatures_count_from_the_same_rows(family) -> None:
+    """A probe every 30 min: the zero of a run is the mean of its first three touches, for the prediction too."""
+    whole = machine(4)
+    touched = np.arange(len(whole)) % 6 == 0
+    seldom = whole.with_columns({"E_Z": np.where(touched, whole.array("E_Z"), np.nan)}, {})
+    model = family(component="E_Z")
+    left = []
+    for recording in (whole, seldom):
+        _, folds = model.folds(recording, None)
+        left.append(rms(np.concatenate([model.judge(recording, fold)["E_Z"].after for fold in folds])))
+    assert left[1] < 1.5 * left[0], left
+
+
+def test_temperatures_that_are_logged_more_seldom_hold_until_the_next_reading() -> None:
+    whole = machine(4, runs=2)
+    slow = np.where(np.arange(len(whole)) % 10 == 0, whole.array("T_bed"), np.nan)
+    held = held_readings(whole.with_columns({"T_bed": slow}, {})).array("T_bed")
+    assert np.isfinite(held).all()
+    assert held[19] == whole.array("T_bed")[10]
