@@ -253,6 +253,11 @@ class ApproachNode(operations.Approach, Node):
     """Operands: the position and its direction."""
 
     operands: ClassVar = (2, 2)
+    threshold: NotNegative = Field(
+        0.0,
+        description="Readings no further apart than this agree; one alone between two that do is undone.",
+        json_schema_extra={"unit": "mm"},
+    )
 
 
 class LookupNode(operations.Lookup, Node):
@@ -419,6 +424,8 @@ class CompensationTable(Part):
         known = _unique("input", (i.name for i in self.inputs))
         if self.table == 1 and any(i.noise > 0 for i in self.inputs):
             raise ValueError("a table of version 1 knows no noise of its inputs")
+        if self.table == 1 and any(isinstance(n, ApproachNode) and n.threshold > 0 for n in self.nodes):
+            raise ValueError("a table of version 1 knows no threshold of an approach")
         components = _unique("component", (c.name for c in self.components))
         _unique("output", (o.name for o in self.outputs))
         believed = {i.name for i in self.inputs if not i.optional}

@@ -69,7 +69,7 @@ class Nodes:
             case d.Approach():
                 side = self.direction(driver.axis, driver.threshold, driver.start)
                 place = self.read(self.position(driver.axis).name, False)
-                return self.add(t.ApproachNode(of=(place, side), length=driver.length))
+                return self.add(t.ApproachNode(of=(place, side), length=driver.length, threshold=driver.threshold))
             case d.Lag():
                 slow = slow or min(driver.tau_up, driver.tau_down) >= SLOW_LAG_CYCLES * self.thermal_cycle_s
         if isinstance(driver, d.Affine) and len(driver.of) > MOST_OPERANDS:

@@ -100,7 +100,7 @@ def reset(program, state):
     for n in range(state.nodes.size):
         own = state.nodes[n]
         own.value = own.memory = 0.0
-        own.ready = 0
+        own.ready = own.told = 0
     for o in range(state.outputs.size):
         own = state.outputs[o]
         if program.rules == 1:
@@ -225,6 +225,7 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
         state.common,
         dt,
         replay,
+        not (replay or old),
     )
     if common.unready > 0:
         status |= WAITING

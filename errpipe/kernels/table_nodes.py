@@ -45,6 +45,25 @@ def moved_side(x, known, side, memory, threshold):
 
 
 @bare_kernel
+def recall(own, x, way, threshold, started):
+    """Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way."""
+    if not started:
+        own.last = own.before = x
+    moved, away = x - own.last, x - own.before
+    far = moved > threshold or -moved > threshold
+    agrees = not (away > threshold or -away > threshold)
+    if started and agrees and (own.news != 0 or (own.doubt != 0 and far)):
+        own.value, own.memory = own.kept_value, own.kept_memory
+        far = False
+    own.kept_value, own.kept_memory = own.value, own.memory
+    own.doubt = 1 if own.stands != 0 and far else 0
+    own.stands = 0 if far else 1
+    own.news = 1 if way != 0 and way != own.told else 0
+    own.told = way
+    own.before, own.last = own.last, x
+
+
+@bare_kernel
 def lookup(lookups, first, last, s):
     """Straight lines between uniform values, held at the ends; s counts steps."""
     if s < 0.0:
@@ -71,8 +90,8 @@ def is_ready(node, operands, state, inputs):
 
 
 @bare_kernel
-def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay):
-    """Run nodes in order; what is not finite counts as 0. Returns status bits."""
+def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay, recalls):
+    """Run nodes in order; what is not finite counts as 0. recalls: single readings are undone. Returns status bits."""
     status = 0
     for w in range(which.size):
         n = which[w]
@@ -121,9 +140,14 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
             known = 0.0
             if node.count > 1:
                 known = state[operands[begin + 1].number].value
-            side, memory = (own.value, own.memory) if started else (node.b, u)
-            u, own.memory = moved_side(u, known, side, memory, node.a)
+            if not started:
+                own.value, own.memory = node.b, u
+            if recalls:
+                recall(own, u, 1 if known > 0.0 else -1 if known < 0.0 else 0, node.a, started)
+            u, own.memory = moved_side(u, known, own.value, own.memory, node.a)
         elif op == APPROACH:
+            if recalls:
+                recall(own, u, 0, node.b, started)
             side = state[operands[begin + 1].number].value
             way = u - own.memory
             own.memory = u

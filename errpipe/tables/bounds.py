@@ -145,6 +145,7 @@ _EXP = Cost(17, 35, 0, 24, 16)
 _LN = Cost(26, 62, 1, 24, 13)
 _PROFILE = Cost(4, 4, 0, 6, 6)
 _PERIODIC = Cost(6, 6, 0, 7, 7)
+_RECALL = Cost(2, 0, 0, 9, 10)
 
 
 def _node_cost(node: t.Node) -> Cost:
@@ -160,9 +161,9 @@ def _node_cost(node: t.Node) -> Cost:
         case t.PowerNode():
             return guard + _EXP + _LN + Cost(0, 1, 0, 5, 2)
         case t.ApproachNode():
-            return guard + _EXP + Cost(3, 1, 1, 3, 3)
+            return guard + _RECALL + _EXP + Cost(3, 1, 1, 3, 3)
         case t.DirectionNode():
-            return guard + Cost(1, 0, 0, 5, 3)
+            return guard + _RECALL + Cost(1, 0, 0, 5, 3)
         case t.LookupNode():
             return guard + _PROFILE
         case t.ClipNode() | t.SwitchNode():
@@ -206,7 +207,7 @@ def cost(table: t.CompensationTable) -> tuple[Cost, Cost]:
 
 
 # Bytes of one record of the C runtime's work area on a 64-bit machine in double, and on a 32-bit one in single.
-_WORK = {8: (176, 16, 72, 16, 8, 64, 8, 32, 88, 56, 4), 4: (96, 8, 44, 8, 4, 36, 4, 16, 48, 28, 4)}
+_WORK = {8: (176, 16, 88, 16, 8, 64, 8, 32, 88, 56, 4), 4: (96, 8, 56, 8, 4, 36, 4, 16, 48, 28, 4)}
 
 
 def work_bytes(table: t.CompensationTable, real: int = 8) -> int:

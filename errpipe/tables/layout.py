@@ -82,7 +82,7 @@ OPERATIONS: dict[str, tuple[int, type[t.Node], tuple[str, ...]]] = {
     "clip": (8, t.ClipNode, ("low", "high")),
     "switch": (9, t.SwitchNode, ("on", "off")),
     "direction": (10, t.DirectionNode, ("threshold", "start")),
-    "approach": (11, t.ApproachNode, ("length",)),
+    "approach": (11, t.ApproachNode, ("length", "threshold")),
     "lookup": (12, t.LookupNode, ("start", "step")),
 }
 BY_CODE = {code: (op, cls, fields) for op, (code, cls, fields) in OPERATIONS.items()}

@@ -79,7 +79,10 @@ INPUT_STATE = np.dtype(
     [(n, "f8") for n in ("raw", "wait", "good", "age", "anchor", "now", "left", "value")]
     + [(n, "i8") for n in ("seen", "usable", "fault", "source", "rejected")]
 )
-NODE_STATE = np.dtype([("value", "f8"), ("memory", "f8"), ("ready", "i8")])
+NODE_STATE = np.dtype(
+    [(n, "f8") for n in ("value", "memory", "last", "before", "kept_value", "kept_memory")]
+    + [(n, "i8") for n in ("ready", "stands", "doubt", "told", "news")]
+)
 OUTPUT_STATE = np.dtype([(n, "f8") for n in ("deviation", "correction", "limited", "rate", "target")])
 COMMON_STATE = np.dtype(
     [("fade", "f8"), ("ramp", "f8")] + [(n, "i8") for n in ("until_slow", "heartbeat", "status", "unready")]

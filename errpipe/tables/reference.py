@@ -11,7 +11,7 @@ version (`schemas/ect-1.md`).
 
 Two ways to call it: at the controller's fixed rate (dt None), or over a recording (dt given: time since the
 row before). Over a recording every node runs in every row, and ramp, fade time, slew and acceleration,
-which belong to a fixed rate, do nothing.
+which belong to a fixed rate, do nothing, nor is one reading alone between two that agree undone.
 
 Longer than 400 lines: the second opinion on the cycle, step by step as the specification has it, in one place.
 """
@@ -44,6 +44,20 @@ class Cycle:
     def says(self) -> tuple[str, ...]:
         """Names of the status bits that are set."""
         return tuple(name for name, bit in _BIT.items() if self.status & bit)
+
+
+@dataclass
+class _Recall:
+    """What a direction or approach remembers beside its value and memory: two readings, and how it was before the last."""
+
+    last: float
+    before: float
+    value: float = 0.0
+    memory: float = 0.0
+    stands: bool = True
+    doubt: bool = False
+    told: int = 0
+    news: bool = False
 
 
 class Evaluator:
@@ -90,6 +104,7 @@ class Evaluator:
         self._node = [0.0] * nodes
         self._ready = [False] * nodes
         self._a = [0.0] * nodes
+        self._recalls: dict[int, _Recall] = {}
         self._fade = -1.0
         if not self._rules_of_2:
             self._ramp = 0.0
@@ -306,9 +321,10 @@ class Evaluator:
                 u = values[node.of[0]]
                 return 1.0 if u >= node.on else 0.0 if u <= node.off else values[n]
             case t.DirectionNode():
-                return self._direction(n, node, started)
+                known = values[node.of[1]] if len(node.of) > 1 else 0.0
+                return self._direction(n, node, values[node.of[0]], known, started, dt is not None)
             case t.ApproachNode():
-                return self._approach(n, node, values[node.of[0]], values[node.of[1]], started)
+                return self._approach(n, node, values[node.of[0]], values[node.of[1]], started, dt is not None)
             case t.LookupNode():
                 return _lookup(node, values[node.of[0]])
         raise TypeError(f"unknown node {node!r}")
@@ -326,13 +342,35 @@ class Evaluator:
             alpha = exp(-(dt / tau))
         return before + (y - before) * alpha
 
-    def _direction(self, n: int, node: t.DirectionNode, started: bool) -> float:
-        x = self._node[node.of[0]]
-        known = self._node[node.of[1]] if len(node.of) > 1 else 0.0
-        side = self._node[n]
+    def _recall(self, n: int, x: float, way: int, threshold: float, started: bool, replay: bool) -> None:
+        """Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way.
+
+        One reading away from where the axis stood, and back: at a fixed rate no axis does that, a bad sample does.
+        """
+        if replay or not self._rules_of_2:
+            return
+        own = self._recalls.setdefault(n, _Recall(x, x))
         if not started:
-            side = float(node.start)
+            own.last = own.before = x
+        moved, away = x - own.last, x - own.before
+        far = moved > threshold or -moved > threshold
+        agrees = not (away > threshold or -away > threshold)
+        if started and agrees and (own.news or (own.doubt and far)):
+            self._node[n], self._a[n] = own.value, own.memory
+            far = False
+        own.value, own.memory = self._node[n], self._a[n]
+        own.doubt = own.stands and far
+        own.stands = not far
+        own.news = way not in (0, own.told)
+        own.told = way
+        own.before, own.last = own.last, x
+
+    def _direction(self, n: int, node: t.DirectionNode, x: float, known: float, started: bool, replay: bool) -> float:
+        if not started:
+            self._node[n] = float(node.start)
             self._a[n] = x
+        self._recall(n, x, (known > 0.0) - (known < 0.0), node.threshold, started, replay)
+        side = self._node[n]
         if known > 0.0:
             side = 1.0
             self._a[n] = x
@@ -352,7 +390,8 @@ class Evaluator:
             self._a[n] = x
         return side
 
-    def _approach(self, n: int, node: t.ApproachNode, x: float, side: float, started: bool) -> float:
+    def _approach(self, n: int, node: t.ApproachNode, x: float, side: float, started: bool, replay: bool) -> float:
+        self._recall(n, x, 0, node.threshold, started, replay)
         way = x - self._a[n]
         self._a[n] = x
         if not started:

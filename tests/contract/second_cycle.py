@@ -48,6 +48,9 @@ class NodeState:
     def __init__(self) -> None:
         self.y = self.m = 0.0
         self.ready = self.started = False
+        self.x1 = self.x2 = self.y0 = self.m0 = 0.0
+        self.v = 0
+        self.stands = self.doubt = self.news = False
 
 
 class OutputState:
@@ -252,9 +255,10 @@ class Evaluator:
 
     def _direction(self, node: Node, s: NodeState, u: float, k: float) -> float:
         """Section 6, direction."""
-        y = s.y
         if not s.started:
-            y, s.m = node.b, u
+            s.y, s.m = node.b, u
+        self._recall(s, u, (k > 0) - (k < 0), node.a)
+        y = s.y
         if k != 0:
             s.m = u
             return 1.0 if k > 0 else -1.0
@@ -266,8 +270,23 @@ class Evaluator:
             return -1.0 if y > 0 else 1.0
         return y
 
+    def _recall(self, s: NodeState, u: float, w: int, h: float) -> None:
+        """Section 6, RECALL; section 11."""
+        if self.table.version == 1:
+            return
+        if not s.started:
+            s.x1 = s.x2 = u
+        far = abs(u - s.x1) > h
+        if s.started and abs(u - s.x2) <= h and (s.news or s.doubt and far):
+            s.y, s.m, far = s.y0, s.m0, False
+        s.y0, s.m0 = s.y, s.m
+        s.doubt, s.stands = s.stands and far, not far
+        s.news, s.v = w != 0 and w != s.v, w
+        s.x2, s.x1 = s.x1, u
+
     def _approach(self, node: Node, s: NodeState, u: float, k: float) -> float:
         """Section 6, approach."""
+        self._recall(s, u, 0, node.b)
         w, s.m = abs(u - s.m), u
         if not s.started:
             return k

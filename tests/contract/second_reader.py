@@ -373,7 +373,7 @@ def _check_nodes(table: Table) -> None:
             check(link.target < i and link.zero == 0, f"node {i}: an operand does not stand before it")
             check(is_n(link.weight) and (link.weight == 1 or r.operation == AFFINE), f"node {i}: weight of an operand")
         check(_node_rule(r, table), f"node {i}: a parameter is out of range")
-        used = {1: 1, 2: 0, 3: 1, 4: 0, 5: 4, 6: 0, 7: 1, 8: 2, 9: 2, 10: 2, 11: 1, 12: 3}[r.operation]
+        used = {1: 1, 2: 0, 3: 1, 4: 0, 5: 4, 6: 0, 7: 1, 8: 2, 9: 2, 10: 2, 11: table.version, 12: 3}[r.operation]
         check(all(same(x, 0) for x in r[7 + used :]), f"node {i}: a parameter without a meaning is not 0")
         if r.operation != LOOKUP:
             check(r.others == 0 and (r.other == 0 or r.operation == 2), f"node {i}: other or others is not 0")
@@ -398,7 +398,7 @@ def _node_rule(r: Node, table: Table) -> bool:
         case 10:
             return 0 <= r.a <= 1e15 and r.b in (-1, 1)
         case 11:
-            return is_p(r.a)
+            return is_p(r.a) and 0 <= r.b <= 1e15
         case 12:
             return is_n(r.a) and is_p(r.b) and same(r.c, 1 / r.b) and r.others >= 2
         case _:

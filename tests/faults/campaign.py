@@ -32,18 +32,19 @@ MATIEC, HAL = (
 
 HEAD = (
     "| evaluator | sequences | cycles | largest step, of the slew | largest size, of the magnitude "
-    "| off at the end, um | unsafe |"
+    "| off after one bad sample of X, um | off at the end, um | unsafe |"
 )
 
 
 @dataclass
 class Result:
-    """What some sequences did: largest step and size in parts of their limits, um off at the end, unsafe ones."""
+    """What some sequences did: largest step and size in parts of their limits, um off, unsafe ones."""
 
     sequences: int = 0
     cycles: int = 0
     step: float = 0.0
     size: float = 0.0
+    once: float = 0.0
     off: float = 0.0
     unsafe: int = 0
 
@@ -53,7 +54,7 @@ class Result:
         self.sequences += 1
         self.cycles += len(corrections)
         self.step, self.size = max(self.step, judgement.step), max(self.size, judgement.size)
-        self.off = max(self.off, judgement.off)
+        self.once, self.off = max(self.once, judgement.once), max(self.off, judgement.off)
         self.unsafe += not judgement.is_safe(single)
 
 
@@ -110,10 +111,11 @@ def main(count: int, only: str = "") -> int:
     old, after = rest.split(END)
     rows = {row.split(" | ")[0].removeprefix("| "): row for row in old.splitlines()[2:]}
     rows |= {
-        name: f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} | {r.off:.4f} | {r.unsafe} |"
+        name: f"| {name} | {r.sequences} | {r.cycles} | {r.step:.6f} | {r.size:.6f} "
+        f"| {r.once:.4f} | {r.off:.4f} | {r.unsafe} |"
         for name, r in result.items()
     }
-    lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- |", *rows.values()]
+    lines = [HEAD, "| --- | --- | --- | --- | --- | --- | --- | --- |", *rows.values()]
     print("\n".join(lines))
     PAGE.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
     return int(any(r.unsafe for r in result.values()))

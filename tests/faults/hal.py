@@ -28,10 +28,10 @@ AT_ONCE = 500  # sequences in a session of LinuxCNC
 LONGEST_S = 300.0
 UNCONNECTED = 1e31  # what a pin reads that nobody drives
 FRESH_NUT, FRESH_COLUMN, ENABLE, HOMED, NOT_WANTED, RESET = (1 << k for k in range(6))
-ROW = np.dtype([("readings", "<f8", 3), ("bits", "<u8")])
+ROW = np.dtype([("readings", "<f8", 4), ("bits", "<u8")])
 
 REPLAY = r"""component replay;
-pin out float x; pin out float nut; pin out float column;
+pin out float x; pin out float nut; pin out float column; pin out float v;
 pin out bit fresh_nut; pin out bit fresh_column;
 pin out bit enable; pin out bit homed; pin out bit off; pin out bit reset;
 pin in float correction_x; pin in float correction_z; pin out u32 left = 1;
@@ -41,7 +41,7 @@ license "Apache-2.0"; author "errpipe";
 ;;
 #include <fcntl.h>
 #include <sys/mman.h>
-static const struct { double v[3]; uint64_t bits; } *given;
+static const struct { double v[4]; uint64_t bits; } *given;
 static double *taken;
 static unsigned at;
 EXTRA_SETUP() {
@@ -55,7 +55,7 @@ FUNCTION(give) {
     (void)period;
     if (at >= @COUNT@) return;
     const uint64_t b = given[at].bits;
-    x = given[at].v[0]; nut = given[at].v[1]; column = given[at].v[2];
+    x = given[at].v[0]; nut = given[at].v[1]; column = given[at].v[2]; v = given[at].v[3];
     fresh_nut = b & 1; fresh_column = b >> 1 & 1; enable = b >> 2 & 1; homed = b >> 3 & 1; off = b >> 4 & 1;
     reset = b >> 5 & 1;
 }
@@ -74,6 +74,7 @@ addf replay.take servo-thread
 net x replay.x => errpipe.in-x
 net nut replay.nut => errpipe.in-t-nut
 net column replay.column => errpipe.in-t-column
+net v replay.v => errpipe.in-v
 net fresh-nut replay.fresh-nut => errpipe.fresh-t-nut
 net fresh-column replay.fresh-column => errpipe.fresh-t-column
 net on replay.enable => errpipe.enable
@@ -116,7 +117,7 @@ def faster(table: t.CompensationTable) -> t.CompensationTable:
 def of_one_table(seed: int) -> list[Part]:
     """The sequence of a seed as HAL can have it: one table throughout, what is not new does not change, resets rise."""
     parts: list[Part] = []
-    last, before = np.array([500.0, 27.0, 24.0]), False
+    last, before = np.array([500.0, 27.0, 24.0, 0.0]), False
     for part in sequences.sequence(seed):
         readings = np.where(np.abs(part.readings) < 1e6, part.readings, UNCONNECTED)  # NaN fails this too
         for k in range(len(readings)):
@@ -124,7 +125,7 @@ def of_one_table(seed: int) -> list[Part]:
         begins = "reset" if part.begins == "reset" and not before else "" if parts else "table"
         before = begins == "reset" and len(readings) == 1
         fresh = part.fresh.copy()
-        fresh[:, 0] = 1
+        fresh[:, [0, sequences.VELOCITY]] = 1
         parts.append(replace(part, begins=begins, number=seed % TABLES, readings=readings, fresh=fresh))
     return parts
 

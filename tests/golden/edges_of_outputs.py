@@ -281,6 +281,57 @@ def bounded() -> tuple[t.CompensationTable, list[dict]]:
     return table, rows(a=[*way, *(-v for v in way), *[0.75] * 12, *[-0.75] * 16])
 
 
+def undone() -> tuple[t.CompensationTable, list[dict]]:
+    """Directions and approaches around one bad reading: where an axis stands, has gone back a little, moves and turns."""
+    nodes = (
+        t.InputNode(input="u"),
+        t.InputNode(input="k"),
+        t.DirectionNode(of=(0,), threshold=1.0),
+        t.DirectionNode(of=(0, 1), threshold=1.0, start=-1),
+        t.DirectionNode(of=(0,), threshold=0.0, start=-1),
+        t.DirectionNode(of=(0, 1), threshold=1.0, slow=True),
+        t.ApproachNode(of=(0, 2), length=2.0**-13, threshold=1.0),  # so short that EXP is 0 wherever it moved
+        t.ApproachNode(of=(0, 1), length=2.0**-13, threshold=1.0),
+        t.ApproachNode(of=(0, 1), length=2.0**-13),
+        t.ApproachNode(of=(0, 1), length=2.0**-13, threshold=1.0, slow=True),
+    )
+    spikes = [12.0, -4.0, 5.0, 5.125, 3.0, 2.875, 1000.5]  # far, exactly the threshold, beside it, out of range
+    way = [BAD, 8.0, 14.0, 8.0, 14.0, 8.0, 8.0, 4.0, 4.0]  # the second reading of all
+    for spike in spikes:
+        way += [spike, 4.0, 4.0, 4.0]
+    way += [
+        8.0,
+        5.0,
+        5.0,
+        9.0,
+        6.125,
+        6.125,
+        6.125,
+        2.0,
+        5.125,
+        5.125,
+        1.0,
+        4.0,
+        4.0,
+    ]  # back to the threshold, beside it
+    way += [5.5, 4.5, 4.5, 6.0, 4.875, 4.875, 3.5, 4.5, 4.5, 3.0, 4.125, 4.125]
+    way += [10.0, 9.5, 9.5, 12.0, 9.5, 9.5, 9.0, 9.0, 8.875, 8.875]  # gone back by less than the threshold
+    way += [4.0, 4.0, 12.0, 4.0, 12.0, 4.0, 4.0, -4.0, 4.0, 12.0, 4.0, 4.0, 12.0, 12.0, 4.0, 4.0, 4.0]  # two, one twice
+    way += [0.0, 2.0, 4.0, 6.0, 20.0, 10.0, 12.0, -9.0, 16.0, 18.0, 20.0, 18.0, 16.0, 16.0, 16.0]  # moving, a turn
+    way += [16.5, 17.0, 20.0, 17.5, 18.0, 10.0, 18.5, 18.5, 18.75, 18.5, 18.75, 18.5, 18.75, 18.5]  # slow; dithering
+    way += [16.0, 18.5, 16.0, 18.5, 18.5, 16.0, 16.0, 18.5, 18.5]  # to and fro, steps of one cycle and of two
+    r = np.random.default_rng(10)
+    way += [float(v) for v in r.choice((4.0, 4.0, 4.0, 4.0, 4.5, 5.0, 5.125, 3.0, 12.0, -4.0), 240)]
+    known = (
+        [1.0, 0.0, 0.0, 0.0, 2.0]
+        + [0.0] * 55
+        + [float(v) for v in r.choice((0.0, 0.0, 0.0, 0.0, 0.0, 2.0, -0.5, BAD), len(way) - 60)]
+    )
+    way += [4.0] * 9 + [4.0, 4.0, 4.0, 5.0, 5.0, 6.125, 6.125, 5.125, 5.125, 4.0]  # a way told once, alone
+    known += [0.0, 0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 1.0, -1.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+    return shown((channel("u"), channel("k", optional=True, default=0.0)), nodes, slow_every=2), rows(u=way, k=known)
+
+
 def overshoots() -> list[float]:
     """Steps of a goal, um per cycle: one that is followed stops and goes on while the correction is ahead of it."""
     steps: list[float] = []

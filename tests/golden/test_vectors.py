@@ -123,7 +123,7 @@ def test_c_runtime_in_single_precision(number, single):
 
 @needs_c
 @pytest.mark.toolchain
-@pytest.mark.parametrize("name", ["readings", "fading", "motion", "doubts", "slowly"])
+@pytest.mark.parametrize("name", ["readings", "fading", "motion", "doubts", "slowly", "undone"])
 def test_ties_are_ties_in_single_precision(name, single):
     with np.errstate(over="ignore"):
         deviation, correction, status = compare(NAMES.index(name), single.stream)

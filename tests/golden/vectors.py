@@ -37,7 +37,7 @@ HEAD = """# Golden vectors of the compensation table, binary form, version 2 (ec
 # a limited correction on its way may be one cycle early or late.
 #
 # straight to volumetric, turning: machines one can check by hand. readings, fading, operations, sums, motion,
-# doubts, slowly: each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N:
+# doubts, slowly, undone: each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N:
 # random tables that use everything.
 """
 NAMES = (
@@ -57,6 +57,7 @@ NAMES = (
     "doubts",
     "slowly",
     "bounded",
+    "undone",
     "mixed-1",
     "mixed-28",
     "mixed-81",
@@ -316,6 +317,7 @@ def blocks() -> Iterator[Block]:
         edges.doubts,
         edges.slowly,
         edges_of_outputs.bounded,
+        edges_of_outputs.undone,
     ):
         yield block(make.__name__, *make())
     yield from (mixed(seed) for seed in MIXED if seed not in (6, 13))

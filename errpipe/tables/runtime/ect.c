@@ -552,7 +552,8 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
 {
     static const uint32_t fewest[13] = {0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 2, 1};
     static const uint32_t most[13] = {0, 0, 0, 64, 1, 1, 16, 1, 1, 1, 2, 2, 1};
-    static const uint32_t zero_from[13] = {0, 32, 24, 32, 24, 56, 24, 32, 40, 40, 40, 32, 48};
+    static const uint32_t zero_from[13] = {0, 32, 24, 32, 24, 56, 24, 32, 40, 40, 40, 40, 48};
+    uint32_t zero;
     ect_real dt = n->flags & SLOW ? e->cycle * (ect_real)e->slow_every : e->cycle;
     if (n->op < CONSTANT || n->op > LOOKUP || n->count < fewest[n->op] || n->count > most[n->op]) {
         return 0;
@@ -560,7 +561,8 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
     if (u16_at(r + 2) > 3 || ((n->flags & START_ZERO) && n->op != LAG) || u32_at(r + 20) != 0) {
         return 0;
     }
-    if (!is_zero_bits(r + zero_from[n->op], 56 - zero_from[n->op])) {
+    zero = n->op == APPROACH && s->rules == 1 ? 32u : zero_from[n->op];
+    if (!is_zero_bits(r + zero, 56 - zero)) {
         return 0;
     }
     if ((n->op != INPUT && n->op != LOOKUP && n->other != 0) || (n->op != LOOKUP && n->others != 0)) {
@@ -591,7 +593,7 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
     case DIRECTION:
         return n->a >= R(0) && n->a <= R(1e15) && (is_equal(n->b, R(1)) || is_equal(n->b, R(-1)));
     case APPROACH:
-        return is_positive(n->a);
+        return is_positive(n->a) && n->b >= R(0) && n->b <= R(1e15);
     case LOOKUP:
         if (!is_number(n->a) || !is_positive(n->b) || n->others < 2) {
             return 0;
@@ -941,6 +943,7 @@ void ect_reset(ect *e)
     for (i = 0; i < e->node_count; i++) {
         e->nodes[i].value = e->nodes[i].memory = R(0);
         e->nodes[i].ready = 0;
+        e->nodes[i].told = 0;
     }
     for (i = 0; i < e->output_count; i++) {
         ect_output *o = &e->outputs[i];
@@ -1140,13 +1143,34 @@ static ect_real lookup(const ect_real *values, int32_t last, ect_real s)
     return values[j] + (s - (ect_real)j) * (values[j + 1] - values[j]);
 }
 
-static ect_real side_of(ect_node *n, ect_real u, ect_real known, int started)
+static int is_far(ect_real a, ect_real b, ect_real threshold) { return a - b > threshold || b - a > threshold; }
+
+/* Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way. */
+static void recall(ect_node *n, ect_real u, ect_real threshold, int told, int started)
+{
+    int far;
+    if (!started) {
+        n->c = n->d = u;
+    }
+    far = is_far(u, n->c, threshold);
+    if (started && (n->news || (n->doubt && far)) && !is_far(u, n->d, threshold)) {
+        n->value = n->kept_value;
+        n->memory = n->kept_memory;
+        far = 0;
+    }
+    n->kept_value = n->value;
+    n->kept_memory = n->memory;
+    n->doubt = far && n->stands;
+    n->stands = !far;
+    n->news = told != 0 && told != n->told;
+    n->told = (int8_t)told;
+    n->d = n->c;
+    n->c = u;
+}
+
+static ect_real side_of(ect_node *n, ect_real u, ect_real known)
 {
     ect_real y = n->value;
-    if (!started) {
-        y = n->b;
-        n->memory = u;
-    }
     if (known > R(0)) {
         n->memory = u;
         return R(1);
@@ -1209,8 +1233,20 @@ static ect_real run_node(ect *e, ect_node *n, int started)
     case SWITCH:
         return u >= n->a ? R(1) : u <= n->b ? R(0) : y;
     case DIRECTION:
-        return side_of(n, u, n->count > 1 ? nodes[of[1].number].value : R(0), started);
+        way = n->count > 1 ? nodes[of[1].number].value : R(0);
+        if (!started) {
+            n->value = n->b;
+            n->memory = u;
+        }
+        if (e->rules > 1) {
+            recall(n, u, n->a, (way > R(0)) - (way < R(0)), started);
+        }
+        return side_of(n, u, way);
     case APPROACH:
+        if (e->rules > 1) {
+            recall(n, u, n->b, 0, started);
+        }
+        y = n->value;
         way = u - n->memory;
         n->memory = u;
         u = nodes[of[1].number].value;

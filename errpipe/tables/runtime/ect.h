@@ -86,11 +86,15 @@ typedef struct {
 } ect_weighted;
 
 typedef struct {
-    ect_real a, b, c, d;
+    ect_real a, b;
+    ect_real c, d;          /* of direction and approach: the last two readings */
     ect_real value, memory;
+    ect_real kept_value, kept_memory; /* before the last reading */
     uint32_t first, count, other, others;
     uint16_t op;
     uint8_t flags, ready;
+    uint8_t stands, doubt, news;
+    int8_t told;            /* sign of the last direction that was told */
 } ect_node;
 
 typedef struct {

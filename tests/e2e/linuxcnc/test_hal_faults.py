@@ -57,7 +57,7 @@ def faults(first: int = 0) -> np.ndarray:
             homed = np.where(mode == OFF, seed % 2, 1)  # off by one pin or by the other
             anew = (np.arange(len(mode)) == 0)[:, None] & (part.begins == "reset")
             bits = np.hstack([mode != HOLD, homed, (mode == OFF) & (homed == 1), anew])
-            rows.append(np.hstack([part.readings, bits]))
+            rows.append(np.hstack([part.readings[:, :3], bits]))  # the velocity is not connected
     whole = np.vstack(rows)[:CYCLES].astype(float)
     whole[-300:, 3:] = (1, 1, 1, 0)
     whole[:, :3] = np.where(np.abs(whole[:, :3]) < 1e6, whole[:, :3], UNCONNECTED)  # NaN fails the comparison too
@@ -119,7 +119,7 @@ def by_reference(made, given: np.ndarray) -> tuple[np.ndarray, int]:
         if anew and not before:
             evaluator.reset()
         before = anew
-        readings = dict(zip(names, (x, nut, column), strict=True))
+        readings = dict(zip(names[:3], (x, nut, column), strict=True))
         stale = {i.name for i in made.inputs if i.stale_after_s is not None}
         new = {n: v for (n, v), old in zip(readings.items(), last, strict=True) if n not in stale or v != old}
         last = list(readings.values())
