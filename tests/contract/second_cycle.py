@@ -277,7 +277,7 @@ class Evaluator:
         if not s.started:
             s.x1 = s.x2 = u
         far = abs(u - s.x1) > h
-        if s.started and abs(u - s.x2) <= h and (s.news or s.doubt and far):
+        if s.started and abs(u - s.x2) <= h and (s.news or (s.doubt and far)):
             s.y, s.m, far = s.y0, s.m0, False
         s.y0, s.m0 = s.y, s.m
         s.doubt, s.stands = s.stands and far, not far

@@ -195,7 +195,7 @@ EVERY, MOVES, BACK = 200, 100, 25  # cycles from one to the next; after which th
 @pytest.mark.parametrize("moves", [True, False], ids=["moving", "standing"])
 @pytest.mark.parametrize("side", [1.0, np.nan], ids=["the control tells the direction", "it does not"])
 def test_one_bad_sample_of_the_position(table, evaluate, side, moves):
-    """What turns the direction for a cycle moves the axis at its slew, and back, whether it moves or stands or is told."""
+    """What turns the direction for a cycle moves the axis at its slew, and back: also where it stands, told or not."""
     start, cycles = 2000, 2000 + EVERY * len(PLACES)
     at = start + EVERY * np.arange(len(PLACES))
     speed = np.full(cycles, 0.02)

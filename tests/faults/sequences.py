@@ -2,8 +2,8 @@
 
 A sequence is a list of parts. Each part is some cycles of readings in one mode, and begins with nothing, a reset or
 another table. Axes move and turn, sensors fail, jump, drift and freeze, the machine stops, is homed and goes on; the
-last part is calm and long enough for the correction to be what the readings ask for. There X stands, and its position or
-its velocity reads wrong once.
+last part is calm and long enough for the correction to be what the readings ask for. There X stands, and its position
+or its velocity reads wrong once.
 """
 
 from __future__ import annotations

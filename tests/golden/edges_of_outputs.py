@@ -282,7 +282,7 @@ def bounded() -> tuple[t.CompensationTable, list[dict]]:
 
 
 def undone() -> tuple[t.CompensationTable, list[dict]]:
-    """Directions and approaches around one bad reading: where an axis stands, has gone back a little, moves and turns."""
+    """Directions and approaches around one bad reading: an axis stands, has gone back a little, moves, turns."""
     nodes = (
         t.InputNode(input="u"),
         t.InputNode(input="k"),

@@ -37,8 +37,8 @@ HEAD = """# Golden vectors of the compensation table, binary form, version 2 (ec
 # a limited correction on its way may be one cycle early or late.
 #
 # straight to volumetric, turning: machines one can check by hand. readings, fading, operations, sums, motion,
-# doubts, slowly, undone: each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of 2^-10 s. mixed-N:
-# random tables that use everything.
+# doubts, slowly, bounded, undone: each rule of sections 5 to 8 exactly at its bound and beside it, on a cycle of
+# 2^-10 s. mixed-N: random tables that use everything.
 """
 NAMES = (
     "straight",
