@@ -48,7 +48,7 @@ class Cycle:
 
 @dataclass
 class _Recall:
-    """What a direction or approach keeps beside value and memory: two readings, and both as they were before the last."""
+    """What a direction or approach keeps beside value and memory: two readings, and both before the last of them."""
 
     last: float
     before: float

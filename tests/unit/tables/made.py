@@ -37,6 +37,8 @@ def everything(seed: int, version: int = 2) -> t.CompensationTable:
     nodes: list[t.Node] = []
     for _ in range(r.randint(1, 30)):
         nodes.append(_node(r, nodes, inputs))
+    if version > 1:
+        nodes = [_with_threshold(node, n) for n, node in enumerate(nodes)]
     profiles = tuple(_profile(r, inputs) for _ in range(r.randint(1, 8)))
     components = tuple(t.Component(name=f"C{n}", unit=r.choice(("um", "urad"))) for n in range(r.randint(1, 5)))
     pairs = tuple(
@@ -97,6 +99,12 @@ def stimulus(table: t.CompensationTable, cycles: int, seed: int):
 def modes(mode: int) -> dict[str, bool]:
     """A mode as the reference evaluator takes it."""
     return {"enable": mode == ON, "hold": mode == HOLD}
+
+
+def _with_threshold(node: t.Node, n: int) -> t.Node:
+    """An approach with the threshold that version 2 gives it."""
+    more = {"threshold": (0.0, 0.01, 3.0)[n % 3]} if isinstance(node, t.ApproachNode) else {}
+    return node.model_copy(update=more)
 
 
 def _with_noise(i: t.TableInput, n: int) -> t.TableInput:

@@ -33,7 +33,7 @@ def sound() -> t.CompensationTable:
         t.ClipNode(of=(3,), low=-5.0, high=5.0, slow=True),
         t.SwitchNode(of=(3,), on=1.0, off=0.5, slow=True),
         t.DirectionNode(of=(1,), threshold=0.01),
-        t.ApproachNode(of=(1, 11), length=0.5),
+        t.ApproachNode(of=(1, 11), length=0.5, threshold=0.01),
         t.LookupNode(of=(3,), start=0.0, step=5.0, values=(0.0, 1.0, 3.0), slow=True),
         t.LookupNode(of=(1,), start=0.0, step=50.0, values=(1.0, 2.0)),
         t.LagNode(of=(1,), tau_up=1e-6, tau_down=1e-6),  # so short that nothing remains: factors of 0
@@ -197,7 +197,9 @@ FIELDS: tuple[tuple[str, int, int, int, str, object], ...] = (
     ("start neither -1 nor 1", NODE, 11, 32, "d", 0.5),
     ("start of 0", NODE, 11, 32, "d", 0.0),
     ("approach of length 0", NODE, 12, 24, "d", 0.0),
-    ("approach with a second number", NODE, 12, 32, "d", 1.0),
+    ("approach with a threshold below 0", NODE, 12, 32, "d", -0.01),
+    ("approach with a threshold too large", NODE, 12, 32, "d", 1.1e15),
+    ("approach with a third number", NODE, 12, 40, "d", 1.0),
     ("lookup values that start late", NODE, 14, 12, "I", 2),
     ("lookup with one value", NODE, 14, 16, "I", 1),
     ("lookup with too many values", NODE, 14, 16, "I", 3),
@@ -341,6 +343,7 @@ def cases() -> Iterator[tuple[str, bytes]]:
         yield what, _changed(data, at, form, value)
     for what, section, record, at, form, value in FIELDS:
         yield what, _changed(data, starts[section] + record * lay.RECORDS[section][1].size + at, form, value)
+    yield "approach of version 1 with a threshold", ect.dumps(sound().model_copy(update={"table": 1}))
     yield "no end", data[:-8]
     yield "bytes behind the end", mended(data[:16] + struct.pack("<I", len(data) + 8) + data[20:] + bytes(8))
     yield "gap behind the profile values", _changed(data, starts[COMPONENT] - 4, "I", 1)  # an odd number of them
