@@ -145,7 +145,7 @@ _EXP = Cost(17, 35, 0, 24, 16)
 _LN = Cost(26, 62, 1, 24, 13)
 _PROFILE = Cost(4, 4, 0, 6, 6)
 _PERIODIC = Cost(6, 6, 0, 7, 7)
-_RECALL = Cost(2, 0, 0, 9, 10)
+_RECALL = Cost(4, 0, 0, 12, 8)
 
 
 def _node_cost(node: t.Node) -> Cost:
