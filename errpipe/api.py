@@ -111,7 +111,9 @@ class Cycle:
     step: njit function; program: read only; state: changed by every cycle; ON: the mode in which corrections act.
     After a step `state.outputs[o].correction` is what the controller adds, in the output's correction unit, and
     `state.outputs[o].deviation` is the deviation, um (urad). inputs, outputs: names in the order of the readings and
-    of the outputs. identity: the name by which a controller shows the table.
+    of the outputs. identity: the name by which a controller shows the table. A step is a cycle of a controller: a position
+    for one step between two of another place counts as a bad sample. True in place of False, with dt the time since
+    the row before: rows of a recording, each of which is believed.
     """
 
     step: Any
