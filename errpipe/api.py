@@ -111,9 +111,10 @@ class Cycle:
     step: njit function; program: read only; state: changed by every cycle; ON: the mode in which corrections act.
     After a step `state.outputs[o].correction` is what the controller adds, in the output's correction unit, and
     `state.outputs[o].deviation` is the deviation, um (urad). inputs, outputs: names in the order of the readings and
-    of the outputs. identity: the name by which a controller shows the table. A step is a cycle of a controller: a position
-    for one step between two of another place counts as a bad sample. True in place of False, with dt the time since
-    the row before: rows of a recording, each of which is believed.
+    of the outputs. identity: the name by which a controller shows the table.
+
+    A step is a cycle of a controller: another place for one step alone counts as a bad sample of a position that stands.
+    With True in place of False, and dt the time since the row before, each step is a row of a recording and is believed.
     """
 
     step: Any
