@@ -31,7 +31,7 @@ FRESH_NUT, FRESH_COLUMN, ENABLE, HOMED, NOT_WANTED, RESET = (1 << k for k in ran
 ROW = np.dtype([("readings", "<f8", 4), ("bits", "<u8")])
 
 REPLAY = r"""component replay;
-pin out float x; pin out float nut; pin out float column; pin out float v;
+pin out float x; pin out float nut; pin out float column; pin out float velocity;
 pin out bit fresh_nut; pin out bit fresh_column;
 pin out bit enable; pin out bit homed; pin out bit off; pin out bit reset;
 pin in float correction_x; pin in float correction_z; pin out u32 left = 1;
@@ -55,7 +55,7 @@ FUNCTION(give) {
     (void)period;
     if (at >= @COUNT@) return;
     const uint64_t b = given[at].bits;
-    x = given[at].v[0]; nut = given[at].v[1]; column = given[at].v[2]; v = given[at].v[3];
+    x = given[at].v[0]; nut = given[at].v[1]; column = given[at].v[2]; velocity = given[at].v[3];
     fresh_nut = b & 1; fresh_column = b >> 1 & 1; enable = b >> 2 & 1; homed = b >> 3 & 1; off = b >> 4 & 1;
     reset = b >> 5 & 1;
 }
@@ -74,7 +74,7 @@ addf replay.take servo-thread
 net x replay.x => errpipe.in-x
 net nut replay.nut => errpipe.in-t-nut
 net column replay.column => errpipe.in-t-column
-net v replay.v => errpipe.in-v
+net v replay.velocity => errpipe.in-v
 net fresh-nut replay.fresh-nut => errpipe.fresh-t-nut
 net fresh-column replay.fresh-column => errpipe.fresh-t-column
 net on replay.enable => errpipe.enable
