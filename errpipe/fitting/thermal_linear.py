@@ -43,7 +43,8 @@ class LinearProblem:
 
     drivers: the rises first (`plain` of them), then the lagged rises, sensor by sensor, then `heat` of the spindle's,
     on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is; response:
-    deviation since the start of the run, um; group: run of each row; rows: mask of usable rows.
+    deviation since the start of the run, um; group: run of each row; rows: mask of usable rows; datum_rows: first rows
+    of a run whose mean is its zero.
     """
 
     recording: Recording
@@ -55,7 +56,8 @@ class LinearProblem:
     group: np.ndarray
     triangle: dict[int, np.ndarray]
     count: dict[int, int]
-    heat: int = 0
+    heat: int
+    datum_rows: int
 
     @property
     def groups(self) -> list[int]:
@@ -93,14 +95,16 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     group = inner_groups(run, good)
     parts = triangles(values[good], response[good], group[good])
     count = {g: int(np.count_nonzero(good & (group == g))) for g in parts}
-    return LinearProblem(recording, tuple(nodes), len(names), values, response, good, group, parts, count, len(heat))
+    return LinearProblem(
+        recording, tuple(nodes), len(names), values, response, good, group, parts, count, len(heat), datum_rows
+    )
 
 
-def extended(problem: LinearProblem, nodes: Sequence[d.Driver], datum_rows: int) -> LinearProblem:
+def extended(problem: LinearProblem, nodes: Sequence[d.Driver]) -> LinearProblem:
     """The same problem with further drivers behind its own, of the same sensors."""
     rows, group = problem.rows, problem.group
     run, measured = problem.recording.run_codes(), np.isfinite(problem.response)
-    further = centred(columns(problem.recording, nodes), run, datum_rows, measured, 1.0)
+    further = centred(columns(problem.recording, nodes), run, problem.datum_rows, measured, 1.0)
     values = np.column_stack([problem.values, further])
     parts = triangles(values[rows], problem.response[rows], group[rows])
     return replace(problem, drivers=(*problem.drivers, *nodes), values=values, triangle=parts)

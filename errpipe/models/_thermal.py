@@ -230,7 +230,9 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     limit = limits(y[rows])
     total = _sum_of(outcome, groups)
     factor, half = _interval(family, problem, outcome)
-    validity = box(problem.recording, problem.recording.names("temperature"), rows)
+    places = set(problem.recording.names("position")) | set(problem.recording.names("command"))
+    read = [n for n in d.inputs(total) if n in places]
+    validity = box(problem.recording, [*problem.recording.names("temperature"), *read], rows)
     fitted = ThermalModel(
         component=family.component,
         options=SeasonOptions(),

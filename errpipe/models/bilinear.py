@@ -53,7 +53,7 @@ class Bilinear(ThermalFamily):
             return ()
         rises = problem.drivers[: problem.plain]
         features = _Products(t.rates(problem), rises, taus[int(LATE * len(taus))])
-        whole = t.extended(problem, features.columns(), self.datum_rows)
+        whole = t.extended(problem, features.columns())
         width, count = len(problem.drivers), len(whole.drivers)
 
         @cache

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
 from errpipe.models._base import Family, Fitted, Progress, held_out, silent
+from errpipe.models._perceptron import Layer, entrant
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
+    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.fitting.thermal_linear import LinearProblem
 
 PENALTIES = (1e-3, 1e-2, 1e-1, 1.0)  # of squared weights, on standardised columns; groups left out choose
 MOST_ROWS = 3000  # training rows, evenly thinned
@@ -55,6 +58,28 @@ class NeuralVolume(Family):
     family: Literal["neural_volume"] = Field("neural_volume", description="Model family.")
     components: tuple[str, ...] = Field(("E_X", "E_Y", "E_Z"), min_length=1, description="Responses of the recording.")
     units: int = Field(8, ge=1, le=32, description="Of the hidden layer, shared by all components.")
+    competes: ClassVar[bool] = True
+
+    @classmethod
+    def competitor(cls, shared: Mapping[str, Any]) -> NeuralVolume:
+        """The network of the one component that all competitors model."""
+        return cls(components=(shared["component"],))
+
+    def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
+        """A network of positions and rises for each penalty; none where the recording has no position."""
+        import numpy as np
+
+        from errpipe.domain import driver as d
+
+        places = _positions(problem.recording)
+        if not places:
+            return ()
+        nodes = [*(d.Input(name=n) for n in places), *problem.drivers[: problem.plain]]
+        centre = np.zeros(len(nodes))
+        centre[: len(places)] = [np.nanmean(problem.recording.array(n)[problem.rows]) for n in places]
+        name = self.family_name()
+        layers = (Layer(nodes, centre, self.units, penalty) for penalty in PENALTIES)
+        return [entrant(name, f"{name}, penalty {one.penalty:g}", problem, one) for one in layers]
 
     @property
     def responses(self) -> tuple[str, ...]:

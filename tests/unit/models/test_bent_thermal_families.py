@@ -11,9 +11,10 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.fitting import thermal_linear
 from errpipe.fitting.thermal_arithmetic import since_start
+from errpipe.models._perceptron import Start, _trained
 from errpipe.models.bilinear import MOST_SENSORS, Bilinear
 from errpipe.models.lagged import Lagged
-from errpipe.models.neural import Neural, _Start, _trained
+from errpipe.models.neural import Neural
 
 STEP, ROWS = 300.0, 72  # s, six hours a day
 
@@ -74,10 +75,10 @@ def test_products_of_many_sensors_or_of_one_run_do_not_compete() -> None:
 def test_a_net_learns_a_bent_function_from_its_zero() -> None:
     """Counted from the mean of first rows that already move; constant inputs give nothing."""
     rng = np.random.default_rng(0)
-    x, start = rng.normal(size=(120, 3)), _Start.of(np.repeat([0, 1, 2], 40), 3, np.ones(120, dtype=bool))
+    x, start = rng.normal(size=(120, 3)), Start.of(np.repeat([0, 1, 2], 40), 3, np.ones(120, dtype=bool))
     y = 5.0 * start.centred(np.tanh(2.0 * x[:, 0]))
-    inner, bias, outer = _trained(x, start, np.arange(120), y, 1e-3)
+    inner, bias, outer = _trained(x, start, np.arange(120), y, 4, 1e-3)
     assert_allclose(start.centred(np.tanh(x @ inner + bias) @ outer), y, atol=0.2)
-    inner, bias, outer = _trained(0.0 * x, start, np.arange(120), 0.0 * y, 1e-3)
+    inner, bias, outer = _trained(0.0 * x, start, np.arange(120), 0.0 * y, 4, 1e-3)
     assert np.isfinite(inner).all()
     assert_allclose(start.centred(np.tanh(0.0 * x @ inner + bias) @ outer), 0.0, atol=1e-9)
