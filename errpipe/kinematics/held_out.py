@@ -72,11 +72,15 @@ def judge(
     group: np.ndarray,
     names: Sequence[str],
     progress: Callable[[float, str], None] = lambda share, text: None,
+    kept: Sequence[str] | None = None,
 ) -> list[Left]:
     """Identify without each group and judge on it; an empty list where there is only one.
 
-    group (n,): number of each row's group, -1 for rows that never sit out.
+    group (n,): number of each row's group, -1 for rows that never sit out. kept: components that are compensated
+    (default: all).
     """
+    names_of = np.array(model.chain.components)[model.prior.component]
+    used = np.ones(len(names_of), dtype=bool) if kept is None else np.isin(names_of, list(kept))
     out = []
     for number, name in enumerate(names if len(names) > 1 else ()):
         rest = np.flatnonzero(group != number)
@@ -87,7 +91,7 @@ def judge(
         rows = np.flatnonzero(group == number)
         sat_out = obs.take(rows)
         before = _without_setup(model, sat_out, np.zeros(len(fitted.mean)), fitted.noise)
-        after = _without_setup(model, sat_out, fitted.mean, fitted.noise)
+        after = _without_setup(model, sat_out, np.where(used, fitted.mean, 0.0), fitted.noise)
         certain = np.median(sat_out.noise) / sat_out.noise
         out.append(Left(name, rows, before * certain, after * certain))
     return out

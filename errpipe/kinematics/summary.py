@@ -6,7 +6,7 @@ check all start from the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,8 +85,13 @@ def _numbers(values: np.ndarray) -> list[float]:
     return [round(float(v), 4) + 0.0 for v in values]
 
 
-def errors(chain: Chain, parameters: Mapping[str, Any], nodes: int = 201) -> MachineErrors:
-    """The components that `document` wrote. Raises VerifyError where they are of another machine or version."""
+def errors(
+    chain: Chain, parameters: Mapping[str, Any], nodes: int = 201, kept: Sequence[str] | None = None
+) -> MachineErrors:
+    """The components that `document` wrote, or those of them in `kept`; the others are zero.
+
+    Raises VerifyError where they are of another machine or version.
+    """
     if parameters.get("identification") != 1:
         raise VerifyError(f"not an identification of version 1 (found {parameters.get('identification')!r})")
     if parameters["machine"] != chain.machine.name:
@@ -96,4 +101,4 @@ def errors(chain: Chain, parameters: Mapping[str, Any], nodes: int = 201) -> Mac
         grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
         values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
         nodes = max(nodes, len(grid))
-    return MachineErrors.of(chain, values, nodes)
+    return MachineErrors.of(chain, {n: v for n, v in values.items() if kept is None or n in kept}, nodes)

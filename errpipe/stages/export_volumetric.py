@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -65,13 +65,15 @@ class ExportVolumetric(SignOptions, Stage):
         from errpipe.kinematics.chain import compile_chain
         from errpipe.stages.targets import checksums, write_targets
         from errpipe.tables import ect
+        from errpipe.validation.machine import compensated
 
         folder = context.needed("identified_machine")
         chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
         document = jsonfile.read(folder / IDENTIFICATION)
         axes = self._passed(context, document, chain)
-        errors = summary.errors(chain, document)
-        reversal_lines = reversals(document)
+        kept = chain.components if self.ungated else compensated(document, chain)
+        errors = summary.errors(chain, document, kept=kept)
+        reversal_lines = {n: line for n, line in reversals(document).items() if n in kept}
         title = _artefacts.ungated_title(context.title) if self.ungated else context.title
         table = compile_machine(
             chain, errors, jsonfile.fingerprint(document), title, self.error_bound, reversal_lines, axes
@@ -86,9 +88,11 @@ class ExportVolumetric(SignOptions, Stage):
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
-        files += write_targets(table, self.targets, context.folder, remarks)
         left_out = [axis for axis in remaining.linear_axes(chain) if axis not in axes]
-        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out}
+        left_out += [component for component in chain.components if component not in kept]
+        note = left_alone(left_out)
+        files += write_targets(table, self.targets, context.folder, remarks, note)
+        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out, "note": note}
         if self.lattice is not None:
             facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool, axes)
             context.write_text(LATTICE, text)
@@ -110,6 +114,16 @@ class ExportVolumetric(SignOptions, Stage):
             v["machine"]["tests"] for v in validations if v.get("machine", {}).get("identification") == fingerprint
         ]
         return machine.pass_gate(document, judged)
+
+
+def left_alone(names: Sequence[str]) -> str:
+    """What a table does not correct, as a sentence for the checklists; nothing where it corrects all."""
+    if not names:
+        return ""
+    return (
+        f"Not corrected by this table: {', '.join(names)}. The measurements do not show well enough that correcting "
+        "them makes the machine better; it keeps these errors."
+    )
 
 
 def bound(chain: Any, table: CompensationTable) -> float:

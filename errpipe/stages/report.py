@@ -288,10 +288,14 @@ def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What the gate left out, cut down, or never saw."""
     out = []
     for document in exported.values():
-        out += [
-            f"{name} was left out of the table: on held-out rows it was not better than nothing."
-            for name in document["left_out"]
-        ]
+        out += (
+            [document["note"]]
+            if document.get("note")
+            else [
+                f"{name} was left out of the table: on held-out rows it was not better than nothing."
+                for name in document["left_out"]
+            ]
+        )
         out += [
             f"{j['component']} is applied at {100 * j['gain']:.0f} %: held-out rows were best with that share "
             f"({j['rms_before']:.3g} -> {j['rms_at_gain']:.3g} {j['unit']})."

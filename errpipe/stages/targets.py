@@ -153,11 +153,12 @@ def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[st
 
 
 def write_targets(
-    table: CompensationTable, names: Sequence[str], folder: Path, remarks: Sequence[str] = ()
+    table: CompensationTable, names: Sequence[str], folder: Path, remarks: Sequence[str] = (), note: str = ""
 ) -> list[dict[str, Any]]:
     """Write the files of each named target into a folder of its own. Raises UsageError for an unknown name.
 
     remarks: lines for people, such as the table's signature; written where a format has room for comments.
+    note: a sentence for every checklist.
     """
     from errpipe import jsonfile
 
@@ -171,7 +172,7 @@ def write_targets(
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
         steps = checklist(target, target.read_back(files), lost, table, others) + _companion_text(table, target, others)
         hint = "" if others else sibling(table, target, lost)
-        steps += f"\n{hint}\n" if hint else ""
+        steps += "".join(f"\n{said}\n" for said in (hint, note) if said)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
             {

@@ -14,12 +14,10 @@ from errpipe.fitting.judging import HeldOut
 from errpipe.kinematics import held_out, identify, readings, records, remaining, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.direct import Laser
+from errpipe.kinematics.remaining import MOST_HARM
 from errpipe.models.direct import Direct
 
 TIE = 0.01  # of the uncompensated rms: within it doing nothing wins
-# Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes, and at
-# 0.01 one got worse (five axes by R-test, seed 20 of `trials.volumetric`, X 18.4 -> 19.2 um, stated 0.004).
-MOST_HARM = 0.002
 
 
 def judged(
@@ -30,13 +28,15 @@ def judged(
 ) -> dict[str, Any]:
     """Held-out figures of each test, identified from the others: groups, and rms before and after by linear axis.
 
-    document: the identification with its procedure. Readings at the tool are held out by line, circle, plate or
-    socket, records of components by run or target. A test without a second group is not in the result.
+    document: the identification with its procedure; components that it does not compensate stay as they are. Readings
+    at the tool are held out by line, circle, plate or socket, records of components by run or target. A test without a
+    second group is not in the result.
     """
     chain, procedure = compile_chain(machine), document["procedure"]
     lasers = {n: Laser(**beam) for n, beam in procedure["lasers"].items()}
     all_readings, counts = readings.of_tests(chain, tests, lasers, procedure["squares"])
     model = identify.Parametrisation.of(chain, procedure["modes"], tuple(procedure["without"]))
+    kept = compensated(document, chain)
     out: dict[str, Any] = {}
     start = 0
     for name, count in counts.items():
@@ -45,15 +45,20 @@ def judged(
         number, labels = held_out.groups(chain, all_readings.take(rows_of_test))
         group = np.full(len(all_readings), -1)
         group[rows_of_test] = number
-        held = held_out.judge(model, all_readings, group, labels, progress)
+        held = held_out.judge(model, all_readings, group, labels, progress, kept)
         if held:
             out[name] = _at_the_tool(chain, all_readings, held)
     for name, recording in tests.items():
         if name not in counts:
             family = _family(machine, procedure, recording)
-            figures = _of_components(chain, family, recording, progress)
+            figures = _of_components(chain, family, recording, progress, kept)
             out |= {name: figures} if figures else {}
     return out
+
+
+def compensated(document: Mapping[str, Any], chain: Chain) -> tuple[str, ...]:
+    """Components of an identification that are compensated; all of them where it does not say."""
+    return tuple(document["volumetric"].get("compensated", chain.components))
 
 
 def _at_the_tool(chain: Chain, every: Any, left: list[held_out.Left]) -> dict[str, Any]:
@@ -79,8 +84,13 @@ def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> D
     return Direct(machine=machine, modes=how["modes"], components=motions, lasers=lasers)
 
 
-def _of_components(chain: Chain, family: Direct, recording: Recording, progress: Any) -> dict[str, Any]:
-    """Figures of records of single components: each counts with its mean square arm in the volume, um."""
+def _of_components(
+    chain: Chain, family: Direct, recording: Recording, progress: Any, kept: tuple[str, ...]
+) -> dict[str, Any]:
+    """Figures of records of single components: each counts with its mean square arm in the volume, um.
+
+    kept: components that are compensated.
+    """
     _, folds = family.folds(recording, None)
     by_component: dict[str, list[HeldOut]] = {}
     groups = []
@@ -102,8 +112,10 @@ def _of_components(chain: Chain, family: Direct, recording: Recording, progress:
         square = {"rms_before": 0.0, "rms_after": 0.0}
         for component, parts in by_component.items():
             weight = float(arms[a, chain.index(component)])
-            for key, values in (("rms_before", [p.before for p in parts]), ("rms_after", [p.after for p in parts])):
-                square[key] += weight * float(np.mean(np.concatenate(values) ** 2))
+            before = np.concatenate([p.before for p in parts])
+            after = np.concatenate([p.after for p in parts]) if component in kept else before
+            square["rms_before"] += weight * float(np.mean(before**2))
+            square["rms_after"] += weight * float(np.mean(after**2))
         if square["rms_before"] > 0.0:
             axes[axis] = {k: float(np.sqrt(v)) for k, v in square.items()}
         total = {k: total[k] + v for k, v in square.items()}
@@ -114,9 +126,9 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     """The linear axes that a table of an identification may move.
 
     Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
-    out; an axis whose identified error is below the noise of a reading is left alone. Raises GateError where no
-    validation judged it, or where an axis or the machine may get worse: axes are compensated together or not at all,
-    as one that is corrected without the others turns the whole part.
+    out. Of an axis whose identified error is below the noise of a reading the posterior alone is asked; where it doubts,
+    the axis is left alone. Raises GateError where no validation judged it, or where an axis or the machine may get
+    worse: axes are compensated together or not at all, as one that is corrected without the others turns the whole part.
     """
     if not validations:
         raise GateError(
@@ -124,7 +136,8 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
             "after it, or say `ungated: true` to export it all the same)"
         )
     volumetric = document["volumetric"]
-    kept = {n: a for n, a in volumetric["axes"].items() if a["effect_rms_um"] > document["noise_um"]}
+    axes = volumetric["axes"]
+    kept = {n: a for n, a in axes.items() if a["effect_rms_um"] > document["noise_um"]}
     wrong = [] if kept else ["no axis has an identified error above the noise of a reading"]
     for name, figures in ({"the machine": volumetric} | kept).items():
         wrong += [] if figures["probability_worse"] <= MOST_HARM else [_harmful(name, figures)]
@@ -133,7 +146,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
         wrong += [_not_better(name, part) for name, part in parts.items() if _not_improved(part)]
     if wrong:
         raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}")
-    return tuple(kept)
+    return tuple(n for n, a in axes.items() if n in kept or a["probability_worse"] <= MOST_HARM)
 
 
 def _not_improved(figures: Mapping[str, float]) -> bool:
