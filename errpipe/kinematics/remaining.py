@@ -95,14 +95,14 @@ class Expected:
     """What compensation by an identification is expected to do, from its posterior, less the workpiece's pose.
 
     effect_rms_um: of what is compensated; left_rms_um: expected after it; harm: the probability that the machine is
-    worse with it (rms over the travel). axes: the same of each linear axis. components: those that are compensated.
+    worse with it (rms over the travel). axes: the same of each linear axis. left_alone: components not compensated.
     """
 
     effect_rms_um: float
     left_rms_um: float
     harm: float
     axes: Mapping[str, Expected]
-    components: tuple[str, ...] = ()
+    left_alone: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """As JSON values."""
@@ -110,7 +110,7 @@ class Expected:
         if not self.axes:
             return figures
         axes = {name: axis.document() for name, axis in self.axes.items()}
-        return figures | {"axes": axes, "compensated": list(self.components)}
+        return figures | {"axes": axes, "left_alone": list(self.left_alone)}
 
 
 def expected(identified: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
@@ -137,8 +137,8 @@ def expected(identified: Identified, tip: np.ndarray | None = None, count: int =
     kept = _carried_over(identified, [whole, *by_axis])
     part = np.where(kept[prior.component], identified.mean, 0.0)
     axes = {name: _expected(identified, part, own) for name, own in zip(linear_axes(chain), by_axis, strict=True)}
-    names = tuple(n for n, k in zip(chain.components, kept, strict=True) if k)
-    return replace(_expected(identified, part, whole, count), axes=axes, components=names)
+    others = tuple(n for n, k in zip(chain.components, kept, strict=True) if not k)
+    return replace(_expected(identified, part, whole, count), axes=axes, left_alone=others)
 
 
 def _carried_over(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
@@ -171,7 +171,7 @@ def _carried_over(identified: Identified, fields: Sequence[np.ndarray]) -> np.nd
         fewer = {int(k): np.where(np.arange(names.size) == k, 0.0, kept) for k in np.flatnonzero(kept)}
         kept = fewer[max(fewer, key=lambda k: margin(fewer[k]))]
     if kept.any():
-        out[names] = kept > 0.0
+        out[names] = (kept > 0.0) | ~own.any(axis=0)  # what is zero is left as it is anyway
     return out
 
 

@@ -57,8 +57,8 @@ def judged(
 
 
 def compensated(document: Mapping[str, Any], chain: Chain) -> tuple[str, ...]:
-    """Components of an identification that are compensated; all of them where it does not say."""
-    return tuple(document["volumetric"].get("compensated", chain.components))
+    """Components of an identification that are compensated."""
+    return tuple(c for c in chain.components if c not in document["volumetric"].get("left_alone", ()))
 
 
 def _at_the_tool(chain: Chain, every: Any, left: list[held_out.Left]) -> dict[str, Any]:
@@ -126,9 +126,10 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     """The linear axes that a table of an identification may move.
 
     Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
-    out. Of an axis whose identified error is below the noise of a reading the posterior alone is asked; where it doubts,
-    the axis is left alone. Raises GateError where no validation judged it, or where an axis or the machine may get
-    worse: axes are compensated together or not at all, as one that is corrected without the others turns the whole part.
+    out. Of an axis whose identified error is below the noise of a reading the posterior alone is asked; where it
+    doubts, the axis is left alone. Raises GateError where no validation judged it, or where an axis or the machine may
+    get worse: axes are compensated together or not at all, as one that is corrected without the others turns the whole
+    part.
     """
     if not validations:
         raise GateError(
