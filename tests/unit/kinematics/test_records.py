@@ -155,6 +155,19 @@ def test_a_display_s_air_takes_the_air_of_the_record():
         solve(chain, bare, lasers=lasers)
 
 
+def test_a_display_fixed_at_another_index_is_corrected_and_wrong_where_nobody_says_so():
+    """Fixed at 20 degC and 1013.25 hPa, read at 28 degC and 960 hPa throughout: -21 um/m of 0.8 m, half either way."""
+    chain, values, recording = played_x({}, cycles=1)
+    count, fixed = len(recording), (20.0, 1013.25, 50.0)
+    warm = {"temperature": np.full(count, 28.0), "pressure": np.full(count, 960.0)}
+    shown = recording.array("EXX") + 1e3 * recording.array("x") * air.index_change(**warm, since=fixed)
+    recording = recording.with_columns({"EXX": shown, "T_air": warm["temperature"], "p_air": warm["pressure"]}, {})
+    said = direct.Laser(wavelength_corrected=False, display_air=fixed)
+    unsaid = direct.Laser(wavelength_corrected=False)
+    assert largest_gap(chain, values, solve(chain, recording, lasers={"EXX": said})) < 0.2
+    assert 6.0 < largest_gap(chain, values, solve(chain, recording, lasers={"EXX": unsaid})) < 18.0
+
+
 def test_cosine_is_of_the_planted_size():
     """4 mrad over 800 mm reads short by 800 mm x (4e-3)^2 / 2 = 6.4 um at the far end."""
     chain, _, recording = played_x(COSINE, reversal=0.0)
