@@ -11,7 +11,7 @@ parameters. A term knows columns and units; it never knows how it will be solved
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
@@ -21,6 +21,7 @@ from pydantic import Field
 
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import position_name
 from errpipe.drivers.simulated import Late, Ringing
 
 
@@ -96,14 +97,20 @@ class Term(Frozen, ABC):
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
     any_start: ClassVar[bool] = False  # a body whose state at the start of a session is unknown, not of another form
     friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
+    gains: ClassVar[tuple[Parameter, ...]] = ()  # what `linear` gives, where no field changes it
+    searched: ClassVar[tuple[Parameter, ...]] = ()  # what `nonlinear` gives, where no field changes it
+    prior_log_odds: ClassVar[float] = 0.0  # what `log_prior_odds` gives, where no field changes it
+    sample: ClassVar[Mapping[str, Any] | None] = None  # fields of the worked case, where no binding makes one
 
-    @abstractmethod
     def linear(self) -> tuple[Parameter, ...]:
         """Parameters the value is linear in, in the order of the basis' columns."""
+        if not self.gains:
+            raise TypeError(f"{type(self).__name__} does not state its parameters")
+        return self.gains
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         """Parameters inside the basis that are to be solved for (those in `fixed` are left out by `free`)."""
-        return ()
+        return self.searched
 
     def free(self) -> tuple[Parameter, ...]:
         """The non-linear parameters that are not fixed."""
@@ -156,9 +163,14 @@ class Term(Frozen, ABC):
         """Values of all non-linear parameters, fixed ones included."""
         return [self.fixed[p.name] if p.name in self.fixed else parameters[p.name] for p in self.nonlinear()]
 
-    @abstractmethod
     def drivers(self, recording: Recording) -> tuple[str, ...]:
-        """Names of the recording's columns that drive the term, the most specific one first."""
+        """Names of the recording's columns that drive the term, the most specific one first.
+
+        Unless stated its `column`, else its `sensor`, else the position of its `axis`.
+        """
+        own: Any = self
+        name = getattr(own, "column", None) or getattr(own, "sensor", None) or position_name(recording, own.axis)
+        return (name,)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         """The compiled form, or None where a controller cannot or must not compensate this effect."""
@@ -191,7 +203,7 @@ class Term(Frozen, ABC):
 
     def log_prior_odds(self) -> float:
         """Log prior odds of this binding beside other effects."""
-        return 0.0
+        return self.prior_log_odds
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Iterator[tuple[np.ndarray, float]]:
         """Departures from the textbook form: columns (rows,), and their prior standard deviation relative to its size.
@@ -206,7 +218,7 @@ class Term(Frozen, ABC):
 
     @classmethod
     def example(cls) -> Example | None:
-        """A worked case of its own; None: the first of its bindings (see `terms.example_of`)."""
+        """A worked case of its own; None: of its `sample`, else its first binding (see `terms.example_of`)."""
         return None
 
     def has_message(self, parameters: Mapping[str, float]) -> bool:

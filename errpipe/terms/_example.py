@@ -67,7 +67,8 @@ def rows(step: float = 15.0) -> Recording:
 
 def example_of(kind: type[Term]) -> Example:
     """The worked case that generic tests and the reference derive the rest from."""
-    return kind.example() or first_binding(kind)
+    sampled = None if kind.sample is None else worked(kind(**kind.sample))
+    return kind.example() or sampled or first_binding(kind)
 
 
 def first_binding(kind: type[Term], recording: Recording | None = None) -> Example:

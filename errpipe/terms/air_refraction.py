@@ -39,6 +39,7 @@ class AirRefraction(Term):
     compensable = False
     artefact = "it is the air in the beam of the measuring laser, not the machine: correct the reading"
     simulated_log_odds = -12.0
+    prior_log_odds = -4.0  # two sensors and a datum can fit most slopes
 
     def linear(self) -> tuple[Parameter, ...]:
         kelvin = Parameter("per_kelvin", "um/m/K", (0.5, 1.0), (-5.0, 5.0), "slope per kelvin of the air")
@@ -67,9 +68,6 @@ class AirRefraction(Term):
         if self.pressure:
             columns.append(length * (recording.array(self.pressure) - 1013.25))
         return np.column_stack(columns)
-
-    def log_prior_odds(self) -> float:
-        return -4.0  # prior odds: two sensors and a datum can fit most slopes
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield position(recording, self.axis), 0.3  # unknown air state at which the laser was compensated

@@ -33,15 +33,8 @@ class AmbientDrift(Driven):
     family = "thermal"
     any_start = True
     rowwise = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "um/K", (1.0, 6.0), (-100.0, 100.0), "shift per kelvin of the room"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (3000.0, 40000.0), (1000.0, 200000.0), "time constant"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.sensor,)
+    gains = (Parameter("gain", "um/K", (1.0, 6.0), (-100.0, 100.0), "shift per kelvin of the room"),)
+    searched = (Parameter("tau", "s", (3000.0, 40000.0), (1000.0, 200000.0), "time constant"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[AmbientDrift]:

@@ -33,9 +33,7 @@ class Backlash(Term):
     radial: Radial = False
     reports_as = "backlash"
     family = "reversal"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("lost_motion", "um", (2.0, 20.0), (-200.0, 200.0), "step between the directions"),)
+    gains = (Parameter("lost_motion", "um", (2.0, 20.0), (-200.0, 200.0), "step between the directions"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (direction_column(recording, self.axis),)

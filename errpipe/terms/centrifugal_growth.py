@@ -30,12 +30,7 @@ class CentrifugalGrowth(Driven):
     reports_as = "centrifugal_growth"
     family = "spindle"
     rowwise = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("shift", "um", (1.0, 20.0), (-200.0, 200.0), "shift at full speed"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("shift", "um", (1.0, 20.0), (-200.0, 200.0), "shift at full speed"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[CentrifugalGrowth]:

@@ -11,10 +11,9 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 
 
@@ -36,6 +35,7 @@ class Chebyshev(Term):
     span: tuple[float, float] | None = Field(
         None, description="Ends of the curve; the positions seen otherwise.", json_schema_extra={"unit": "mm"}
     )
+    sample = {"axis": "X"}
 
     def _profile(self) -> shapes.Polynomial:
         return shapes.Polynomial(degree=self.degree, lowest=self.lowest, span=self.span)
@@ -47,13 +47,6 @@ class Chebyshev(Term):
 
     def linear(self) -> tuple[Parameter, ...]:
         return shapes.parameters(self._profile(), rotary=False)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls(axis="X"))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return self._profile().basis(position(recording, self.axis))

@@ -36,9 +36,8 @@ class ClockOffset(Term):
     nuisance = False
     gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
     in_part = "never"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
+    gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
+    prior_log_odds = -1.0
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return (
@@ -74,6 +73,3 @@ class ClockOffset(Term):
                 at, first = np.unique(t[rows], return_index=True)
                 shifted[rows] = np.interp(t[rows] - offset, at, f[rows][first])
         return (shifted - f)[:, None]
-
-    def log_prior_odds(self) -> float:
-        return -1.0

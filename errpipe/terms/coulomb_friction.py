@@ -38,24 +38,17 @@ class CoulombFriction(Term):
     family = "friction"
     compensable = False
     friction_part = "dry"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("force", "N", (5.0, 300.0), (-5000.0, 5000.0), "friction force"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "sharpness",
-                "mm/s",
-                (0.0, 1.0),
-                (0.0, 10.0),
-                "speed within which the force turns round",
-                search=Speeds(shares=(0.0, 0.003, 0.01, 0.03)),
-            ),
-        )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("force", "N", (5.0, 300.0), (-5000.0, 5000.0), "friction force"),)
+    searched = (
+        Parameter(
+            "sharpness",
+            "mm/s",
+            (0.0, 1.0),
+            (0.0, 10.0),
+            "speed within which the force turns round",
+            search=Speeds(shares=(0.0, 0.003, 0.01, 0.03)),
+        ),
+    )
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[CoulombFriction]:

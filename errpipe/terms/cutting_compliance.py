@@ -31,9 +31,7 @@ class CuttingCompliance(Driven):
     overhang: str | None = Field(None, description="Column of the overhang, where stiffness falls with its cube.")
     reports_as = "cutting_compliance"
     family = "process"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("compliance", "um/kN", (5.0, 60.0), (-2000.0, 2000.0), "deflection per kilonewton"),)
+    gains = (Parameter("compliance", "um/kN", (5.0, 60.0), (-2000.0, 2000.0), "deflection per kilonewton"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         if self.overhang is None:

@@ -40,12 +40,8 @@ class DeadTime(Term):
     nuisance = False
     gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
     in_part = "never"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the delay explains it in full"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("delay", "s", (0.0005, 0.02), (-10.0, 10.0), "recorded late", search=Delays()),)
+    gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the delay explains it in full"),)
+    searched = (Parameter("delay", "s", (0.0005, 0.02), (-10.0, 10.0), "recorded late", search=Delays()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (position_name(recording, self.axis),) if self.axis else (str(self.column),)

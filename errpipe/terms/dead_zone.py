@@ -35,9 +35,8 @@ class DeadZone(Term):
     nuisance = False
     gain_sd = 0.15  # its size is set by the threshold: gain 1
     in_part = "never"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where it explains the mismatch in full"),)
+    gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where it explains the mismatch in full"),)
+    prior_log_odds = -2.0  # rare, because forces are usually measured from zero
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         shares = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3)
@@ -52,9 +51,6 @@ class DeadZone(Term):
             ),
         )
 
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
-
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[DeadZone]:
         for column in recording.names("simulated", component=component) if component.startswith("F_") else ():
@@ -68,6 +64,3 @@ class DeadZone(Term):
         (threshold,) = self.nonlinear_values(parameters)
         force = Input(name=self.column)
         return (Lowered(times(Clip(low=-threshold, high=threshold, of=force), -parameters["share"])),)
-
-    def log_prior_odds(self) -> float:
-        return -2.0  # prior odds: rare, because forces are usually measured from zero

@@ -43,12 +43,8 @@ class FeedHeating(Term):
     reports_as = "feed_heating"
     family = "thermal"
     any_start = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
+    gains = (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
+    searched = (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (position_name(recording, self.axis), self.column, recording.name("feed", axis=self.axis))

@@ -51,20 +51,16 @@ class FlexibleMode(Term):
     compensable = False
     simulated_log_odds = NEVER
     in_part = "never"
+    searched = (
+        Parameter("frequency", "Hz", (5.0, 300.0), (1e-3, 1e6), "natural frequency", search=Resonances()),
+        Parameter("damping", "1", (0.005, 0.1), (1e-4, HIGHEST_DAMPING), "damping ratio", search=Listed()),
+    )
+    prior_log_odds = -3.0  # the strongest of a few hundred frequencies is chosen
 
     def linear(self) -> tuple[Parameter, ...]:
         if self.on_force:
             return (Parameter("mass", "kg", (5.0, 2000.0), (-1e5, 1e5), "mass that vibrates"),)
         return (Parameter("compliance", "um/(m/s2)", (1.0, 10.0), (-500.0, 500.0), "static deflection per m/s2"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("frequency", "Hz", (5.0, 300.0), (1e-3, 1e6), "natural frequency", search=Resonances()),
-            Parameter("damping", "1", (0.005, 0.1), (1e-4, HIGHEST_DAMPING), "damping ratio", search=Listed()),
-        )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FlexibleMode]:
@@ -166,10 +162,6 @@ class FlexibleMode(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield self._state(recording, *nonlinear)[:, 1], 0.3  # where it is measured it may be early or late
-
-    def log_prior_odds(self) -> float:
-        """The strongest of a few hundred frequencies is chosen."""
-        return -3.0
 
     @classmethod
     def example(cls) -> Example:

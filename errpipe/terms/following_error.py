@@ -41,9 +41,7 @@ class FollowingError(Term):
     settles: bool = Field(False, description="The log is fast enough to see the loop settle.")
     reports_as = "following_error"
     family = "servo"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("lag", "ms", (0.01, 60.0), (-1000.0, 1000.0), "time by which the axis is late"),)
+    gains = (Parameter("lag", "ms", (0.01, 60.0), (-1000.0, 1000.0), "time by which the axis is late"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         if not self.settles:
@@ -52,9 +50,6 @@ class FollowingError(Term):
 
     def log_prior_odds(self) -> float:
         return -4.0 if self.settles else 0.0  # its time constant is located, which the grid does not pay for
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FollowingError]:

@@ -15,8 +15,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import approach_overrun
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, is_radial
 from errpipe.terms._slack import Slack, bent
@@ -47,12 +46,9 @@ class FrictionHysteresis(Term):
     reports_as = "friction_hysteresis"
     family = "reversal"
     simulated_log_odds = -4.0
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("length", "mm", (0.02, 0.5), (0.003, 10.0), "travel over which it builds up"),)
+    gains = (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)
+    searched = (Parameter("length", "mm", (0.02, 0.5), (0.003, 10.0), "travel over which it builds up"),)
+    sample = {"axis": "X"}  # all travel is recorded, as a controller sees it
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (direction_column(recording, self.axis), position_name(recording, self.axis))
@@ -69,10 +65,6 @@ class FrictionHysteresis(Term):
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[FrictionHysteresis]:
         return cls.bind(recording, as_positioning(component))
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls(axis="X"))  # all travel is recorded, as a controller sees it
 
     @staticmethod
     def _overrun(recording: Recording, axis: str) -> float:

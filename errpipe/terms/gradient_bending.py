@@ -30,9 +30,7 @@ class GradientBending(Driven):
     reports_as = "gradient_bending"
     family = "thermal"
     simulated_log_odds = -6.0
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "um/K", (1.0, 15.0), (-200.0, 200.0), "shift per kelvin of difference"),)
+    gains = (Parameter("gain", "um/K", (1.0, 15.0), (-200.0, 200.0), "shift per kelvin of difference"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (self.first, self.second)

@@ -36,24 +36,17 @@ class GravitySag(Term):
     reports_as = "gravity_sag"
     family = "load"
     rowwise = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "exponent",
-                "1",
-                (2.0, 3.0),
-                (1.8, 4.0),
-                "2: line load or moment, 3: end load",
-                search=Listed((2.0, 2.5, 3.0)),
-            ),
-        )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)
+    searched = (
+        Parameter(
+            "exponent",
+            "1",
+            (2.0, 3.0),
+            (1.8, 4.0),
+            "2: line load or moment, 3: end load",
+            search=Listed((2.0, 2.5, 3.0)),
+        ),
+    )
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[GravitySag]:

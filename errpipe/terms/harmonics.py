@@ -11,10 +11,9 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 
 MOST_STARTS = 4000  # trial periods: about one second of search on 10 000 rows
@@ -43,6 +42,7 @@ class Harmonics(Term):
     spacing: float | None = Field(
         None, gt=0, description="Step between trials; from the travel.", json_schema_extra={"unit": "1/mm"}
     )
+    sample = {"axis": "X", "search": (5.0, 50.0)}
 
     def settled(self, recording: Recording) -> Harmonics:
         """The term with the step of its search written down: a quarter of what the travel can resolve."""
@@ -68,13 +68,6 @@ class Harmonics(Term):
 
     def _profile(self, period: float) -> shapes.Harmonics:
         return shapes.Harmonics(period=self.period or period, orders=self.orders)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls(axis="X", search=(5.0, 50.0)))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return self._profile(*nonlinear or (1.0,)).basis(position(recording, self.axis))

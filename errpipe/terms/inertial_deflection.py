@@ -35,12 +35,7 @@ class InertialDeflection(Term):
     radial: Radial = False
     reports_as = "inertial_deflection"
     family = "servo"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("compliance", "um/(m/s2)", (1.0, 10.0), (-500.0, 500.0), "deflection per m/s2"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("compliance", "um/(m/s2)", (1.0, 10.0), (-500.0, 500.0), "deflection per m/s2"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[InertialDeflection]:

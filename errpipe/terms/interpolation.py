@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name, share
+from errpipe.drivers.motion import position, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
@@ -37,6 +37,7 @@ class Interpolation(Term):
     family = "geometric"
     simulated_log_odds = -4.0
     in_part = "runs"
+    searched = (Parameter("period", "mm", (0.004, 0.1), (0.001, 10.0), "signal period", search=Waves()),)
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(
@@ -44,12 +45,6 @@ class Interpolation(Term):
             for k in range(1, self.harmonics + 1)
             for part in ("sine", "cosine")
         )
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("period", "mm", (0.004, 0.1), (0.001, 10.0), "signal period", search=Waves()),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Interpolation]:

@@ -39,9 +39,7 @@ class LocalWear(Term):
     family = "geometric"
     simulated_log_odds = -12.0
     in_part = "never"  # it already acts on one stretch
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump", at_largest=True),)
+    gains = (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump", at_largest=True),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         narrow, wide = 0.01 * self.length, 0.15 * self.length
@@ -57,9 +55,6 @@ class LocalWear(Term):
             ),
             Parameter("width", "mm", usual, (narrow, wide), "standard deviation of the bell", search=Widths()),
         )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[LocalWear]:

@@ -13,8 +13,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, position, position_name
 from errpipe.errors import DataError
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 
 SAME_TARGET = 1e-3  # of the span: positions closer than this are readings of one target (0.5 mm on 500 mm)
@@ -42,6 +41,7 @@ class MeasuredPoints(Term):
         description="Targets measured in both directions; where not given, those that were. Empty: one direction.",
         json_schema_extra={"unit": "mm"},
     )
+    sample = {"axis": "X", "targets": (0.0, 100.0, 250.0, 400.0), "both": (0.0, 100.0, 250.0, 400.0)}
 
     def settled(self, recording: Recording) -> MeasuredPoints:
         """The term with its targets written down. Raises DataError where positions are no list of targets."""
@@ -66,10 +66,6 @@ class MeasuredPoints(Term):
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         place, side = position_name(recording, self.axis), recording.name("direction", axis=self.axis)
         return (place,) if side is None or self.both == () else (place, side)
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls(axis="X", targets=(0.0, 100.0, 250.0, 400.0), both=(0.0, 100.0, 250.0, 400.0)))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         x = position(recording, self.axis)

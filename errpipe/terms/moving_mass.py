@@ -30,15 +30,8 @@ class MovingMass(Term):
     reports_as = "moving_mass"
     family = "friction"
     compensable = False
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)
-
-    def log_prior_odds(self) -> float:
-        return -6.0  # prior odds: nearly every simulation of a drive force holds it
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)
+    prior_log_odds = -6.0  # nearly every simulation of a drive force holds it
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[MovingMass]:

@@ -10,8 +10,7 @@ import numpy as np
 from errpipe.domain.driver import Constant
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 
 
 class Offset(Term):
@@ -27,16 +26,11 @@ class Offset(Term):
     term: Literal["offset"] = "offset"
     rowwise = True
     is_level = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("level", "um", (0.0, 100.0), meaning="deviation where everything else is zero"),)
+    gains = (Parameter("level", "um", (0.0, 100.0), meaning="deviation where everything else is zero"),)
+    sample = {}
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return ()
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls())
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return np.ones((len(recording), 1))

@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name, share
+from errpipe.drivers.motion import position, share
 from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
@@ -37,15 +37,10 @@ class PitchCyclic(Term):
     family = "geometric"
     rowwise = True
     on_both_axes = False
+    searched = (Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves()),)
 
     def linear(self) -> tuple[Parameter, ...]:
         return waves.named(self.orders, "um", (0.5, 5.0), 100.0)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("period", "mm", (2.5, 20.0), (0.5, 400.0), "length of the wave", search=Waves()),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[PitchCyclic]:

@@ -8,8 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 
 
 class RunOffset(Term):
@@ -25,6 +24,7 @@ class RunOffset(Term):
     term: Literal["run_offset"] = "run_offset"
     runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
     compensable = False
+    sample = {}
 
     def settled(self, recording: Recording) -> RunOffset:
         """The term with the runs' labels written down."""
@@ -35,10 +35,6 @@ class RunOffset(Term):
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return recording.names("run")
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls())
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         names = np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 
 UM_PER_URAD_MM = 1e-3
 
@@ -29,6 +28,7 @@ class RunPose(Term):
     axes: tuple[str, str] = Field(("X", "Y"), description="The two axes of the plane.")
     runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
     compensable = False
+    sample = {}
 
     def settled(self, recording: Recording) -> RunPose:
         """The term with the runs' labels written down."""
@@ -48,10 +48,6 @@ class RunPose(Term):
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return recording.names("run")
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls())
 
     def shared(self, recording: Recording, component: str, *nonlinear: float) -> np.ndarray:
         """Design columns for one of the two components, shape (rows, 3 per run)."""

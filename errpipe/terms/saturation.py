@@ -34,9 +34,8 @@ class Saturation(Term):
     nuisance = False
     gain_sd = 0.15  # it has no size of its own beside its limit
     in_part = "never"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where it explains the mismatch in full"),)
+    gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where it explains the mismatch in full"),)
+    prior_log_odds = -2.0  # most drives are chosen large enough, and most forces are measured from zero
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         shares = (0.3, 0.4, 0.5, 0.58, 0.66, 0.74, 0.82, 0.9, 0.95)
@@ -45,9 +44,6 @@ class Saturation(Term):
                 "limit", "N", (10.0, 5000.0), (0.0, 1e6), "largest force of the drive", search=Speeds(shares=shares)
             ),
         )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Saturation]:
@@ -62,6 +58,3 @@ class Saturation(Term):
         (limit,) = self.nonlinear_values(parameters)
         force, share = Input(name=self.column), parameters["share"]
         return (Lowered(Affine(weights=(share, -share), of=(Clip(low=-limit, high=limit, of=force), force))),)
-
-    def log_prior_odds(self) -> float:
-        return -2.0  # most drives are chosen large enough, and most forces are measured from zero

@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name, share
+from errpipe.drivers.motion import position, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
@@ -34,12 +34,7 @@ class ScaleError(Term):
     reports_as = "scale_error"
     family = "geometric"
     rowwise = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("slope", "um/m", (5.0, 50.0), (-1000.0, 1000.0), "share by which the axis travels too far"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
+    gains = (Parameter("slope", "um/m", (5.0, 50.0), (-1000.0, 1000.0), "share by which the axis travels too far"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ScaleError]:

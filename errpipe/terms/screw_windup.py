@@ -37,9 +37,7 @@ class ScrewWindup(Term):
     radial: Radial = False
     reports_as = "screw_windup"
     family = "reversal"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("step_at_far_end", "um", (2.0, 15.0), (-200.0, 200.0), "step between directions, far end"),)
+    gains = (Parameter("step_at_far_end", "um", (2.0, 15.0), (-200.0, 200.0), "step between directions, far end"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (direction_column(recording, self.axis), position_name(recording, self.axis))

@@ -31,9 +31,7 @@ class SensorDrift(Term):
     compensable = False
     artefact = "it is the instrument that drifts, not the machine: correct the reading"
     simulated_log_odds = -12.0
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("rate", "um/h", (0.5, 5.0), (-500.0, 500.0), "drift per hour"),)
+    gains = (Parameter("rate", "um/h", (0.5, 5.0), (-500.0, 500.0), "drift per hour"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (recording.name("time") or "row",)

@@ -36,12 +36,8 @@ class SensorFault(Term):
     artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"
     simulated_log_odds = NEVER
     in_part = "never"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "um/K", (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.sensor,)
+    gains = (Parameter("gain", "um/K", (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
+    prior_log_odds = -3.0
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
@@ -58,9 +54,6 @@ class SensorFault(Term):
         before = read[: self.first][np.isfinite(read[: self.first])]
         held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
         return np.where(inside, true - held, 0.0)[:, None]
-
-    def log_prior_odds(self) -> float:
-        return -3.0
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         rows = np.arange(len(recording))

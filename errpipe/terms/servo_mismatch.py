@@ -30,9 +30,7 @@ class ServoMismatch(Term):
     second: str = Field(description="Letter of the other axis.")
     reports_as = "servo_mismatch"
     family = "servo"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("lag_difference", "ms", (0.01, 5.0), (-1000.0, 1000.0), "first axis minus second"),)
+    gains = (Parameter("lag_difference", "ms", (0.01, 5.0), (-1000.0, 1000.0), "first axis minus second"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = [recording.name("velocity", axis=a) for a in (self.first, self.second)]

@@ -11,10 +11,9 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
-from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 
 
@@ -35,6 +34,7 @@ class SmoothCurve(Term):
     span: tuple[float, float] | None = Field(
         None, description="Ends of the curve; the positions seen otherwise.", json_schema_extra={"unit": "mm"}
     )
+    sample = {"axis": "X", "segments": 8}
 
     def _profile(self) -> shapes.Curve:
         return shapes.Curve(segments=self.segments, line=self.line, span=self.span)
@@ -49,13 +49,6 @@ class SmoothCurve(Term):
 
     def penalty(self) -> np.ndarray | None:
         return self._profile().penalty()
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
-
-    @classmethod
-    def example(cls) -> Example:
-        return worked(cls(axis="X", segments=8))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return self._profile().basis(position(recording, self.axis))

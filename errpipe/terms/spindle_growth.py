@@ -35,20 +35,11 @@ class SpindleGrowth(Driven):
     family = "thermal"
     any_start = True
     rowwise = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("growth", "um", (5.0, 60.0), (-500.0, 500.0), "growth at full speed, warmed through"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("tau", "s", (600.0, 6000.0), (60.0, 40000.0), "time constant"),
-            Parameter(
-                "exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed", search=Listed((0.7, 1.0, 1.4, 2.0))
-            ),
-        )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("growth", "um", (5.0, 60.0), (-500.0, 500.0), "growth at full speed, warmed through"),)
+    searched = (
+        Parameter("tau", "s", (600.0, 6000.0), (60.0, 40000.0), "time constant"),
+        Parameter("exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed", search=Listed((0.7, 1.0, 1.4, 2.0))),
+    )
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SpindleGrowth]:

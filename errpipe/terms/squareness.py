@@ -32,9 +32,7 @@ class Squareness(Term):
     reports_as = "squareness"
     family = "geometric"
     rowwise = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("angle", "urad", (5.0, 60.0), (-2000.0, 2000.0), "departure from a right angle"),)
+    gains = (Parameter("angle", "urad", (5.0, 60.0), (-2000.0, 2000.0), "departure from a right angle"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         own = (position_name(recording, self.axis),)

@@ -34,15 +34,8 @@ class StribeckFriction(Term):
     family = "friction"
     compensable = False
     friction_part = "falling"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
+    searched = (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[StribeckFriction]:

@@ -33,12 +33,7 @@ class ThermalDrift(Driven):
     family = "thermal"
     rowwise = True
     one_sensor = True
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.sensor,)
+    gains = (Parameter("gain", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift per kelvin"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ThermalDrift]:

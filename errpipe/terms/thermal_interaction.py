@@ -35,9 +35,8 @@ class ThermalInteraction(Driven):
     family = "thermal"
     rowwise = True
     simulated_log_odds = -15.0
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("gain", "um/K2", (0.05, 0.5), (-20.0, 20.0), "shift per kelvin squared"),)
+    gains = (Parameter("gain", "um/K2", (0.05, 0.5), (-20.0, 20.0), "shift per kelvin squared"),)
+    prior_log_odds = -2.0  # a product is rarer than a sum
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return tuple(dict.fromkeys((self.first, self.second)))
@@ -52,9 +51,6 @@ class ThermalInteraction(Driven):
 
     def _driver(self, *nonlinear: float) -> Product:
         return Product(of=tuple(rise_driver(s, self.reference) for s in (self.first, self.second)))
-
-    def log_prior_odds(self) -> float:
-        return -2.0  # a product is rarer than a sum
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         for sensor in dict.fromkeys((self.first, self.second)):

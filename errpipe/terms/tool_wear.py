@@ -40,24 +40,19 @@ class ToolWear(Term):
     tool: str | None = Field(None, description="Column of the tool's label, where the length cut runs on over tools.")
     reports_as = "tool_wear"
     family = "process"
+    searched = (
+        Parameter(
+            "exponent",
+            "1",
+            (0.5, 1.0),
+            (0.2, 3.0),
+            "shape of the wear curve",
+            search=Listed((0.35, 0.55, 0.75, 1.0, 1.3)),
+        ),
+    )
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("wear", "um", (1.0, 30.0), (-500.0, 500.0), f"after {self.reference:g} m"),)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "exponent",
-                "1",
-                (0.5, 1.0),
-                (0.2, 3.0),
-                "shape of the wear curve",
-                search=Listed((0.35, 0.55, 0.75, 1.0, 1.3)),
-            ),
-        )
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ToolWear]:

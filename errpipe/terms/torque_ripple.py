@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import position
 from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
@@ -35,15 +35,10 @@ class TorqueRipple(Term):
     reports_as = "torque_ripple"
     family = "friction"
     compensable = False
+    searched = (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave", search=Waves()),)
 
     def linear(self) -> tuple[Parameter, ...]:
         return waves.named(self.orders, "N", (2.0, 50.0), 1000.0)
-
-    def nonlinear(self) -> tuple[Parameter, ...]:
-        return (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave", search=Waves()),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[TorqueRipple]:

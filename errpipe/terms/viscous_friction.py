@@ -35,12 +35,7 @@ class ViscousFriction(Term):
     family = "friction"
     compensable = False
     friction_part = "viscous"
-
-    def linear(self) -> tuple[Parameter, ...]:
-        return (Parameter("damping", "N s/m", (50.0, 3000.0), (-50000.0, 50000.0), "force per speed"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.column,)
+    gains = (Parameter("damping", "N s/m", (50.0, 3000.0), (-50000.0, 50000.0), "force per speed"),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ViscousFriction]:
