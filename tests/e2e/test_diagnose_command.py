@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import io
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe.cli.app import main
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.simulation import folder
 
@@ -42,13 +46,22 @@ def drift(backlash: float = 0.0, twin: bool = False) -> Recording:
     return Recording(Manifest(recording=1, tables=("a.csv",), columns=kinds), pd.DataFrame(columns))
 
 
-def run(tmp_path: Path, recording: Recording, *arguments: str) -> tuple[subprocess.CompletedProcess, dict]:
-    """The command on a recording, and the diagnosis it wrote."""
+class Done(NamedTuple):
+    """How a command line ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run(tmp_path: Path, recording: Recording, *arguments: str) -> tuple[Done, dict]:
+    """The command on a recording, in this process and with `tmp_path` as its folder, and the diagnosis it wrote."""
     folder.write(tmp_path / "in", recording)
-    command = [sys.executable, "-m", "errpipe.cli.app", "diagnose", "in", "--out", "out", *arguments]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(tmp_path), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(["diagnose", "in", "--out", "out", *arguments])
     file = tmp_path / "out/diagnosis.json"
-    return done, json.loads(file.read_text()) if file.exists() else {}
+    return Done(code, out.getvalue(), err.getvalue()), json.loads(file.read_text()) if file.exists() else {}
 
 
 def first(diagnosis: dict) -> str:

@@ -6,6 +6,7 @@ stated. A step of the correction is at most 1 um in 1 ms; one bad sample moves i
 
 from __future__ import annotations
 
+import copy
 import json
 import shutil
 
@@ -43,6 +44,7 @@ STEP = 1.0  # um in 1 ms: the limit of the issue and of every default export
 WARM = 6000  # cycles at 25 degC before anything happens
 ROUNDED = 1e-5  # um: a correction of 100 um in single precision
 BAD_SAMPLE = 5.0  # um that a single bad sample may add
+STARTED: dict = {}  # the reference evaluator and its corrections after WARM cycles, by table and readings
 
 
 def plain_axis(folder) -> None:
@@ -84,9 +86,20 @@ def table(tmp_path_factory):
 
 
 def by_reference(table, readings: np.ndarray) -> np.ndarray:
-    evaluator, names = Evaluator(table), [i.name for i in table.inputs]
-    cycles = (evaluator.cycle(dict(zip(names, row, strict=True))) for row in readings.tolist())
-    return np.array([1e3 * c.correction["EXX"] for c in cycles])
+    """A start that several tests have in common is computed once; each goes on from a copy of the evaluator."""
+    names = [i.name for i in table.inputs]
+
+    def corrections(evaluator: Evaluator, rows: np.ndarray) -> list[float]:
+        cycles = (evaluator.cycle(dict(zip(names, row, strict=True))) for row in rows.tolist())
+        return [1e3 * c.correction["EXX"] for c in cycles]
+
+    start = readings[: WARM if len(readings) > WARM else 0]
+    key = (ect.dumps(table), start.tobytes())
+    if key not in STARTED:
+        fresh = Evaluator(table)
+        STARTED[key] = fresh, corrections(fresh, start)
+    evaluator, first = STARTED[key]
+    return np.array([*first, *corrections(copy.deepcopy(evaluator, {id(table): table}), readings[len(start) :])])
 
 
 def by_numba(table, readings: np.ndarray) -> np.ndarray:

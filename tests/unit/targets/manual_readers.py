@@ -248,11 +248,11 @@ def sinumerik_lec(files: Files, axis: str) -> Moved:
 
 def smoothie_pitch(files: Files, axis: str) -> Moved:
     """Motor travel per commanded travel, integrated from 0."""
-    factor = _line(*zip(*_rows(files["pitch_compensation.dat"], 2, f"{axis} "), strict=True))
+    known, factors = np.array(sorted(_rows(files["pitch_compensation.dat"], 2, f"{axis} "))).T
 
     def moved(x: float, side: int) -> float:
         at = np.linspace(0.0, x, 4001)
-        extra = np.array([factor(a) for a in at]) - 1.0
+        extra = np.interp(at, known, factors) - 1.0
         return float((extra[1:] + extra[:-1]).sum() / 2 * (at[1] - at[0]))
 
     return moved

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 
 import numpy as np
@@ -59,13 +60,25 @@ MACHINES = {
 }
 
 
+@functools.cache
+def table_of(machine):
+    """The table of a machine: the same for every format."""
+    return of(*MACHINES[machine])
+
+
+@functools.cache
+def turning(low, high):
+    """The table of a rotary axis that turns on; its curve ends 180e-6 rad from where it began."""
+    curve = lambda c: 500.0 * np.sin(np.deg2rad(c)) + 180.0 * (c - low) / 360.0  # noqa: E731
+    return of(("C", low, high, curve, even(-100)), turning=("C",))
+
+
 @pytest.mark.parametrize("machine", MACHINES)
 @pytest.mark.parametrize("target", READ, ids=lambda t: t.name)
 def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
     axes = MACHINES[machine]
-    table = of(*axes)
     try:
-        files = target.write(table)
+        files = target.write(table_of(machine))
     except GateError as err:
         assert any(letter in "ABC" for letter, *_ in axes), err
         return
@@ -103,8 +116,7 @@ REPEAT = {
 def test_an_axis_that_turns_on_does_not_step(target, ends):
     """From 350 to 370 deg and back: the curve, which ends 180e-6 rad from where it began, is closed in every file."""
     low, high = TURNS[ends]
-    curve = lambda c: 500.0 * np.sin(np.deg2rad(c)) + 180.0 * (c - low) / 360.0  # noqa: E731
-    files = target.write(of(("C", low, high, curve, even(-100)), turning=("C",)))
+    files = target.write(turning(low, high))
     moved = getattr(manual_readers, target.name)(files, "C")
     way = np.arange(350.0, 370.0, 0.25)
     for side in (1, -1):
@@ -124,7 +136,7 @@ def test_an_axis_that_turns_on_does_not_step(target, ends):
 
 
 def test_a_turn_that_does_not_close_is_refused_where_it_is_read():
-    c = of(*MACHINES["rotary axis 0 to 360"])
+    c = table_of("rotary axis 0 to 360")
     for name, key, pattern in (
         ("fanuc_pitch", "PITCH.TXT", r"N10003Q0P(-?\d+)"),
         ("sinumerik_lec", "AX1_C_EEC.INI", r"COMP\[0,0,AX1\]=(\S+)"),
@@ -151,7 +163,7 @@ def test_a_checklist_says_the_unit_and_labels_those_of_rotary_axes(target, tmp_p
     text = (tmp_path / target.name / stage.CHECKLIST).read_text()
     assert f"\nUnit: {target.unit}.\n" in text and "from below, um |" in text
     if target in READ and target.unit == AS_THE_AXIS:
-        stage.write_targets(of(*MACHINES["rotary axis 0 to 360"]), [target.name], tmp_path)
+        stage.write_targets(table_of("rotary axis 0 to 360"), [target.name], tmp_path)
         text = (tmp_path / target.name / stage.CHECKLIST).read_text()
         assert "deg/1000 rms" in text and "from below, um, deg/1000 |" in text and " um rms" not in text
 
@@ -167,7 +179,7 @@ def test_marlin_and_duet_are_told_that_numbers_are_millimetres():
 def test_an_inch_list_holds_no_rotary_axis():
     (target,) = [t for t in TARGETS if t.name == "haas_pitch"]
     with pytest.raises(GateError, match="C: a list in inches holds no rotary axis"):
-        target.write(of(*MACHINES["rotary axis 0 to 360"]))
+        target.write(table_of("rotary axis 0 to 360"))
 
 
 def only_y():
