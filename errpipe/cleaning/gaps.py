@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import Action, Rule, sensors, stretches
 from errpipe.domain.recording import Recording
+from errpipe.yamlfile import quantity
 
 
 class Gaps(Rule):
@@ -20,19 +20,9 @@ class Gaps(Rule):
 
     rule: Literal["gaps"] = "gaps"
     splits_runs: ClassVar[bool] = True
-    hold: float = Field(
-        300.0, ge=0, json_schema_extra={"unit": "s"}, description="A sensor's hole up to this long is held."
-    )
-    longest: float = Field(
-        14400.0, gt=0, json_schema_extra={"unit": "s"}, description="A longer pause between two rows splits the run."
-    )
-    most: float = Field(
-        0.1,
-        gt=0,
-        le=1,
-        description="Refuse to hold more than this share of a sensor's cells.",
-        json_schema_extra={"unit": "1"},
-    )
+    hold: float = quantity("s", "A sensor's hole up to this long is held.", 300.0, ge=0)
+    longest: float = quantity("s", "A longer pause between two rows splits the run.", 14400.0, gt=0)
+    most: float = quantity("1", "Refuse to hold more than this share of a sensor's cells.", 0.1, gt=0, le=1)
 
     def find(self, recording: Recording) -> list[Action]:
         """Cells to hold, and new run labels. Raises DataError beyond the stated share."""

@@ -11,10 +11,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_runs, stretches
 from errpipe.domain.recording import Recording
+from errpipe.yamlfile import quantity
 
 SIDE = 4  # readings on either side: the median of 8 shrugs off 3 other outliers
 FEWEST = 3 * SIDE  # readings of a run; fewer give no scatter
@@ -32,19 +32,10 @@ class Outliers(Rule):
     """Blank single readings of responses and sensors that stand far off their neighbours."""
 
     rule: Literal["outliers"] = "outliers"
-    threshold: float = Field(
-        6.0,
-        ge=3,
-        description="Multiple of the robust scatter; 5 is reached by chance in large clean recordings.",
-        json_schema_extra={"unit": "1"},
+    threshold: float = quantity(
+        "1", "Multiple of the robust scatter; 5 is reached by chance in large clean recordings.", 6.0, ge=3
     )
-    most: float = Field(
-        0.02,
-        gt=0,
-        le=1,
-        description="Refuse to blank more than this share of a column's cells.",
-        json_schema_extra={"unit": "1"},
-    )
+    most: float = quantity("1", "Refuse to blank more than this share of a column's cells.", 0.02, gt=0, le=1)
 
     def find(self, recording: Recording) -> list[Action]:
         """Cells to blank. Raises DataError beyond the stated share."""

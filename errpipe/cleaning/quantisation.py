@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import SENSORS, Action, Rule, resolution
 from errpipe.domain.recording import Recording
+from errpipe.yamlfile import quantity
 
 FEWEST = 20  # values; fewer say nothing about a lattice
 
@@ -17,11 +17,8 @@ class Quantisation(Rule):
     """Note every sensor and deviation that is displayed in steps coarser than its own noise."""
 
     rule: Literal["quantisation"] = "quantisation"
-    coarse: float = Field(
-        1.0,
-        gt=0,
-        description="Note a step above this multiple of the typical change from row to row that is not zero.",
-        json_schema_extra={"unit": "1"},
+    coarse: float = quantity(
+        "1", "Note a step above this multiple of the typical change from row to row that is not zero.", 1.0, gt=0
     )
 
     def find(self, recording: Recording) -> list[Action]:

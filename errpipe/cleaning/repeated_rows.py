@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import Action, Rule
 from errpipe.domain.recording import Recording
+from errpipe.yamlfile import quantity
 
 
 class RepeatedRows(Rule):
@@ -18,13 +18,7 @@ class RepeatedRows(Rule):
     """
 
     rule: Literal["repeated_rows"] = "repeated_rows"
-    most: float = Field(
-        0.1,
-        gt=0,
-        le=1,
-        description="Refuse to remove more than this share of the rows.",
-        json_schema_extra={"unit": "1"},
-    )
+    most: float = quantity("1", "Refuse to remove more than this share of the rows.", 0.1, gt=0, le=1)
 
     def find(self, recording: Recording) -> list[Action]:
         """Rows to remove. Raises DataError beyond the stated share."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import Action, Rule, resolution, sensors, stretches
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.yamlfile import quantity
 
 SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  # what loggers and converters write
 # for a broken sensor: 0, "no value" marks, a 1-wire chip's 85 and -127, a platinum resistor's open and short ends
@@ -32,20 +32,8 @@ class StuckSensors(Rule):
     """Set aside sensors that are empty, constant or mostly stuck; blank stuck and sentinel stretches of others."""
 
     rule: Literal["stuck_sensors"] = "stuck_sensors"
-    empty: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="A sensor with a larger share of empty cells is set aside.",
-        json_schema_extra={"unit": "1"},
-    )
-    most: float = Field(
-        0.7,
-        gt=0,
-        le=1,
-        description="Refuse to set aside more than this share of the sensors.",
-        json_schema_extra={"unit": "1"},
-    )
+    empty: float = quantity("1", "A sensor with a larger share of empty cells is set aside.", 0.5, gt=0, le=1)
+    most: float = quantity("1", "Refuse to set aside more than this share of the sensors.", 0.7, gt=0, le=1)
 
     def find(self, recording: Recording) -> list[Action]:
         """Columns to set aside and cells to blank. Raises DataError beyond the stated share."""

@@ -6,10 +6,10 @@ from bisect import bisect_right
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import Action, Rule, rows_of_runs
 from errpipe.domain.recording import Recording
+from errpipe.yamlfile import quantity
 
 
 class TimeOrder(Rule):
@@ -19,13 +19,7 @@ class TimeOrder(Rule):
     """
 
     rule: Literal["time_order"] = "time_order"
-    most: float = Field(
-        0.01,
-        gt=0,
-        le=1,
-        description="Refuse to remove more than this share of the rows.",
-        json_schema_extra={"unit": "1"},
-    )
+    most: float = quantity("1", "Refuse to remove more than this share of the rows.", 0.01, gt=0, le=1)
 
     def find(self, recording: Recording) -> list[Action]:
         """Rows to remove. Raises DataError beyond the stated share."""

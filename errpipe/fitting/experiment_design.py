@@ -22,25 +22,24 @@ from pydantic import Field
 from errpipe.domain.recording import Frozen
 from errpipe.errors import DataError
 from errpipe.kernels import responses
+from errpipe.yamlfile import quantity
 
 
 class DesignOptions(Frozen):
     """What the machine may do, and what the model may be."""
 
-    highest_speed: float = Field(6000.0, gt=0, json_schema_extra={"unit": "rpm"}, description="Of the spindle.")
+    highest_speed: float = quantity("rpm", "Of the spindle.", 6000.0, gt=0)
     levels: tuple[float, ...] = Field(
         (0.0, 0.25, 0.5, 0.75, 1.0), description="Speeds that a plan may ask for, shares of the highest."
     )
-    segment: float = Field(1800.0, gt=0, json_schema_extra={"unit": "s"}, description="Shortest stretch of one speed.")
-    hours: float = Field(8.0, gt=0, json_schema_extra={"unit": "h"}, description="Length of one day; each starts cold.")
+    segment: float = quantity("s", "Shortest stretch of one speed.", 1800.0, gt=0)
+    hours: float = quantity("h", "Length of one day; each starts cold.", 8.0, gt=0)
     standing: float = Field(0.0, ge=0, le=1, description="Least share of a day with the spindle at rest.")
-    taus: tuple[float, ...] = Field(
-        (450.0, 1200.0, 3600.0, 9000.0), json_schema_extra={"unit": "s"}, description="Time constants of the model."
-    )
+    taus: tuple[float, ...] = quantity("s", "Time constants of the model.", (450.0, 1200.0, 3600.0, 9000.0))
     powers: tuple[float, ...] = Field((1.0, 2.0), description="Powers of the speed that heat may follow.")
-    prior: float = Field(30.0, gt=0, json_schema_extra={"unit": "um"}, description="Spread of each gain beforehand.")
-    noise: float = Field(1.0, gt=0, json_schema_extra={"unit": "um"}, description="Of a reading.")
-    every: float = Field(600.0, gt=0, json_schema_extra={"unit": "s"}, description="Time between independent readings.")
+    prior: float = quantity("um", "Spread of each gain beforehand.", 30.0, gt=0)
+    noise: float = quantity("um", "Of a reading.", 1.0, gt=0)
+    every: float = quantity("s", "Time between independent readings.", 600.0, gt=0)
     criterion: Literal["D", "I"] = Field("I", description="D: all gains at once; I: predictions where it is used.")
 
     @property

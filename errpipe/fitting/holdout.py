@@ -17,6 +17,7 @@ from pydantic import Field
 
 from errpipe.domain.recording import Column, Frozen, Recording
 from errpipe.errors import DataError, did_you_mean
+from errpipe.yamlfile import quantity
 
 CALENDAR = {"day": 10, "month": 7, "year": 4}  # characters of an ISO 8601 date that name it
 MOST_RUNS = 30  # more folds cost time and do not improve the error estimate
@@ -44,9 +45,7 @@ class HoldOut(Frozen):
     )
     of: str | None = Field(None, description="Group that sits out: a column's name or its `of` (day, season, machine).")
     blocks: int = Field(5, ge=2, description="Number of blocks or batches (batches, blocks, and forward without `of`).")
-    gap: float = Field(
-        0.0, ge=0, description="Rows this close to a judged block do not fit.", json_schema_extra={"unit": "s"}
-    )
+    gap: float = quantity("s", "Rows this close to a judged block do not fit.", 0.0, ge=0)
 
 
 def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from errpipe.domain.recording import Frozen
 from errpipe.fitting.holdout import HoldOut
 from errpipe.terms import TERMS, Term
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     AnyTerm = Term
@@ -21,8 +22,8 @@ class PriorSpec(Frozen):
 
     term: str = Field(description="Id of the term.")
     parameter: str = Field(description="Name of one of its linear parameters.")
-    value: float = Field(description="What it is thought to be.", json_schema_extra={"unit": "of the parameter"})
-    spread: float = Field(gt=0, description="One standard deviation.", json_schema_extra={"unit": "of the parameter"})
+    value: float = quantity("of the parameter", "What it is thought to be.")
+    spread: float = quantity("of the parameter", "One standard deviation.", gt=0)
 
 
 class ComponentSpec(Frozen):
@@ -49,11 +50,8 @@ class ModelSpec(Frozen):
     selection: Literal["none", "held-out"] = Field(
         "none", description="held-out: leave out, one by one, terms without which held-out rows do no worse."
     )
-    most_inflation: float = Field(
-        200.0,
-        gt=1,
-        description="Refuse a parameter whose variance the other columns inflate by more than this.",
-        json_schema_extra={"unit": "1"},
+    most_inflation: float = quantity(
+        "1", "Refuse a parameter whose variance the other columns inflate by more than this.", 200.0, gt=1
     )
 
     @model_validator(mode="after")

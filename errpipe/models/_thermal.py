@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from pydantic import Field
 
 from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, silent
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,9 +34,7 @@ class ThermalFamily(Family):
 
     component: str = Field(description="Response of the recording, such as E_D or E_Z.")
     environment: str = Field("season", description="Group whose members stand for different surroundings.")
-    coverage: float = Field(
-        0.9, gt=0.5, lt=1, description="Coverage of the prediction interval.", json_schema_extra={"unit": "1"}
-    )
+    coverage: float = quantity("1", "Coverage of the prediction interval.", 0.9, gt=0.5, lt=1)
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
     documents: ClassVar[tuple[str, ...]] = (COMPETITION,)
     competes: ClassVar[bool] = True

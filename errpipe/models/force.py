@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,11 +37,11 @@ MISSED = 0.002  # of the largest compliance: how far the spline may be off
 class Section(Frozen):
     """A prismatic part of a shaft or tool: round by `diameter`, else rectangular by `width` and `height`."""
 
-    length: float = Field(gt=0, description="Along the axis.", json_schema_extra={"unit": "mm"})
-    diameter: float = Field(0.0, ge=0, description="Outer diameter.", json_schema_extra={"unit": "mm"})
-    bore: float = Field(0.0, ge=0, description="Inner diameter.", json_schema_extra={"unit": "mm"})
-    width: float = Field(0.0, ge=0, description="Across the force.", json_schema_extra={"unit": "mm"})
-    height: float = Field(0.0, ge=0, description="Along the force.", json_schema_extra={"unit": "mm"})
+    length: float = quantity("mm", "Along the axis.", gt=0)
+    diameter: float = quantity("mm", "Outer diameter.", 0.0, ge=0)
+    bore: float = quantity("mm", "Inner diameter.", 0.0, ge=0)
+    width: float = quantity("mm", "Across the force.", 0.0, ge=0)
+    height: float = quantity("mm", "Along the force.", 0.0, ge=0)
 
     @model_validator(mode="after")
     def _one_shape(self) -> Section:
@@ -53,17 +54,11 @@ class Body(Frozen):
     """A stepped shaft or tool, from its clamped end outwards."""
 
     sections: tuple[Section, ...] = Field(min_length=1, max_length=100, description="From the clamped end outwards.")
-    young: float = Field(210e3, gt=0, description="Young's modulus.", json_schema_extra={"unit": "N/mm2"})
-    poisson: float = Field(0.3, ge=0, lt=0.5, description="Poisson's ratio.", json_schema_extra={"unit": "1"})
-    clamp_stiffness: float | None = Field(
-        None, gt=0, description="Radial stiffness of the clamping; none: rigid.", json_schema_extra={"unit": "N/um"}
-    )
-    clamp_turning: float | None = Field(
-        None, gt=0, description="Its stiffness against tilt; none: rigid.", json_schema_extra={"unit": "N m/urad"}
-    )
-    tailstock: float = Field(
-        0.0, ge=0, description="Stiffness of a centre at the far end; 0: none.", json_schema_extra={"unit": "N/um"}
-    )
+    young: float = quantity("N/mm2", "Young's modulus.", 210e3, gt=0)
+    poisson: float = quantity("1", "Poisson's ratio.", 0.3, ge=0, lt=0.5)
+    clamp_stiffness: float | None = quantity("N/um", "Radial stiffness of the clamping; none: rigid.", None, gt=0)
+    clamp_turning: float | None = quantity("N m/urad", "Its stiffness against tilt; none: rigid.", None, gt=0)
+    tailstock: float = quantity("N/um", "Stiffness of a centre at the far end; 0: none.", 0.0, ge=0)
 
     def at(self, places: np.ndarray | None = None) -> np.ndarray:
         """Compliance at distances from the clamped end (default: the far end), um/N."""
@@ -96,9 +91,7 @@ class Force(Family):
     component: str = Field("E_X", description="Component that the force moves, such as E_X, or E_D (twice the radius).")
     force: str = Field(description="Column of the force, in the direction of the deviation.")
     axis: str | None = Field(None, pattern="^[A-Z]$", description="Axis along which the cut moves (turning: Z).")
-    chuck_face: float = Field(
-        0.0, description="Position of the axis at the clamped end of the workpiece.", json_schema_extra={"unit": "mm"}
-    )
+    chuck_face: float = quantity("mm", "Position of the axis at the clamped end of the workpiece.", 0.0)
     outwards: Literal[1, -1] = Field(1, description="Direction of the axis away from the clamped end.")
     sign: Literal[1, -1] = Field(1, description="Direction of the deviation under a positive force; 1: away from it.")
     workpiece: Body | None = Field(None, description="The workpiece that is cut.")

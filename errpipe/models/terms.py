@@ -10,6 +10,7 @@ from pydantic import Field
 from errpipe.errors import DataError
 from errpipe.fitting.spec import ModelSpec
 from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, silent
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -27,13 +28,13 @@ class Terms(ModelSpec, Family):
     less_simulated: bool = Field(
         False, description="Fit what a simulation leaves out: recorded less simulated values are the deviation."
     )
-    rows_in_memory: int | None = Field(
-        None,
-        ge=1000,
-        description="A longer recording is fitted and judged batch by batch, and what cannot be (other methods than "
+    rows_in_memory: int | None = quantity(
+        "1",
+        "A longer recording is fitted and judged batch by batch, and what cannot be (other methods than "
         "linear, free non-linear parameters, nuisance, smooth curves) is refused by name. Default: 1,000,000, and what "
         "cannot be fitted in batches is fitted whole.",
-        json_schema_extra={"unit": "1"},
+        None,
+        ge=1000,
     )
     takes_terms: ClassVar[bool] = True
 

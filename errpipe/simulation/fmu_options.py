@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from errpipe.yamlfile import Options
+from errpipe.yamlfile import Options, quantity
 
 MAX_TUNABLE = 6  # parameters recalibrated at once; each costs a simulation per step of the search
 
@@ -16,10 +16,8 @@ class FmuInput(Options):
 
     column: str = Field(description="Column of the recording.")
     unit: str | None = Field(None, description="Unit that the FMU means, where it states none.")
-    rise_from: float | Literal["first"] | None = Field(
-        None,
-        description="A temperature becomes a rise: over this one, or over the first reading of the session.",
-        json_schema_extra={"unit": "degC"},
+    rise_from: float | Literal["first"] | None = quantity(
+        "degC", "A temperature becomes a rise: over this one, or over the first reading of the session.", None
     )
 
 
@@ -35,8 +33,8 @@ class Tunable(Options):
     """A parameter of the FMU that is set right before anything is called missing."""
 
     parameter: str = Field(description="Name in the FMU.")
-    low: float = Field(description="Lowest value that can be.", json_schema_extra={"unit": "of the parameter"})
-    high: float = Field(description="Highest value that can be.", json_schema_extra={"unit": "of the parameter"})
+    low: float = quantity("of the parameter", "Lowest value that can be.")
+    high: float = quantity("of the parameter", "Highest value that can be.")
 
     @model_validator(mode="after")
     def _ordered(self) -> Tunable:
@@ -50,20 +48,13 @@ class FmuOptions(Options):
 
     inputs: dict[str, FmuInput] = Field({}, description="Input of the FMU -> column that drives it.")
     outputs: dict[str, FmuOutput] = Field(min_length=1, description="Response of the recording -> variable of the FMU.")
-    parameters: dict[str, float] = Field(
-        {}, description="Values to set before the start, in the FMU's units.", json_schema_extra={"unit": "of each"}
-    )
+    parameters: dict[str, float] = quantity("of each", "Values to set before the start, in the FMU's units.", {})
     recalibrate: tuple[Tunable, ...] = Field(
         (), max_length=MAX_TUNABLE, description="Parameters to set right on the recording."
     )
-    step: float | None = Field(
-        None,
-        gt=0,
-        description="Communication step; default: the FMU's own, else a quarter of the rows' step.",
-        json_schema_extra={"unit": "s"},
+    step: float | None = quantity(
+        "s", "Communication step; default: the FMU's own, else a quarter of the rows' step.", None, gt=0
     )
-    time_limit: float = Field(
-        60.0, gt=0, description="Longest time that a session may take to simulate.", json_schema_extra={"unit": "s"}
-    )
+    time_limit: float = quantity("s", "Longest time that a session may take to simulate.", 60.0, gt=0)
     disk_mb: int = Field(512, ge=1, description="Most disk that the FMU, unpacked, and its files may take, MB.")
     memory_mb: int = Field(2048, ge=256, description="Most memory that the FMU's process may take, MB.")

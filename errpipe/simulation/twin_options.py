@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from errpipe.simulation.fmu_options import FmuOptions
-from errpipe.yamlfile import Options
+from errpipe.yamlfile import Options, quantity
 
 
 class TwinOptions(Options):
@@ -18,12 +18,8 @@ class TwinOptions(Options):
         description="What zero means: as simulated, or each run's first readings; default: absolute, and for an error "
         "model what the model says.",
     )
-    most_missing: float = Field(
-        0.1,
-        ge=0,
-        lt=1,
-        description="Refuse a twin that leaves more than this share of the recorded rows empty.",
-        json_schema_extra={"unit": "1"},
+    most_missing: float = quantity(
+        "1", "Refuse a twin that leaves more than this share of the recorded rows empty.", 0.1, ge=0, lt=1
     )
 
 
@@ -54,11 +50,8 @@ class FromCsv(TwinOptions):
         None, description="Column with the run's label; needed where the recording's runs overlap in time."
     )
     separator: Literal[",", ";", "\t"] = Field(",", description="What stands between two cells.")
-    longest_gap: float | None = Field(
-        None,
-        gt=0,
-        description="Nothing is interpolated over a longer step; default: ten usual steps.",
-        json_schema_extra={"unit": "s"},
+    longest_gap: float | None = quantity(
+        "s", "Nothing is interpolated over a longer step; default: ten usual steps.", None, gt=0
     )
 
 

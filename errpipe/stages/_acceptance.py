@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from errpipe.yamlfile import Options
+from errpipe.yamlfile import Options, quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
@@ -37,12 +37,12 @@ UNKNOWN = "no effect carries it, so nothing says that it will come back"
 class Accept(Options):
     """When a finding becomes a term of the error model."""
 
-    confidence: float = Field(
+    confidence: float = quantity(
+        "1",
+        "Lowest confidence of a finding, or of it and those the data cannot tell it from together.",
         0.8,
         ge=0,
         le=1,
-        json_schema_extra={"unit": "1"},
-        description="Lowest confidence of a finding, or of it and those the data cannot tell it from together.",
     )
     despite_artefact: bool = Field(
         False, description="Also where the data cannot tell the finding from an artefact of measuring."

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from errpipe.domain.recording import ActsOn
 from errpipe.stages import _artefacts
-from errpipe.yamlfile import Options
+from errpipe.yamlfile import Options, quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -26,35 +26,21 @@ USUAL = 1.5  # steps between targets: what is left of a turn beyond that was not
 class CompileOptions(Options):
     """How a model becomes a table."""
 
-    error_bound: float = Field(
-        0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
+    error_bound: float = quantity("um", "Largest interpolation error of any profile.", 0.01, gt=0)
+    position_cycle: float = quantity("s", "Time between two corrections.", 0.001, ge=1e-6, le=10)
+    thermal_cycle: float = quantity("s", "Time between two updates of slow drivers.", 1.0, gt=0, le=1e7)
+    magnitude: float | None = quantity(
+        "um", "Largest correction of an axis; default: what it can reach.", None, gt=0, le=1e6
     )
-    position_cycle: float = Field(
-        0.001, ge=1e-6, le=10, description="Time between two corrections.", json_schema_extra={"unit": "s"}
-    )
-    thermal_cycle: float = Field(
-        1.0, gt=0, le=1e7, description="Time between two updates of slow drivers.", json_schema_extra={"unit": "s"}
-    )
-    magnitude: float | None = Field(
-        None,
-        gt=0,
-        le=1e6,
-        description="Largest correction of an axis; default: what it can reach.",
-        json_schema_extra={"unit": "um"},
-    )
-    slew: float | None = Field(
+    slew: float | None = quantity(
+        "um/s",
+        "Largest rate of an axis' correction; default: what the axis' motion asks of it, at most 1 um/ms.",
         None,
         gt=0,
         le=1e9,
-        description="Largest rate of an axis' correction; default: what the axis' motion asks of it, at most 1 um/ms.",
-        json_schema_extra={"unit": "um/s"},
     )
-    acceleration: float | None = Field(
-        None,
-        gt=0,
-        le=1e12,
-        description="Largest change of that rate; default: the whole rate within 10 ms.",
-        json_schema_extra={"unit": "um/s2"},
+    acceleration: float | None = quantity(
+        "um/s2", "Largest change of that rate; default: the whole rate within 10 ms.", None, gt=0, le=1e12
     )
     acts_on: dict[str, ActsOn] = Field(
         {},

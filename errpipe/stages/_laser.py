@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, NonNegativeFloat
 
-from errpipe.yamlfile import Options
+from errpipe.yamlfile import Options, quantity
 
 if TYPE_CHECKING:
     from errpipe.kinematics.direct import Laser
@@ -16,39 +16,28 @@ if TYPE_CHECKING:
 class Beam(Options):
     """Set-up of the laser for one component: a positioning, or the offset alone of a straightness."""
 
-    dead_path: float = Field(
-        0.0,
-        ge=0,
-        description="From the interferometer to the reflector where the laser was reset.",
-        json_schema_extra={"unit": "mm"},
+    dead_path: float = quantity("mm", "From the interferometer to the reflector where the laser was reset.", 0.0, ge=0)
+    misalignment: float = quantity(
+        "urad", "Angle between the beam and the axis: the laser reads short by its cosine.", 0.0, ge=0, lt=50_000
     )
-    misalignment: float = Field(
-        0.0,
-        ge=0,
-        lt=50_000,
-        description="Angle between the beam and the axis: the laser reads short by its cosine.",
-        json_schema_extra={"unit": "urad"},
-    )
-    offset: tuple[float, float, float] = Field(
-        (0.0, 0.0, 0.0),
-        description="From the beam to the point the component is defined at (Abbe), X, Y, Z.",
-        json_schema_extra={"unit": "mm"},
+    offset: tuple[float, float, float] = quantity(
+        "mm", "From the beam to the point the component is defined at (Abbe), X, Y, Z.", (0.0, 0.0, 0.0)
     )
     wavelength_corrected: bool = Field(
         True, description="Whether the laser's own weather station corrected the displacement."
     )
-    display_air: tuple[float, float, float] | None = Field(
-        None,
-        description="Temperature (degC), pressure (hPa) and humidity (%) of the air whose refractive index a display "
+    display_air: tuple[float, float, float] | None = quantity(
+        "degC, hPa, %",
+        "Temperature (degC), pressure (hPa) and humidity (%) of the air whose refractive index a display "
         "without weather station was fixed at, often 20, 1013.25, 50. Left out: that of the record's first reading.",
-        json_schema_extra={"unit": "degC, hPa, %"},
+        None,
     )
     zero_each_run: bool = Field(False, description="Whether the display was set to zero anew at the start of each run.")
-    air_uncertainty: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = Field(
-        (0.1, 0.5, 3.0),
-        description="Standard uncertainty of the sensors of the air: temperature (K), pressure (hPa), humidity (%). A "
+    air_uncertainty: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = quantity(
+        "K, hPa, %",
+        "Standard uncertainty of the sensors of the air: temperature (K), pressure (hPa), humidity (%). A "
         "humidity that was not recorded counts as 50 % with 14 %.",
-        json_schema_extra={"unit": "K, hPa, %"},
+        (0.1, 0.5, 3.0),
     )
 
 
@@ -62,9 +51,9 @@ def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
 LASERS: Any = Field(
     {}, description="How the laser stood, by component: dead path, cosine and Abbe's offset are corrected."
 )
-SQUARES: Any = Field(
-    {},
-    description="Squareness whose two straightness records were made against one square, and what that square itself "
+SQUARES: Any = quantity(
+    "urad",
+    "Squareness whose two straightness records were made against one square, and what that square itself "
     "would read on a perfect machine.",
-    json_schema_extra={"unit": "urad"},
+    {},
 )

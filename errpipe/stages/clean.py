@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.cleaning import DEFAULT, RULES, CleaningReport, Rule
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     AnyRule = Rule
@@ -26,12 +27,12 @@ class Clean(Stage):
 
     kind: Literal["clean"]
     rules: tuple[AnyRule, ...] = Field(DEFAULT, description="Rules in their order; default: the usual ones.")
-    rows_in_memory: int = Field(
+    rows_in_memory: int = quantity(
+        "1",
+        "A longer recording is cleaned some whole runs at a time, and a longer run piece by piece: the "
+        "shares that rules may remove, and what they take over a whole run, are then those of the piece.",
         1_000_000,
         ge=1000,
-        description="A longer recording is cleaned some whole runs at a time, and a longer run piece by piece: the "
-        "shares that rules may remove, and what they take over a whole run, are then those of the piece.",
-        json_schema_extra={"unit": "1"},
     )
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
     gives: ClassVar[tuple[str, ...]] = ("recording", "cleaning")

@@ -12,6 +12,7 @@ from errpipe.stages import _artefacts
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages._signed import SignOptions
 from errpipe.validation.codes import Code
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -29,11 +30,8 @@ class Export(CompileOptions, SignOptions, Stage):
         False, description="Watch the temperatures against each other in the table, and stand in for one that fails."
     )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
-    limit: float | None = Field(
-        None,
-        gt=0,
-        description="Largest plausible correction; default: 0.5 mm, or 1/1000 of the travel where that is more.",
-        json_schema_extra={"unit": "um"},
+    limit: float | None = quantity(
+        "um", "Largest plausible correction; default: 0.5 mm, or 1/1000 of the travel where that is more.", None, gt=0
     )
     allow: tuple[Code, ...] = Field((), description="Implausible declarations that are true, by name.")
     ungated: bool = Field(

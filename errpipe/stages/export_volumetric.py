@@ -13,6 +13,7 @@ from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._signed import SignOptions
 from errpipe.stages.identify import IDENTIFICATION, MACHINE
 from errpipe.validation.codes import Code
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable, TableInput
@@ -27,9 +28,7 @@ class ExportVolumetric(SignOptions, Stage):
     """Tool length and offsets are inputs at run time; the cost of a cycle is fixed."""
 
     kind: Literal["export_volumetric"]
-    error_bound: float = Field(
-        0.01, gt=0, description="Largest interpolation error of any profile.", json_schema_extra={"unit": "um"}
-    )
+    error_bound: float = quantity("um", "Largest interpolation error of any profile.", 0.01, gt=0)
     lattice: tuple[int, ...] | None = Field(
         None,
         min_length=2,
@@ -37,13 +36,10 @@ class ExportVolumetric(SignOptions, Stage):
         description="Points along each linear axis: write the deviation on a lattice "
         "too, as lattice.csv, for a controller that takes nothing else. It holds for one tool.",
     )
-    lattice_tool: float = Field(100.0, ge=0, description="Length of that tool.", json_schema_extra={"unit": "mm"})
+    lattice_tool: float = quantity("mm", "Length of that tool.", 100.0, ge=0)
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
-    limit: float | None = Field(
-        None,
-        gt=0,
-        description="Largest plausible correction of an axis; default: 0.5 mm, or 1/1000 of the travel.",
-        json_schema_extra={"unit": "um"},
+    limit: float | None = quantity(
+        "um", "Largest plausible correction of an axis; default: 0.5 mm, or 1/1000 of the travel.", None, gt=0
     )
     allow: tuple[Code, ...] = Field((), description="Implausible corrections that are true, by name.")
     ungated: bool = Field(

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
+from errpipe.yamlfile import quantity
 
 
 class Ingest(Stage):
@@ -18,9 +19,7 @@ class Ingest(Stage):
         None, description="Folder with a recording manifest, or a file of a known format; default: the simulated one."
     )
     format: str | None = Field(None, description="Name of the file format; default: the one that recognises the file.")
-    options: dict[str, str | float | bool] = Field(
-        {}, description="What the format itself asks for.", json_schema_extra={"unit": "of each"}
-    )
+    options: dict[str, str | float | bool] = quantity("of each", "What the format itself asks for.", {})
 
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
     gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")

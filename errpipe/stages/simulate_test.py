@@ -10,6 +10,7 @@ from pydantic import Field
 from errpipe.pipeline.stage import Context, InputPath, Stage
 from errpipe.stages._laser import LASERS, SQUARES, Beam
 from errpipe.stages._machine_page import TRUTH
+from errpipe.yamlfile import quantity
 
 
 class SimulateTest(Stage):
@@ -38,10 +39,8 @@ class SimulateTest(Stage):
     points: int = Field(150, ge=20, le=5000, description="Places of a point cloud, each seen with three tools.")
     targets: int = Field(17, ge=5, le=500, description="Targets along each axis of a direct measurement.")
     cycles: int = Field(3, ge=1, le=50, description="How often each axis goes up and down in a direct measurement.")
-    reversal: float = Field(
-        4.0, ge=0, description="Typical reversal of an axis in a direct measurement.", json_schema_extra={"unit": "um"}
-    )
-    noise: float = Field(0.5, gt=0, description="Standard deviation of a reading.", json_schema_extra={"unit": "um"})
+    reversal: float = quantity("um", "Typical reversal of an axis in a direct measurement.", 4.0, ge=0)
+    noise: float = quantity("um", "Standard deviation of a reading.", 0.5, gt=0)
     seed: int = Field(1, ge=0, description="Seed of the machine's errors and of the noise.")
     lasers: dict[str, Beam] = LASERS
     squares: dict[str, float] = SQUARES

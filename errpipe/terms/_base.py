@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position_name
 from errpipe.drivers.simulated import Late, Ringing
+from errpipe.yamlfile import quantity
 
 
 class Search(Protocol):
@@ -79,9 +79,7 @@ class Term(Frozen, ABC):
     """Base of all terms. A subclass sets `term: Literal[id]`, binds columns by fields, and states its basis."""
 
     term: str
-    fixed: dict[str, float] = Field(
-        {}, description="Parameters not solved for: name -> value.", json_schema_extra={"unit": "of each"}
-    )
+    fixed: dict[str, float] = quantity("of each", "Parameters not solved for: name -> value.", {})
 
     reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
     family: ClassVar[str] = ""

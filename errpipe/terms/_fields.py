@@ -6,14 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from errpipe.yamlfile import quantity
+
 Axis = Annotated[str, Field(description="Letter of the axis, such as X.")]
 Sensor = Annotated[str, Field(description="Column of the temperature.")]
 Reference = Annotated[
-    float | None,
-    Field(
-        description="Temperature at which the effect is nothing; none: the first one of each run.",
-        json_schema_extra={"unit": "degC"},
-    ),
+    float | None, quantity("degC", "Temperature at which the effect is nothing; none: the first one of each run.")
 ]
 Radial = Annotated[
     bool, Field(description="The response is the radius of a circular test: the deviation enters by its share of it.")

@@ -6,25 +6,20 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import is_rotary, position
 from errpipe.terms._base import Parameter
 from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
 from errpipe.terms._search import Signals
+from errpipe.yamlfile import quantity
 
 TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart,
 BENT = 0.5  # and from which the bend of its first order shows
 
 
 Orders = Annotated[
-    tuple[float, ...],
-    Field(
-        min_length=1,
-        description="Multiples of a base; the period is that of the first one.",
-        json_schema_extra={"unit": "1"},
-    ),
+    tuple[float, ...], quantity("1", "Multiples of a base; the period is that of the first one.", min_length=1)
 ]
 
 

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.terms._base import Parameter
+from errpipe.yamlfile import quantity
 
 MM_PER_M = 1000.0
 
@@ -43,7 +44,7 @@ class Line(Frozen):
     """Proportional to the distance from `origin`, um per m (um per deg on a rotary axis)."""
 
     kind: Literal["line"] = "line"
-    origin: float = Field(0.0, description="Where the line is zero.", json_schema_extra={"unit": "mm"})
+    origin: float = quantity("mm", "Where the line is zero.", 0.0)
 
     def names(self) -> tuple[str, ...]:
         return ("slope",)
@@ -71,9 +72,7 @@ class Polynomial(Frozen):
     kind: Literal["polynomial"] = "polynomial"
     degree: int = Field(4, ge=1, le=40, description="Highest degree.")
     lowest: int = Field(1, ge=0, description="1 leaves out the level, 2 the straight line too.")
-    span: tuple[float, float] | None = Field(
-        None, description="Ends of the curve; the positions seen, where not given.", json_schema_extra={"unit": "mm"}
-    )
+    span: tuple[float, float] | None = quantity("mm", "Ends of the curve; the positions seen, where not given.", None)
 
     @model_validator(mode="after")
     def _some_degree(self) -> Polynomial:
@@ -108,9 +107,7 @@ class Curve(Frozen):
     kind: Literal["curve"] = "curve"
     segments: int = Field(20, ge=2, le=400, description="Stretches of equal length; more than the shape needs.")
     line: bool = Field(True, description="The curve may hold a straight part.")
-    span: tuple[float, float] | None = Field(
-        None, description="Ends of the curve; the positions seen, where not given.", json_schema_extra={"unit": "mm"}
-    )
+    span: tuple[float, float] | None = quantity("mm", "Ends of the curve; the positions seen, where not given.", None)
 
     def names(self) -> tuple[str, ...]:
         return tuple(f"b{k}" for k in range(self.segments + (2 if self.line else 1)))
@@ -153,7 +150,7 @@ class Harmonics(Frozen):
     """Sine and cosine of the given orders of one period."""
 
     kind: Literal["harmonics"] = "harmonics"
-    period: float = Field(gt=0, json_schema_extra={"unit": "mm"}, description="Repeat length, such as the screw lead.")
+    period: float = quantity("mm", "Repeat length, such as the screw lead.", gt=0)
     orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
 
     def names(self) -> tuple[str, ...]:

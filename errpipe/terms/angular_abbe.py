@@ -16,6 +16,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import direction_of, own_axis
 from errpipe.terms._slack import Slack, chebyshev
+from errpipe.yamlfile import quantity
 
 
 class AngularAbbe(Term):
@@ -32,10 +33,8 @@ class AngularAbbe(Term):
     term: Literal["angular_abbe"] = "angular_abbe"
     axis: Axis
     lever: str = Field(description="Column or constant of the offset that the angle acts on.")
-    low: float = Field(
-        description="Lower end of the axis, where the polynomial's scale starts.", json_schema_extra={"unit": "mm"}
-    )
-    high: float = Field(description="Upper end of the axis.", json_schema_extra={"unit": "mm"})
+    low: float = quantity("mm", "Lower end of the axis, where the polynomial's scale starts.")
+    high: float = quantity("mm", "Upper end of the axis.")
     order: int = Field(3, description="Highest degree of the angle over the axis.")
     reports_as = "angular_abbe"
     family = "geometric"

@@ -12,6 +12,7 @@ from errpipe.domain.driver import Affine, Input, Power
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
+from errpipe.yamlfile import quantity
 
 
 class CentrifugalGrowth(Driven):
@@ -26,7 +27,7 @@ class CentrifugalGrowth(Driven):
 
     term: Literal["centrifugal_growth"] = "centrifugal_growth"
     column: str = Field(description="Column of the spindle speed.")
-    full_speed: float = Field(description="Speed at which the parameter is stated.", json_schema_extra={"unit": "rpm"})
+    full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
     reports_as = "centrifugal_growth"
     family = "spindle"
     rowwise = True

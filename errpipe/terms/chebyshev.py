@@ -15,6 +15,7 @@ from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.yamlfile import quantity
 
 
 class Chebyshev(Term):
@@ -32,9 +33,7 @@ class Chebyshev(Term):
     axis: Axis
     degree: int = Field(4, ge=1, le=40, description="Highest degree.")
     lowest: int = Field(1, ge=0, description="1 leaves out the level, 2 the straight line too.")
-    span: tuple[float, float] | None = Field(
-        None, description="Ends of the curve; the positions seen otherwise.", json_schema_extra={"unit": "mm"}
-    )
+    span: tuple[float, float] | None = quantity("mm", "Ends of the curve; the positions seen otherwise.", None)
     sample = {"axis": "X"}
 
     def _profile(self) -> shapes.Polynomial:

@@ -12,6 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import NEVER, Parameter, Term
 from errpipe.terms._search import Shifts
+from errpipe.yamlfile import quantity
 
 
 class ClockOffset(Term):
@@ -26,8 +27,8 @@ class ClockOffset(Term):
 
     term: Literal["clock_offset"] = "clock_offset"
     column: str = Field(description="Column of the simulated values.")
-    shortest: float = Field(10.0, description="Smallest shift that is tried.", json_schema_extra={"unit": "s"})
-    longest: float = Field(600.0, description="Largest shift that is tried.", json_schema_extra={"unit": "s"})
+    shortest: float = quantity("s", "Smallest shift that is tried.", 10.0)
+    longest: float = quantity("s", "Largest shift that is tried.", 600.0)
     reports_as = "clock_offset"
     family = "measurement"
     compensable = False

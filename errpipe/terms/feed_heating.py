@@ -20,6 +20,7 @@ from errpipe.terms._equations import magnitude, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, start_states
+from errpipe.yamlfile import quantity
 
 
 class FeedHeating(Term):
@@ -37,9 +38,7 @@ class FeedHeating(Term):
     column: str | None = Field(
         None, description="Column of the feed or velocity that heats; none: the axis' own travel."
     )
-    fixed_end: float = Field(
-        0.0, description="Position of the screw's fixed bearing, from where it grows.", json_schema_extra={"unit": "mm"}
-    )
+    fixed_end: float = quantity("mm", "Position of the screw's fixed bearing, from where it grows.", 0.0)
     reports_as = "feed_heating"
     family = "thermal"
     any_start = True

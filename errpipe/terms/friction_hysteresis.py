@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
@@ -19,6 +18,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, is_radial
 from errpipe.terms._slack import Slack, bent
+from errpipe.yamlfile import quantity
 
 OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (chosen in 0.1..1),
 LARGEST_OVERRUN = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
@@ -38,11 +38,7 @@ class FrictionHysteresis(Term):
     term: Literal["friction_hysteresis"] = "friction_hysteresis"
     axis: Axis
     radial: Radial = False
-    overrun: float = Field(
-        0.0,
-        description="Travel that the approach has already made when the target is read.",
-        json_schema_extra={"unit": "mm"},
-    )
+    overrun: float = quantity("mm", "Travel that the approach has already made when the target is read.", 0.0)
     reports_as = "friction_hysteresis"
     family = "reversal"
     simulated_log_odds = -4.0

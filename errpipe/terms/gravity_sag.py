@@ -16,6 +16,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._place import direction_of, own_axis
 from errpipe.terms._search import Listed
 from errpipe.terms._warm import scaled
+from errpipe.yamlfile import quantity
 
 
 class GravitySag(Term):
@@ -30,8 +31,8 @@ class GravitySag(Term):
 
     term: Literal["gravity_sag"] = "gravity_sag"
     column: str = Field(description="Column of the overhang or position that bends.")
-    start: float = Field(0.0, description="Position without overhang.", json_schema_extra={"unit": "mm"})
-    length: float = Field(description="Overhang at which the parameter is stated.", json_schema_extra={"unit": "mm"})
+    start: float = quantity("mm", "Position without overhang.", 0.0)
+    length: float = quantity("mm", "Overhang at which the parameter is stated.")
     sign: Literal[-1, 1] = Field(1, description="+1 where the overhang grows with the column, -1 where it shrinks.")
     reports_as = "gravity_sag"
     family = "load"

@@ -15,6 +15,7 @@ from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.yamlfile import quantity
 
 MOST_STARTS = 4000  # trial periods: about one second of search on 10 000 rows
 
@@ -32,16 +33,10 @@ class Harmonics(Term):
     term: Literal["harmonics"] = "harmonics"
     rowwise = True
     axis: Axis
-    period: float | None = Field(
-        None, gt=0, description="Repeat length; searched for where not given.", json_schema_extra={"unit": "mm"}
-    )
-    search: tuple[float, float] = Field(
-        (2.0, 50.0), description="Shortest and longest period tried.", json_schema_extra={"unit": "mm"}
-    )
+    period: float | None = quantity("mm", "Repeat length; searched for where not given.", None, gt=0)
+    search: tuple[float, float] = quantity("mm", "Shortest and longest period tried.", (2.0, 50.0))
     orders: tuple[int, ...] = Field((1,), min_length=1, description="Multiples of the basic wave.")
-    spacing: float | None = Field(
-        None, gt=0, description="Step between trials; from the travel.", json_schema_extra={"unit": "1/mm"}
-    )
+    spacing: float | None = quantity("1/mm", "Step between trials; from the travel.", None, gt=0)
     sample = {"axis": "X", "search": (5.0, 50.0)}
 
     def settled(self, recording: Recording) -> Harmonics:

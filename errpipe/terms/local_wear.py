@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
@@ -17,6 +16,7 @@ from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, direction_of, is_radial, own_axis
 from errpipe.terms._search import Places, Widths
 from errpipe.terms._slack import Slack
+from errpipe.yamlfile import quantity
 
 
 class LocalWear(Term):
@@ -32,9 +32,7 @@ class LocalWear(Term):
     term: Literal["local_wear"] = "local_wear"
     axis: Axis
     radial: Radial = False
-    length: float = Field(
-        1000.0, description="Length of the axis, which bounds the worn stretch.", json_schema_extra={"unit": "mm"}
-    )
+    length: float = quantity("mm", "Length of the axis, which bounds the worn stretch.", 1000.0)
     reports_as = "local_wear"
     family = "geometric"
     simulated_log_odds = -12.0

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.driver import ONE, Direction, Driver
 from errpipe.domain.recording import Recording
@@ -15,6 +14,7 @@ from errpipe.drivers.motion import direction, position, position_name
 from errpipe.errors import DataError
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.yamlfile import quantity
 
 SAME_TARGET = 1e-3  # of the span: positions closer than this are readings of one target (0.5 mm on 500 mm)
 MOST_TARGETS = 400  # more places than any list of targets has: a log; `smooth_curve` fits one
@@ -33,13 +33,9 @@ class MeasuredPoints(Term):
 
     term: Literal["measured_points"] = "measured_points"
     axis: Axis
-    targets: tuple[float, ...] | None = Field(
-        None, description="Ascending; where not given, those measured.", json_schema_extra={"unit": "mm"}
-    )
-    both: tuple[float, ...] | None = Field(
-        None,
-        description="Targets measured in both directions; where not given, those that were. Empty: one direction.",
-        json_schema_extra={"unit": "mm"},
+    targets: tuple[float, ...] | None = quantity("mm", "Ascending; where not given, those measured.", None)
+    both: tuple[float, ...] | None = quantity(
+        "mm", "Targets measured in both directions; where not given, those that were. Empty: one direction.", None
     )
     sample = {"axis": "X", "targets": (0.0, 100.0, 250.0, 400.0), "both": (0.0, 100.0, 250.0, 400.0)}
 

@@ -16,23 +16,20 @@ from errpipe.drivers.motion import position, position_name
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Example, Parameter, Term
 from errpipe.terms._example import worked
+from errpipe.yamlfile import quantity
 
 
 class Factor(Frozen):
     """One factor of a driver: an input, from where it counts, how late it acts and to what power."""
 
     input: str = Field(description="Column of the recording, channel of the controller.")
-    reference: float | Literal["first"] = Field(
-        0.0,
-        description="What is taken off: a value, or the first one seen.",
-        json_schema_extra={"unit": "of the input"},
+    reference: float | Literal["first"] = quantity(
+        "of the input", "What is taken off: a value, or the first one seen.", 0.0
     )
     minus: str | None = Field(None, description="Second input taken off: a gradient.")
     lag: bool = Field(False, description="Acts through a first-order lag whose time constant is solved for.")
-    tau: tuple[float, float] = Field(
-        (60.0, 30000.0), description="Bounds of that time constant.", json_schema_extra={"unit": "s"}
-    )
-    power: float | None = Field(None, gt=0, description="sign(u) |u|^power.", json_schema_extra={"unit": "1"})
+    tau: tuple[float, float] = quantity("s", "Bounds of that time constant.", (60.0, 30000.0))
+    power: float | None = quantity("1", "sign(u) |u|^power.", None, gt=0)
     unit: str = Field("K", description="Unit of the input, as it stands in the parameter's unit.")
 
     def driver(self, tau: float | None) -> d.Driver:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
@@ -16,6 +15,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, gradual_reversal
+from errpipe.yamlfile import quantity
 
 
 class ScrewWindup(Term):
@@ -30,10 +30,8 @@ class ScrewWindup(Term):
 
     term: Literal["screw_windup"] = "screw_windup"
     axis: Axis
-    drive_end: float = Field(description="Position of the screw's drive end.", json_schema_extra={"unit": "mm"})
-    length: float = Field(
-        description="Length of the screw, at whose far end the parameter is stated.", json_schema_extra={"unit": "mm"}
-    )
+    drive_end: float = quantity("mm", "Position of the screw's drive end.")
+    length: float = quantity("mm", "Length of the screw, at whose far end the parameter is stated.")
     radial: Radial = False
     reports_as = "screw_windup"
     family = "reversal"

@@ -15,6 +15,7 @@ from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.yamlfile import quantity
 
 
 class SmoothCurve(Term):
@@ -31,9 +32,7 @@ class SmoothCurve(Term):
     axis: Axis
     segments: int = Field(20, ge=2, le=400, description="Stretches of equal length; more than the shape needs.")
     line: bool = Field(True, description="The curve may hold a straight part; false where another term has it.")
-    span: tuple[float, float] | None = Field(
-        None, description="Ends of the curve; the positions seen otherwise.", json_schema_extra={"unit": "mm"}
-    )
+    span: tuple[float, float] | None = quantity("mm", "Ends of the curve; the positions seen otherwise.", None)
     sample = {"axis": "X", "segments": 8}
 
     def _profile(self) -> shapes.Curve:

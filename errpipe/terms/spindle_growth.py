@@ -16,6 +16,7 @@ from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, difference_of_shape, start_states
+from errpipe.yamlfile import quantity
 
 
 class SpindleGrowth(Driven):
@@ -30,7 +31,7 @@ class SpindleGrowth(Driven):
 
     term: Literal["spindle_growth"] = "spindle_growth"
     column: str = Field(description="Column of the spindle speed.")
-    full_speed: float = Field(description="Speed at which the parameter is stated.", json_schema_extra={"unit": "rpm"})
+    full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
     reports_as = "spindle_growth"
     family = "thermal"
     any_start = True

@@ -16,6 +16,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import direction_of, is_radial, own_axis
 from errpipe.terms._slack import Slack, chebyshev
+from errpipe.yamlfile import quantity
 
 
 def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
@@ -36,10 +37,8 @@ class Straightness(Term):
 
     term: Literal["straightness"] = "straightness"
     axis: Axis
-    low: float = Field(
-        description="Lower end of the axis, where the polynomial's scale starts.", json_schema_extra={"unit": "mm"}
-    )
-    high: float = Field(description="Upper end of the axis.", json_schema_extra={"unit": "mm"})
+    low: float = quantity("mm", "Lower end of the axis, where the polynomial's scale starts.")
+    high: float = quantity("mm", "Upper end of the axis.")
     order: int = Field(4, ge=2, le=12, description="Highest degree.")
     across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
     reports_as = "straightness"

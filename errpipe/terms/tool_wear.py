@@ -16,6 +16,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
+from errpipe.yamlfile import quantity
 
 MOST_TOOLS = 40  # runs; more are not tools
 OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools (chosen, not measured)
@@ -34,9 +35,7 @@ class ToolWear(Term):
 
     term: Literal["tool_wear"] = "tool_wear"
     column: str = Field(description="Column of the length cut.")
-    reference: float = Field(
-        1000.0, gt=0, description="Length cut at which the wear is stated.", json_schema_extra={"unit": "m"}
-    )
+    reference: float = quantity("m", "Length cut at which the wear is stated.", 1000.0, gt=0)
     tool: str | None = Field(None, description="Column of the tool's label, where the length cut runs on over tools.")
     reports_as = "tool_wear"
     family = "process"

@@ -14,6 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import axes, position, position_name, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._warm import scaled
+from errpipe.yamlfile import quantity
 
 
 class WorkpieceLoad(Term):
@@ -29,13 +30,9 @@ class WorkpieceLoad(Term):
     term: Literal["workpiece_load"] = "workpiece_load"
     column: str = Field(description="Column of the mass on the table.")
     axis: str | None = Field(None, description="Axis over which the load's effect changes; none: the same everywhere.")
-    low: float = Field(
-        0.0, description="Lower end of the axis over which the load acts.", json_schema_extra={"unit": "mm"}
-    )
-    high: float = Field(1.0, description="Upper end of that axis.", json_schema_extra={"unit": "mm"})
-    full_load: float = Field(
-        100.0, gt=0, description="Mass for which the parameters are stated.", json_schema_extra={"unit": "kg"}
-    )
+    low: float = quantity("mm", "Lower end of the axis over which the load acts.", 0.0)
+    high: float = quantity("mm", "Upper end of that axis.", 1.0)
+    full_load: float = quantity("kg", "Mass for which the parameters are stated.", 100.0, gt=0)
     order: int = Field(0, description="Highest degree over that axis; 0: the same everywhere.")
     reports_as = "workpiece_load"
     family = "load"

@@ -18,7 +18,7 @@ from errpipe.yamlfile.choice import Choice
 from errpipe.yamlfile.document import Document, load, parse, read, text_of
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
-from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit
+from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit, quantity
 
 __all__ = [
     "Choice",
@@ -33,6 +33,7 @@ __all__ = [
     "load",
     "parse",
     "plain",
+    "quantity",
     "read",
     "text_of",
 ]

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, TypeGuard, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic_core import PydanticUndefined
 
 from errpipe.errors import did_you_mean
 from errpipe.yamlfile.annotations import entry_of, members, model_for
@@ -82,6 +83,11 @@ class Options(BaseModel):
     """Base of every model a person writes in YAML: frozen, unknown keys refused, no infinities."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+
+def quantity(unit: str, description: str, default: Any = PydanticUndefined, **more: Any) -> Any:
+    """A field with a unit; more: what `pydantic.Field` takes."""
+    return Field(default, description=description, json_schema_extra={"unit": unit}, **more)
 
 
 class Misplaced(ValueError):
