@@ -17,14 +17,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from errpipe import files
 from errpipe.errors import DataError, UsageError
 from errpipe.simulation.fmu_options import FmuOptions
-
-if TYPE_CHECKING:
-    import numpy as np
 
 TOKEN = "ERRPIPE_FMU"
 NOBODY = 65534  # the user without rights on Linux
@@ -128,8 +127,6 @@ class FmuProcess:
 
     def simulate(self, order: dict[str, Any], inputs: np.ndarray | None) -> np.ndarray:
         """One session simulated: time and outputs, shape (steps, 1 + outputs). Raises DataError."""
-        import numpy as np
-
         if inputs is not None:
             order = order | {"inputs": str(self.given / "in.npy")}
             with (self.given / "in.npy").open("wb") as stream:
@@ -139,8 +136,6 @@ class FmuProcess:
 
     def _result(self, columns: int) -> np.ndarray:
         import io
-
-        import numpy as np
 
         name = f"{self.file.name}: simulating it"
         try:

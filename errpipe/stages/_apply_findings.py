@@ -16,11 +16,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from errpipe import jsonfile
+from errpipe.diagnosis import applied, diagnose
+from errpipe.diagnosis.applied import GAIN
+from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import in_order_of_time
+from errpipe.formats import manifest_folder
+from errpipe.formats.manifest_folder import flow
+from errpipe.simulation import patch, patch_fmu
+from errpipe.simulation.patch import Piece, value
+from errpipe.terms import plain
+
 if TYPE_CHECKING:
     from errpipe.diagnosis.applied import Corrected, Held, Part
     from errpipe.domain.diagnosis import Diagnosis
-    from errpipe.domain.recording import Recording
-    from errpipe.simulation.patch import Piece
 
 LEAST_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
 SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
@@ -44,12 +53,6 @@ def apply_findings(
     recording: with its simulated columns; held: of each response what its simulated signal was found to be a sum of
     (see `diagnosis.applied`); parameters: of a simulating FMU, as they were set right.
     """
-    from errpipe import jsonfile
-    from errpipe.diagnosis import applied, diagnose
-    from errpipe.domain.recording import Recording
-    from errpipe.drivers.sessions import in_order_of_time
-    from errpipe.formats import manifest_folder
-
     recording = in_order_of_time(recording)
     results = applied.corrected(recording, diagnosis, LEAST_CONFIDENCE, held)
     frame = recording.frame.assign(**{c.column: c.simulated for c in results})
@@ -125,10 +128,6 @@ def _response_document(c: Corrected, why_not: Mapping[tuple[str, str], str]) -> 
 
 def terms_text(done: Sequence[Corrected]) -> str:
     """The accepted findings as YAML 1.2: `components` of a fit stage, every parameter fixed."""
-    from errpipe.diagnosis.applied import GAIN
-    from errpipe.formats.manifest_folder import flow
-    from errpipe.terms import plain
-
     lines = ["# What the simulation lacked, for `components:` of a fit stage; drop `fixed` to fit a parameter anew."]
     rows = []
     for c in done:
@@ -170,9 +169,6 @@ def _patch_equations(
 
 def _piece(c: Corrected, part: Part, read: Recording) -> Piece | str:
     """One finding's equations, or why there are none."""
-    from errpipe.diagnosis.applied import GAIN
-    from errpipe.simulation.patch import Piece, value
-
     f = part.finding
     effect = f"gain_of_{part.terms[0].term}" if f.effect == GAIN else f.effect
     if part.of_measuring and f.effect != GAIN:
@@ -193,9 +189,6 @@ def _piece(c: Corrected, part: Part, read: Recording) -> Piece | str:
 
 def _write_patch(out: Path, done: Sequence[Corrected], pieces: tuple[Piece, ...], read: Recording) -> str:
     """patch.py and patch.fmu, where there is something to put in; why the FMU cannot run, '' where it can."""
-    from errpipe import jsonfile
-    from errpipe.simulation import patch, patch_fmu
-
     gains = {c.component: (c.gain, c.offset) for c in done if (c.gain, c.offset) != (1.0, 0.0)}
     if pieces or gains:
         text = patch.python_module(pieces, read, read.manifest.title or "what the simulation lacks", gains)

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from errpipe.domain import components
 from errpipe.stages import _artefacts, _plausible
+from errpipe.targets import _sample
+from errpipe.targets._base import ByHand, Curve, ReadBack
+from errpipe.targets._loss import at_most, losses, unit_of
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
@@ -19,8 +25,6 @@ def checklist(
     target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable, others: Sequence[str] = ()
 ) -> str:
     """The text for one target. read: what the controller makes of its files; others: targets loaded besides."""
-    from errpipe.targets._loss import at_most, unit_of
-
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Unit: {target.unit}."]
     if _artefacts.UNGATED in table.title:
@@ -64,8 +68,6 @@ def checklist(
 
 def _numbered(target: Any, table: CompensationTable) -> list[str]:
     """Which axis the files mean by a number: they count the axes of the table, which knows no others."""
-    from errpipe.targets import _sample
-
     if not target.numbering:
         return []
     named = (f"{axis} is {target.numbering.format(n, n + 1)}" for n, axis in enumerate(_sample.axes_of(table)))
@@ -77,11 +79,6 @@ def _numbered(target: Any, table: CompensationTable) -> list[str]:
 
 def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:
     """What switching on does to the zero of each axis that has a curve over itself."""
-    import numpy as np
-
-    from errpipe.targets import _sample
-    from errpipe.targets._base import ByHand, Curve
-
     out = []
     for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):
         if axis not in _sample.positions_of(table):
@@ -109,9 +106,6 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
 
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:
     """What is left once the numbers are entered; nothing where they add nothing to the files."""
-    from errpipe.targets._base import ReadBack
-    from errpipe.targets._loss import at_most, losses, unit_of
-
     parts = tuple(number.curve for number in numbers if number.curve is not None)
     if not parts:
         return []
@@ -124,10 +118,6 @@ def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -
 
 def _of_force(table: CompensationTable) -> list[str]:
     """What a force reading does, and that without one nothing is corrected for it."""
-    import numpy as np
-
-    from errpipe.targets import _sample
-
     says = []
     for force in (i for i in table.inputs if i.kind == "force"):
         for axis in _sample.outputs_by_axis(table):
@@ -144,8 +134,6 @@ def _of_force(table: CompensationTable) -> list[str]:
 
 def _at_the_axis(table: CompensationTable) -> list[str]:
     """How a component that has no axis of its own, such as a diameter, moves the axis that corrects it."""
-    from errpipe.domain import components
-
     says = []
     for output in table.outputs:
         for term in output.terms:
@@ -167,10 +155,6 @@ def _within_travel(read: Any, table: CompensationTable) -> Any:
     """What was read back, its curves cut at the ends of travel: a file's grid may reach further than the axis."""
     from dataclasses import replace
 
-    import numpy as np
-
-    from errpipe.targets import _sample
-
     curves = []
     for c in read.curves:
         low, high = _sample.reach(table, c.over)
@@ -183,8 +167,6 @@ def _within_travel(read: Any, table: CompensationTable) -> Any:
 
 def _reference_state(table: CompensationTable) -> str:
     """The readings at which the expected corrections hold."""
-    from errpipe.targets import _sample
-
     start, moving = _sample.middle(table), set(_sample.positions_of(table).values())
     steady = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
     if not steady:
@@ -197,10 +179,6 @@ def _moves(read: Any) -> list[str]:
 
     The three points are both ends, and where the correction is furthest from the straight line between them.
     """
-    import numpy as np
-
-    from errpipe.targets import _sample
-
     ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
     for part in (*read.products, *read.planes):
         grids = getattr(part, "positions", None) or (part.first, part.second)

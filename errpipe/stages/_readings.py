@@ -6,13 +6,14 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from errpipe import files
 from errpipe.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     import pandas as pd
 
     from errpipe.domain.recording import Recording
@@ -73,7 +74,6 @@ def _table(path: Path) -> pd.DataFrame:
 
 def _numbers(path: Path, column: pd.Series, every: bool) -> np.ndarray:
     """Values as float64; an empty cell is NaN unless `every` row needs one."""
-    import numpy as np
     import pandas as pd
 
     empty = column.isna() | (column.astype(str).str.strip() == "")
@@ -87,8 +87,6 @@ def _numbers(path: Path, column: pd.Series, every: bool) -> np.ndarray:
 
 def _runs(path: Path, frame: pd.DataFrame, time: np.ndarray, recording: Recording) -> np.ndarray:
     """Code of the run of each reading; -1 between runs."""
-    import numpy as np
-
     labels, code, t = [str(label) for label in recording.run_labels()], recording.run_codes(), recording.time()
     if "run" in frame.columns:
         named = frame["run"].astype(str).tolist()
@@ -114,8 +112,6 @@ def differences(
     predicted: without readings, shape (rows,), in the component's unit. A row uses readings of its own run taken before
     it, not older than hold_s; one further than `bound` from the prediction is not believed until the next comes.
     """
-    import numpy as np
-
     out, used, wild, code = np.full(len(recording), np.nan), 0, 0, recording.run_codes()
     for run in np.unique(code):
         rows = np.flatnonzero(code == run)

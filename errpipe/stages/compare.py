@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
+from errpipe.domain.diagnosis import Diagnosis
+from errpipe.domain.error_model import ErrorModel
 from errpipe.errors import DataError, VerifyError
 from errpipe.stages import _artefacts
+from errpipe.tables import by_component, ect
+from errpipe.validation import changes
 
 if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.changes import Change, Compensation
 
@@ -94,8 +97,6 @@ def kind_of(path: Path) -> str:
 
 
 def _tables(old: Path, new: Path) -> Comparison:
-    from errpipe.validation import changes
-
     before, after = _artefacts.read_table(old), _artefacts.read_table(new)
     out = Comparison("table")
     _settings(out, before, after)
@@ -105,8 +106,6 @@ def _tables(old: Path, new: Path) -> Comparison:
 
 def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -> None:
     """What a table says beside its curves: identity, inputs, outputs and their limits, cycles."""
-    from errpipe.tables import ect
-
     names = ect.fingerprint(old), ect.fingerprint(new)
     out.parts["identity"] = list(names)
     if names[0] != names[1]:
@@ -123,10 +122,6 @@ def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -
 
 
 def _models(old: Path, new: Path) -> Comparison:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.tables import by_component
-    from errpipe.validation import changes
-
     before, after = _artefacts.model_or_table(old), _artefacts.model_or_table(new)
     out = Comparison("model")
     if isinstance(before, ErrorModel) and isinstance(after, ErrorModel):
@@ -169,8 +164,6 @@ def _by_parameter(model: ErrorModel) -> dict[str, Any]:
 
 def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Largest and rms difference per response, with the place."""
-    from errpipe.validation import changes
-
     differences = changes.compare(old, new)
     out.parts["changes"] = [asdict(c) for c in differences]
     for c in differences:
@@ -195,8 +188,6 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
 
 
 def _recordings(old: Path, new: Path) -> Comparison:
-    from errpipe.validation import changes
-
     before, after = (_artefacts.recording_in(p.parent if p.is_file() else p) for p in (old, new))
     out = Comparison("recording")
     _keys(out, "column", before.manifest.columns, after.manifest.columns)
@@ -261,8 +252,6 @@ def _finding(out: Comparison, name: str, effect: str, was: Any, now: Any, unit: 
 
 def _diagnosis(path: Path) -> dict[str, Any]:
     from pydantic import ValidationError
-
-    from errpipe.domain.diagnosis import Diagnosis
 
     try:
         return {r.component: r for r in Diagnosis.model_validate(jsonfile.read(path)).responses}

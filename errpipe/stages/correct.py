@@ -6,13 +6,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from errpipe import files
 from errpipe.errors import DataError, GateError, UsageError, did_you_mean
+from errpipe.ncprogram.correct import rewrite
+from errpipe.ncprogram.modal import OFFSETS, Setup
 from errpipe.stages import _artefacts
+from errpipe.tables import batch
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.ncprogram.correct import Summary
-    from errpipe.ncprogram.modal import Setup
     from errpipe.ncprogram.writer import Deviation
 
 MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
@@ -35,16 +40,12 @@ def correct(
     longest: float = 25.0,
 ) -> dict[str, Any]:
     """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
-    from errpipe import files
-
     compensation_table = _artefacts.read_table(table)
     readings = readings_of(compensation_table, at)
     deviation = deviation_of(compensation_table, readings)
     setup = setup_of(offsets, tools, start)
 
     def rewritten(write: Callable[[bytes], object]) -> Summary:
-        from errpipe.ncprogram.correct import rewrite
-
         try:
             return rewrite(chunks_of(program), write, deviation, setup, chord_error=chord_error, longest=longest)
         except DataError as err:
@@ -80,8 +81,6 @@ def chunks_of(program: Path) -> Iterator[bytes]:
 
     A line too long for any program comes in pieces, the first of which is refused.
     """
-    from errpipe import files
-
     rest = b""
     try:
         with files.open_regular(Path(program)) as stream:
@@ -164,10 +163,6 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
 
     Where the table knows directions of travel, the mean of both.
     """
-    import numpy as np
-
-    from errpipe.tables import batch
-
     variants = [_in_direction(table, side) for side in (1, -1)] if knows_direction(table) else [table]
 
     axes = {i.axis: i.name for i in table.inputs if i.kind == "position"}
@@ -201,8 +196,6 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
 
 def setup_of(offsets: Sequence[str], tools: Sequence[str], start: str | None) -> Setup:
     """The set-up from words such as G54=10,20,-30 and H1=120. Raises UsageError for anything else."""
-    from errpipe.ncprogram.modal import OFFSETS, Setup
-
     zeros: dict[str, tuple[float, float, float]] = {"G54": (0.0, 0.0, 0.0)}
     for option in offsets:
         name, _, value = option.partition("=")

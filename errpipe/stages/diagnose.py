@@ -6,8 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from errpipe import __version__, jsonfile
+from errpipe.diagnosis import against as earlier_findings
+from errpipe.diagnosis import diagnose as judge
+from errpipe.domain.diagnosis import Diagnosis
+from errpipe.errors import DataError, UsageError, VerifyError
+from errpipe.formats import manifest_folder
+from errpipe.reporting.diagnosis_report import Trace, render
+from errpipe.simulation import external
+from errpipe.stages import _apply_findings, _artefacts
+
 if TYPE_CHECKING:
-    from errpipe.domain.diagnosis import Diagnosis
     from errpipe.domain.recording import Recording
 
 
@@ -24,11 +33,6 @@ def diagnose(
     apply: folder for the corrected simulation (see `stages._apply_findings`).
     Raises UsageError, with one clear message, for input that cannot be used.
     """
-    from errpipe import jsonfile
-    from errpipe.errors import DataError, UsageError
-    from errpipe.formats import manifest_folder
-    from errpipe.stages import _apply_findings
-
     if apply is not None and Path(apply).resolve() in (Path(recording).resolve(), Path(out).resolve()):
         raise UsageError(f"--apply {apply}: another folder is needed than the recording's and the diagnosis'")
     half = 1.0 if apply is None else 0.5
@@ -56,12 +60,6 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     """
     from pydantic import ValidationError
 
-    from errpipe import jsonfile
-    from errpipe.diagnosis import against as earlier_findings
-    from errpipe.domain.diagnosis import Diagnosis
-    from errpipe.errors import DataError, UsageError, VerifyError
-    from errpipe.formats import manifest_folder
-
     if not Path(findings).is_file():
         raise UsageError(f"--against {findings}: there is no such file (the diagnosis.json of an earlier diagnosis)")
     try:
@@ -88,10 +86,6 @@ def judged(
 
     notes: what is to be said before all else.
     """
-    from errpipe import __version__
-    from errpipe.diagnosis import diagnose as judge
-    from errpipe.reporting.diagnosis_report import Trace, render
-
     diagnosis, rows = judge(recording, progress)
     diagnosis = diagnosis.model_copy(update={"notes": (*notes, *diagnosis.notes)})
     clock = recording.name("time") or ""
@@ -119,9 +113,6 @@ def with_simulation(
 
     Tunable parameters of an FMU are calibrated on the recording first, so that no effect is named for their errors.
     """
-    from errpipe.simulation import external
-    from errpipe.stages import _artefacts
-
     if simulation is None:
         return recording, (), []
     file = Path(simulation)

@@ -9,10 +9,22 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from errpipe import formats, jsonfile
+from errpipe.domain import units
+from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError
+from errpipe.formats import _derived, manifest_folder
+from errpipe.importing.across import upright
+from errpipe.importing.doors import open_file
+from errpipe.importing.layout import lay_out
+from errpipe.importing.proposal import propose
+from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.units import unit_of
+from errpipe.validation import plausibility
 
 if TYPE_CHECKING:
-    from errpipe.importing.proposed import ImportOptions, Proposal
     from errpipe.importing.sheet import DoorOptions
 
 TABLE = "recording.csv"
@@ -62,11 +74,6 @@ def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
 
 def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
-    from errpipe.importing.across import upright
-    from errpipe.importing.doors import open_file
-    from errpipe.importing.layout import lay_out
-    from errpipe.importing.proposal import propose
-
     kind, sheets = open_file(file, door)
     out: list[tuple[Proposal, str]] = []
     problems = []
@@ -92,9 +99,6 @@ def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Seque
     Raises DataError and writes nothing where the reader of recordings would refuse it.
     """
     import tempfile
-
-    from errpipe import jsonfile
-    from errpipe.formats import manifest_folder
 
     manifest = _manifest(proposal, options, files)
     parts = {
@@ -125,11 +129,6 @@ def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Seque
 
 def _of_known_format(file: Path) -> Proposal | None:
     """A file of a vendor's own format (`errpipe formats`), as its door reads it."""
-    import numpy as np
-
-    from errpipe import formats
-    from errpipe.importing.proposed import Proposal
-
     if not file.exists():
         raise DataError(f"{file}: no such file")
     if file.is_dir() or not any(f.sniff(file) for f in formats.FORMATS):
@@ -148,10 +147,6 @@ def _of_known_format(file: Path) -> Proposal | None:
 
 def _together(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
     """Files of one layout one after another; the runs of each carry its name."""
-    import numpy as np
-
-    from errpipe.importing.proposed import Proposal
-
     first = parts[0]
     for other, stem in zip(parts[1:], stems[1:], strict=True):
         if other.entries.keys() != first.entries.keys():
@@ -176,8 +171,6 @@ def _together(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
 
 
 def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path]) -> Any:
-    from errpipe.domain.recording import Manifest
-
     title = options.title or ", ".join(Path(f).stem for f in files)
     columns = {name: dict(entry) for name, entry in proposal.entries.items()}
     for written_name, keys in options.sets.items():
@@ -256,11 +249,6 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
     """Everything implausible about the proposed recording, in words."""
     import pandas as pd
 
-    from errpipe.domain import units
-    from errpipe.domain.recording import Recording
-    from errpipe.formats import _derived, manifest_folder
-    from errpipe.validation import plausibility
-
     manifest = _manifest(proposal, options, [Path("x")])
     raw, out = dict(proposal.data), {}
     for name, values in raw.items():
@@ -277,9 +265,6 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
 
 def options_of(**said: Any) -> ImportOptions:
     """Options of the command line. Raises UsageError for a `--set` that is not COLUMN.key=value."""
-    from errpipe.importing.proposed import ImportOptions
-    from errpipe.importing.units import unit_of
-
     sets: dict[str, dict[str, str]] = {}
     keys = ("role", "unit", "axis", "component", "location", "of")
     for text in said.pop("sets"):

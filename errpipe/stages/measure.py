@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from errpipe import jsonfile, yamlfile
+from errpipe.domain.machine import Machine
+from errpipe.kinematics import plan
+from errpipe.kinematics.chain import compile_chain
+from errpipe.reporting import machine_figures
+from errpipe.validation import iso230_4
+
 
 def measure(machine: Path, out: Path, without: Sequence[str], positions: int) -> dict[str, Any]:
     """A telescoping-bar plan that shows every component of a machine in the least time, as a G-code program."""
-    from errpipe import jsonfile, yamlfile
-    from errpipe.domain.machine import Machine
-    from errpipe.kinematics import plan
-    from errpipe.kinematics.chain import compile_chain
-
     chain = compile_chain(yamlfile.load(Path(machine), Machine))
     unknown = [c for c in without if c not in chain.components]
     if unknown:
@@ -39,11 +43,6 @@ def ballbar_pages(recording: Any) -> list[tuple[str, str, str]]:
     Plot and F count from each full circle's own least-squares centre (ISO 230-4 allows it): where the bar stood is
     set-up.
     """
-    import numpy as np
-
-    from errpipe.reporting import machine_figures
-    from errpipe.validation import iso230_4
-
     circles = iso230_4.circles(recording)
     out = []
     for test in iso230_4.evaluate(recording):

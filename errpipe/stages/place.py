@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from errpipe import files
 from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.errors import DataError, did_you_mean
+from errpipe.fitting import placement
+from errpipe.simulation import spindle_bar
 
 if TYPE_CHECKING:
     from errpipe.fitting.placement import Chosen
@@ -21,7 +25,6 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
 
     Raises DataError naming the column that is missing or holds no numbers.
     """
-    import numpy as np
     import pandas as pd
 
     try:
@@ -57,11 +60,6 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
 
 def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
     """The same for the heated spindle of Ni (1997, Fig. 7): a bar with heat at its base, simulated."""
-    import numpy as np
-
-    from errpipe.fitting import placement
-    from errpipe.simulation import spindle_bar
-
     body, rows, errors, labels = spindle_bar.Bar(loss), [], [], []
     for k in range(BAR_FLUXES):
         if k == 0:
@@ -81,10 +79,6 @@ def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
 
 def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -> tuple[dict[str, Any], list[str]]:
     """Rises over the start of each duty cycle, judged by leave-one-duty-cycle-out."""
-    import numpy as np
-
-    from errpipe.fitting import placement
-
     readings, error = readings.copy(), error.copy()
     for label in np.unique(labels):
         rows = np.flatnonzero(labels == label)

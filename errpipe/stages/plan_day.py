@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from errpipe.errors import DataError
+import numpy as np
 
-if TYPE_CHECKING:
-    from errpipe.domain.recording import Recording
-    from errpipe.fitting.duty_cycles import DutyCycles
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, did_you_mean
+from errpipe.fitting import experiment_design as design
+from errpipe.fitting import holdout
+from errpipe.fitting.duty_cycles import DutyCycles
+from errpipe.fitting.noise_floor import noise_floor
+from errpipe.formats import manifest_folder
 
 NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
 LEAST_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
@@ -19,8 +23,6 @@ MOST_LINES = 12  # candidates that are printed; the document has all
 
 def has_errors(folder: Path) -> bool:
     """Whether a recording has a temperature and an error."""
-    from errpipe.formats import manifest_folder
-
     recording = manifest_folder.read(folder)
     return bool(recording.names("temperature") and recording.names("error"))
 
@@ -34,9 +36,6 @@ def from_errors(
     whose labels name a duty cycle (default: duty_cycle, else run). least: rms, um, that a cycle must take away
     (default: the noise of a reading). Raises DataError where the recording does not say what is asked for.
     """
-    from errpipe.fitting.duty_cycles import DutyCycles
-    from errpipe.formats import manifest_folder
-
     recording = manifest_folder.read(folder)
     chosen = _component(folder, recording, component)
     if log is not None:
@@ -89,8 +88,6 @@ def _document(
 
 
 def _component(folder: Path, recording: Recording, component: str | None) -> str:
-    from errpipe.errors import did_you_mean
-
     present = recording.components()
     if component is None and len(present) == 1:
         return present[0]
@@ -104,8 +101,6 @@ def _component(folder: Path, recording: Recording, component: str | None) -> str
 def _joined(recording: Recording, log: Recording, folder: Path) -> Recording:
     """The recording followed by the runs of a log, which must have its temperatures; the log's errors do not count."""
     import pandas as pd
-
-    from errpipe.domain.recording import Recording
 
     missing = [n for n in recording.names("temperature") if n not in log.names("temperature")]
     if missing:
@@ -123,10 +118,6 @@ def _joined(recording: Recording, log: Recording, folder: Path) -> Recording:
 
 def _candidates(recording: Recording, cycles: DutyCycles, by: Sequence[str]) -> dict[str, list[int]]:
     """Runs by the label of their duty cycle, in order of appearance."""
-    import numpy as np
-
-    from errpipe.fitting import holdout
-
     kinds = {recording.manifest.columns[n].of for n in recording.names("group")}
     names = list(by) or ["duty_cycle" if "duty_cycle" in kinds else "run"]
     columns = [holdout.labels(holdout.with_calendar(recording, name), name) for name in names]
@@ -139,10 +130,6 @@ def _candidates(recording: Recording, cycles: DutyCycles, by: Sequence[str]) -> 
 
 def _least(recording: Recording, cycles: DutyCycles, least: float | None) -> float:
     """What a duty cycle must take away: as stated, else the noise of a reading, um."""
-    import numpy as np
-
-    from errpipe.fitting.noise_floor import noise_floor
-
     rows = np.flatnonzero(np.isfinite(cycles.deviation))
     return least if least is not None else noise_floor(recording, rows, cycles.deviation[rows]) or NOISE
 
@@ -155,8 +142,6 @@ def from_speeds(
     recording: folder of a recording with spindle speeds; None: nothing was recorded yet. speed: highest, rpm
     (default: the highest recorded). Raises DataError where there is no speed to be had.
     """
-    from errpipe.fitting import experiment_design as design
-
     recorded, highest = _recorded(recording) if recording is not None else ([], None)
     top = speed if speed is not None else highest
     if top is None or top <= 0:
@@ -164,8 +149,6 @@ def from_speeds(
     options = design.DesignOptions(highest_speed=top, hours=hours, noise=noise, standing=standing)
     days = [design.Plan(_stretches(t, v / top, options)) for t, v in recorded]
     proposed = design.propose(days, options)
-    import numpy as np
-
     used = np.vstack([design.basis(p, options) for p in design.usage(options)])
     before = design.uncertainty(design.information(days, options), used)
     after = design.uncertainty(design.information([*days, proposed], options), used)
@@ -189,10 +172,6 @@ def from_speeds(
 
 def _recorded(folder: Path) -> tuple[list[tuple[Any, Any]], float | None]:
     """Times, s, and speeds, rpm, of every run; and the highest speed."""
-    import numpy as np
-
-    from errpipe.formats import manifest_folder
-
     recording = manifest_folder.read(folder)
     name = recording.name("spindle_speed")
     if name is None:
@@ -203,7 +182,5 @@ def _recorded(folder: Path) -> tuple[list[tuple[Any, Any]], float | None]:
 
 def _stretches(t: Any, share: Any, options: Any) -> tuple[float, ...]:
     """Mean speed of each stretch of a day; 0 (standing) where nothing was recorded."""
-    import numpy as np
-
     which = np.minimum((t / options.segment).astype(int), options.segments - 1)
     return tuple(float(np.mean(share[which == k])) if np.any(which == k) else 0.0 for k in range(options.segments))

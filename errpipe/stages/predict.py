@@ -6,13 +6,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe.stages import _artefacts
+import numpy as np
+
+from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel, Validity
+from errpipe.drivers.sessions import sessions
+from errpipe.errors import DataError, GateError
+from errpipe.fitting.components import evaluate, from_run_start
+from errpipe.formats import manifest_folder
+from errpipe.stages import _artefacts, _readings, _rows_out
+from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.tables import batch, by_component
+from errpipe.validation import predict as rows
+from errpipe.validation.predict import Predictor, of_evaluator
 
 if TYPE_CHECKING:
-    import numpy as np
     import pandas as pd
 
-    from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.predict import Begin, Evaluate, Predictor
@@ -29,11 +39,6 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
     it. Raises DataError where it cannot be used.
     """
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.formats import manifest_folder
-    from errpipe.stages import _rows_out
-    from errpipe.validation import predict as rows
-
     compensation = _artefacts.model_or_table(source)
     source_of = (
         _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
@@ -63,13 +68,6 @@ def _with_readings(
 
     A table that takes readings is given them as its input; to another one the whole difference is added.
     """
-    import numpy as np
-
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.errors import DataError
-    from errpipe.stages import _readings
-    from errpipe.validation import predict as rows
-
     table = _compiled(compensation) if isinstance(compensation, ErrorModel) else compensation
     channels = {i.name: i for i in table.inputs} if table is not None else {}
     read = _readings.read(path, recording, source.components)
@@ -114,16 +112,12 @@ def _of_model(model: ErrorModel):
     """
     from functools import cache
 
-    from errpipe.validation.predict import of_evaluator
-
     table = cache(lambda: _compiled(model))
 
     def values(recording: Recording) -> Mapping[str, np.ndarray]:
         compiled = table()
         if compiled is not None:
             return table_values(compiled, model, recording)
-        from errpipe.fitting.components import evaluate
-
         return evaluate(model, recording)
 
     compiled = table()
@@ -132,9 +126,6 @@ def _of_model(model: ErrorModel):
 
 def _compiled(model: ErrorModel) -> CompensationTable | None:
     """The table of a model; None where a controller can be given none."""
-    from errpipe.errors import GateError
-    from errpipe.stages._compile import CompileOptions, compile_model
-
     try:
         return compile_model(model, CompileOptions())
     except GateError:
@@ -143,11 +134,6 @@ def _compiled(model: ErrorModel) -> CompensationTable | None:
 
 def _of_table(table: CompensationTable, path: Path):
     """The predictor of a table, with the intervals of the model that stands beside it where it is the same one."""
-    from errpipe import jsonfile
-    from errpipe.domain.error_model import ErrorModel, Validity
-    from errpipe.tables import by_component
-    from errpipe.validation.predict import Predictor, of_evaluator
-
     beside = path.parent / _artefacts.MODEL
     if beside.is_file():
         model = _artefacts.read_model(beside)
@@ -162,10 +148,6 @@ def _of_table(table: CompensationTable, path: Path):
 def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
     """Begins a run that comes in parts; its evaluator says of them what `table_values` says of the whole."""
     from functools import cache
-
-    import numpy as np
-
-    from errpipe.tables import batch, by_component
 
     packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))
 
@@ -193,10 +175,6 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
 
 def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:
     """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
-    from errpipe.drivers.sessions import sessions
-    from errpipe.fitting.components import from_run_start
-    from errpipe.tables import batch, by_component
-
     columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
     replay = batch.evaluate(by_component(table), columns, recording.time(), sessions(recording))
     if model.datum == "run_start":

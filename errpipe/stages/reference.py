@@ -13,7 +13,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from errpipe import jsonfile
+from errpipe.domain.recording import ROLE_UNITS, Column, Constant, Manifest
 from errpipe.errors import UsageError, did_you_mean
+from errpipe.terms import example_of
 
 # The docstring sections of a plug-in: `Equation   text`, two spaces or more after the word, continued by indentation.
 _SECTION = re.compile(r"^([A-Z][A-Za-z-]+) {2,}(\S.*)$")
@@ -86,8 +89,6 @@ def _term(term: Any) -> Iterator[str]:
         yield f"**Effect.** `{term.reports_as}`, of the family {term.family or 'none'}  "
     if not term.compensable:
         yield "**Compensation.** Never: the effect belongs to the measurement, not to the machine.  "
-    from errpipe.terms import example_of
-
     bound = example_of(term).term
     rows = [
         (f"`{p.name}`", p.unit, f"{p.typical[0]:g} … {p.typical[1]:g}", f"{p.bounds[0]:g} … {p.bounds[1]:g}", p.meaning)
@@ -179,8 +180,6 @@ def _stages() -> Iterator[str]:
 
 
 def _recordings() -> Iterator[str]:
-    from errpipe.domain.recording import ROLE_UNITS, Column, Constant, Manifest
-
     yield "## Manifest"
     yield from _options(Manifest)
     yield ""
@@ -305,8 +304,6 @@ def entry(page_name: str, name: str) -> str:
 
 def write(folder: Path) -> list[str]:
     """Write every page into a folder as <name>.md; the names written."""
-    from errpipe import jsonfile
-
     for name in PAGES:
         jsonfile.write_text(Path(folder) / f"{name}.md", page(name))
     return [f"{name}.md" for name in PAGES]

@@ -6,6 +6,11 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from errpipe import yamlfile
+from errpipe.domain.machine import Machine
+from errpipe.kinematics import polynomials
+from errpipe.kinematics.chain import compile_chain
+
 if TYPE_CHECKING:
     from errpipe.kinematics.polynomials import Polynomial
 
@@ -18,11 +23,6 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
 
     A displacement's factor has no unit. Each term's `expression` is plain arithmetic: Python and sympy read it.
     """
-    from errpipe import yamlfile
-    from errpipe.domain.machine import Machine
-    from errpipe.kinematics import polynomials
-    from errpipe.kinematics.chain import compile_chain
-
     chain = compile_chain(yamlfile.load(machine, Machine))
     outputs: dict[str, list[dict[str, Any]]] = {f"E_{axis}": [] for axis in "XYZ"}
     for (output, component), letters in polynomials.jacobian(chain, "workpiece").items():

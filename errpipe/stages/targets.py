@@ -8,10 +8,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from errpipe import jsonfile
 from errpipe.errors import GateError, UsageError, did_you_mean
 from errpipe.files import inside
+from errpipe.registry import minisign, signed
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
+from errpipe.tables import ect
+from errpipe.targets import TARGETS, _loss
+from errpipe.targets._base import NothingToAddError
+from errpipe.targets._loss import at_most, unit_of
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
@@ -23,8 +29,6 @@ DIGITS = 6  # of a loss in um: what lies below is rounding, which differs betwee
 
 def targets() -> dict[str, Any]:
     """All formats with their controller, confidence, sign and limits."""
-    from errpipe.targets import TARGETS
-
     rows = [
         {
             "name": t.name,
@@ -46,8 +50,6 @@ def _described(row: dict[str, Any]) -> str:
 
 def compare_targets(table: Path) -> dict[str, Any]:
     """What each controller would lose of a table, in micrometres, on settled states inside validity."""
-    from errpipe.targets import TARGETS
-
     compensation_table = _artefacts.read_table(table)
     rows: list[dict[str, Any]] = []
     for target in TARGETS:
@@ -84,8 +86,6 @@ def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list
 
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
-    from errpipe.targets import TARGETS
-
     best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
     for parts in together(TARGETS):
         try:
@@ -113,9 +113,6 @@ def export(
     allow, limit: as the options of the export stage (limit in um). public_key: the table must be signed by it, and
     its signature goes along. Raises GateError for an implausible correction, VerifyError where it is not signed.
     """
-    from errpipe import jsonfile
-    from errpipe.tables import ect
-
     compensation_table, remarks, signature = (
         _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
     )
@@ -138,8 +135,6 @@ def export(
 
 def _signed(table: Path, public_key: Path) -> tuple[CompensationTable, tuple[str, ...], str]:
     """A table whose signature holds, the remarks for its files, the signature."""
-    from errpipe.registry import minisign, signed
-
     key, signature = minisign.read_public(public_key), minisign.signature_of(table)
     compensation_table = signed.read_table(table, key)
     return compensation_table, signed.remarks(compensation_table, signature, key), signature
@@ -160,8 +155,6 @@ def write_targets(
     remarks: lines for people, such as the table's signature; written where a format has room for comments.
     note: a sentence for every checklist.
     """
-    from errpipe import jsonfile
-
     out = []
     targets = with_something_to_add(table, chosen(list(dict.fromkeys(names))))
     for target in targets:
@@ -190,8 +183,6 @@ def write_targets(
 
 def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
     """Which formats of the same controller express what this one loses, in a sentence; "" where that is little."""
-    from errpipe.targets import TARGETS
-
     worst = max(lost, key=lambda x: x["rms_um"] / max(x["table_rms_um"], 1e-9), default=None)
     if worst is None or worst["rms_um"] < max(LARGE_SHARE * worst["table_rms_um"], LARGE_UM):
         return ""
@@ -214,8 +205,6 @@ def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -
 
 def with_something_to_add(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:
     """The targets without those that add nothing to their companions."""
-    from errpipe.targets._base import NothingToAddError
-
     kept = list(targets)
     for target in targets:
         try:
@@ -243,8 +232,6 @@ def _sibling_names(target: Any, targets: Sequence[Any]) -> list[str]:
 
 def chosen(names: Sequence[str]) -> list[Any]:
     """Targets by name. Raises UsageError with the nearest name."""
-    from errpipe.targets import TARGETS
-
     known = {t.name: t for t in TARGETS}
     for name in names:
         if name not in known:
@@ -254,8 +241,6 @@ def chosen(names: Sequence[str]) -> list[Any]:
 
 def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
     """Losses per axis: a bound over all settled states inside validity; rms and the largest on random ones."""
-    from errpipe.targets import _loss
-
     return [
         {
             "axis": x.axis,
@@ -276,8 +261,6 @@ def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list
 
 def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
-    from errpipe.targets._loss import at_most, unit_of
-
     if not lost:
         return "nothing: no axis is moved"
     units = [unit_of(x["axis"]) for x in lost]
@@ -287,8 +270,6 @@ def in_words(lost: list[dict[str, Any]]) -> str:
 
 
 def _line(row: dict[str, Any]) -> str:
-    from errpipe.targets._loss import at_most, unit_of
-
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
     unit = unit_of(row["axis"])

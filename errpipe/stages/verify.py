@@ -6,13 +6,21 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from errpipe import jsonfile
+from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
+from errpipe.fitting.components import evaluate
 from errpipe.stages import _artefacts
+from errpipe.stages.predict import table_values
+from errpipe.stages.targets import in_words, losses
+from errpipe.tables import bounds, ect
+from errpipe.targets import TARGETS
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
 
 STATES = 2000  # random states at which table and model are compared
@@ -21,9 +29,6 @@ SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json`
 
 def verify(folder: Path) -> dict[str, Any]:
     """Prove everything in an export folder. Raises VerifyError on the first thing that does not hold."""
-    from errpipe import jsonfile
-    from errpipe.tables import ect
-
     folder = Path(folder)
     if not folder.exists():
         raise DataError(f"{folder}: there is no such folder (what an export wrote is needed)")
@@ -67,13 +72,6 @@ def _listed(path: Path, document: Any) -> dict[str, Any]:
 
 def _model(folder: Path, table: CompensationTable) -> str:
     """The table beside its model on random states and all corners of validity, both directions, after settling."""
-    import numpy as np
-
-    from errpipe import jsonfile
-    from errpipe.fitting.components import evaluate
-    from errpipe.stages.predict import table_values
-    from errpipe.tables import bounds
-
     path = folder / _artefacts.MODEL
     model = _artefacts.read_model(path)
     if jsonfile.fingerprint(_artefacts.model_json(model)) != table.fingerprint:
@@ -97,10 +95,7 @@ def every_state(model: ErrorModel, seed: int = 1) -> Recording:
 
     Each run starts in the middle of validity, jumps to its state, and stays there until every lag has settled.
     """
-    import numpy as np
     import pandas as pd
-
-    from errpipe.domain.recording import Column, Manifest, Recording
 
     rng = np.random.default_rng(seed)
     kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
@@ -122,9 +117,6 @@ def every_state(model: ErrorModel, seed: int = 1) -> Recording:
 
 
 def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -> list[str]:
-    from errpipe.stages.targets import in_words, losses
-    from errpipe.targets import TARGETS
-
     known = {t.name: t for t in TARGETS}
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in document["files"]:
