@@ -25,6 +25,7 @@ class SeasonOptions(Frozen):
     mixes: tuple[float, ...] = quantity(
         "1", "How far towards the room these parts may begin, from the machine's own temperature.", (0.0, 0.25, 0.5)
     )
+    # a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
     thinning: float = quantity(
         "1/K", "Loss of viscosity of the oil whose friction heats while the spindle runs.", 0.05, ge=0
     )

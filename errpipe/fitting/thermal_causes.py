@@ -35,7 +35,6 @@ _BED = re.compile(r"\bbed\b|base|frame", re.IGNORECASE)
 
 HEAT_WINDOW = 360.0  # s: shortest window over which a rate of 0.01 K readings stands above their steps
 COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at a standstill must not look like running
-THINNING = 0.05  # 1/K: a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
 OIL_REFERENCE = 20.0  # degC at which the share of running is one
 OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
 HEATED = (3.0, 2.7)  # K/h: default thresholds, on above, off below; a turning centre at rest showed -5..2.0

@@ -81,15 +81,16 @@ class Fitted:
 class Family(Frozen, ABC):
     """Base of every model family; the fields of a subclass are its options, `family` is its name.
 
-    documents: names of the JSON files that its fit adds. takes_terms: whether further terms may be added to a fitted
-    model. seasonal: whether `train` gives a predictor of the deviation since the start of each run. competes: whether
-    it has entrants for a competition of thermal families.
+    documents: names of the JSON files that its fit adds. seasonal: whether `train` gives a predictor of the deviation
+    since the start of each run. competes: whether it has entrants for a competition of thermal families.
+    default_scheme: of the hold-out. solved_by: how it is solved, where its name does not say so.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
-    takes_terms: ClassVar[bool] = False
     seasonal: ClassVar[bool] = False
     competes: ClassVar[bool] = False
+    default_scheme: ClassVar[str] = "auto"
+    solved_by: ClassVar[str] = ""
 
     @classmethod
     def family_name(cls) -> str:
@@ -97,19 +98,22 @@ class Family(Frozen, ABC):
         return str(cls.model_fields["family"].default)
 
     @property
-    @abstractmethod
     def responses(self) -> tuple[str, ...]:
-        """Components that it models."""
+        """Components that it models: its `component` or `components`."""
+        own: Any = self
+        return (own.component,) if "component" in type(self).model_fields else own.components
 
     @property
-    @abstractmethod
     def scheme(self) -> HoldOut:
         """Hold-out scheme by default."""
+        from errpipe.fitting.holdout import HoldOut
+
+        return HoldOut.model_validate({"scheme": self.default_scheme})
 
     @property
     def method_name(self) -> str:
         """How it is solved, for `validation.json`."""
-        return self.family_name().replace("_", " ")
+        return self.solved_by or self.family_name().replace("_", " ")
 
     @abstractmethod
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:

@@ -44,11 +44,6 @@ class ThermalFamily(Family):
         """Settings that compete, on the rows of a problem."""
 
     @property
-    def responses(self) -> tuple[str, ...]:
-        """The one component that it models."""
-        return (self.component,)
-
-    @property
     def scheme(self) -> HoldOut:
         """Leave-one-environment-out; `folds` leaves runs out where the recording names none."""
         from errpipe.fitting.holdout import HoldOut

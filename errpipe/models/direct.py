@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -30,23 +30,8 @@ class Direct(Family):
     modes: int = Field(20, ge=2, description="Waves per error motion.")
     components: tuple[str, ...] = Field(description="Components in the recording.")
     lasers: dict[str, dict[str, Any]] = Field({}, description="Laser set-up of each component.")
-
-    @property
-    def responses(self) -> tuple[str, ...]:
-        """Components that it models."""
-        return self.components
-
-    @property
-    def scheme(self) -> HoldOut:
-        """Leave-one-run-out."""
-        from errpipe.fitting.holdout import HoldOut
-
-        return HoldOut(scheme="leave-one-run-out")
-
-    @property
-    def method_name(self) -> str:
-        """How it is solved."""
-        return "direct records"
+    default_scheme: ClassVar[str] = "leave-one-run-out"
+    solved_by: ClassVar[str] = "direct records"
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Raises UsageError: its error model comes from the stage that identifies the machine."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
-    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.holdout import Fold
     from errpipe.fitting.judging import HeldOut
     from errpipe.kinematics import beam
     from errpipe.models._push_tests import Structure
@@ -104,7 +104,7 @@ class Force(Family):
         "(neighbour), or the bed as the others do.",
     )
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
-    in_fit: ClassVar[bool] = False
+    solved_by: ClassVar[str] = "push tests and beam elements"
 
     @model_validator(mode="after")
     def _complete(self) -> Force:
@@ -113,23 +113,6 @@ class Force(Family):
         if self.configuration == "milling" and (self.workpiece or self.pushed_workpiece):
             raise ValueError("milling takes the workpiece as rigid: leave it out")
         return self
-
-    @property
-    def responses(self) -> tuple[str, ...]:
-        """One component."""
-        return (self.component,)
-
-    @property
-    def scheme(self) -> HoldOut:
-        """A whole push line or place sits out."""
-        from errpipe.fitting.holdout import HoldOut
-
-        return HoldOut(scheme="auto")
-
-    @property
-    def method_name(self) -> str:
-        """How it is solved."""
-        return "push tests and beam elements"
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit the structure on every row. Raises DataError, VerifyError."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from errpipe.domain import driver as d
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
-    from errpipe.fitting.holdout import Fold, HoldOut
+    from errpipe.fitting.holdout import Fold
     from errpipe.fitting.judging import HeldOut
     from errpipe.fitting.thermal_competition import Entrant
     from errpipe.fitting.thermal_linear import LinearProblem
@@ -80,18 +80,6 @@ class NeuralVolume(Family):
         name = self.family_name()
         layers = (Layer(nodes, centre, self.units, penalty) for penalty in PENALTIES)
         return [entrant(name, f"{name}, penalty {one.penalty:g}", problem, one) for one in layers]
-
-    @property
-    def responses(self) -> tuple[str, ...]:
-        """The components that it models."""
-        return self.components
-
-    @property
-    def scheme(self) -> HoldOut:
-        """Whole runs sit out."""
-        from errpipe.fitting.holdout import HoldOut
-
-        return HoldOut(scheme="auto")
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row. Raises DataError without a position, a component, or a row that has everything."""

@@ -37,23 +37,13 @@ class Plate(Family):
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
     )
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
+    default_scheme: ClassVar[str] = "leave-one-run-out"
+    solved_by: ClassVar[str] = "planar map"
 
     @property
     def responses(self) -> tuple[str, ...]:
         """Both directions of the plane."""
         return DIRECTIONS
-
-    @property
-    def scheme(self) -> HoldOut:
-        """Whole plates are held out."""
-        from errpipe.fitting.holdout import HoldOut
-
-        return HoldOut(scheme="leave-one-run-out")
-
-    @property
-    def method_name(self) -> str:
-        """How it is solved."""
-        return "planar map"
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit the chosen plates. Raises DataError for a label that is not in the recording."""

@@ -35,11 +35,6 @@ class Season(Family):
     competes: ClassVar[bool] = True
 
     @property
-    def responses(self) -> tuple[str, ...]:
-        """The one component that it models."""
-        return (self.component,)
-
-    @property
     def scheme(self) -> HoldOut:
         """Leave-one-environment-out (seasons)."""
         from errpipe.fitting.holdout import HoldOut

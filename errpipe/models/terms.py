@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -36,7 +36,6 @@ class Terms(ModelSpec, Family):
         None,
         ge=1000,
     )
-    takes_terms: ClassVar[bool] = True
 
     @classmethod
     def of(cls, spec: ModelSpec, less_simulated: bool = False) -> Terms:

@@ -58,7 +58,22 @@ class BeckhoffSsfk(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        return _read(name, text)
+        settings = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
+        count, start, step = (int(settings[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
+        expect(2 <= count <= MOST and step > 0, name, f"{count} nodes (2 to {MOST} are taken)")
+        tables = []
+        for side in ("pos", "neg"):
+            values = [settings.get(f"kw.ssfk.table[{n}].{side}") for n in range(count)]
+            expect(
+                all(v is not None and re.fullmatch(r"-?\d+", v) for v in values), name, f"a node of {side} is missing"
+            )
+            tables.append(-np.array([int(v) for v in values if v is not None]) * TENTH_UM)
+        axis = settings["kopf.log_achs_name"]
+        curve = Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])
+        if settings["kw.ssfk.modulo"] == "1":
+            expect(all(t[0] == t[-1] for t in tables), name, "does not end on its first values, and repeats")
+            return every_turn(curve)
+        return curve
 
 
 def tenths(correction: np.ndarray) -> list[int]:
@@ -80,20 +95,3 @@ def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
     rows = {f"kw.ssfk.table[{n}].pos": v for n, v in enumerate(tenths(curve.up))}
     rows |= {f"kw.ssfk.table[{n}].neg": v for n, v in enumerate(tenths(curve.down))}
     return "".join(f"{key:<30}{value}\n" for key, value in (facts | rows).items())
-
-
-def _read(name: str, text: str) -> Curve:
-    settings = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
-    count, start, step = (int(settings[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
-    expect(2 <= count <= MOST and step > 0, name, f"{count} nodes (2 to {MOST} are taken)")
-    tables = []
-    for side in ("pos", "neg"):
-        values = [settings.get(f"kw.ssfk.table[{n}].{side}") for n in range(count)]
-        expect(all(v is not None and re.fullmatch(r"-?\d+", v) for v in values), name, f"a node of {side} is missing")
-        tables.append(-np.array([int(v) for v in values if v is not None]) * TENTH_UM)
-    axis = settings["kopf.log_achs_name"]
-    curve = Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])
-    if settings["kw.ssfk.modulo"] == "1":
-        expect(all(t[0] == t[-1] for t in tables), name, "does not end on its first values, and repeats")
-        return every_turn(curve)
-    return curve

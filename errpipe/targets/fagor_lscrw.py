@@ -21,8 +21,6 @@ from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
-DECIMALS = 4  # of mm and degrees
-
 
 class FagorLscrw(ScrewMap):
     """Table of each axis with the errors of both directions."""

@@ -58,23 +58,19 @@ class LinuxcncScrew(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        return _read(name, text)
-
-
-def _read(name: str, text: str) -> Curve:
-    """As usrmotLoadComp does: three numbers a line, stop at the first line that has not."""
-    rows: list[list[float]] = []
-    for line in text.split("\n"):
-        words = line.split()
-        try:
-            values = [float(w) for w in words[:3]]
-        except ValueError:
-            break
-        if len(values) < 3:
-            break
-        expect(not rows or values[0] > rows[-1][0], name, "positions are not ascending")
-        rows.append(values)
-    expect(2 <= len(rows) <= MOST, name, f"{len(rows)} rows (2 to {MOST} are taken)")
-    x, up, down = np.array(rows).T
-    axis = name.split(".")[0].upper()
-    return Curve(axis, axis, x, up, down)
+        """As usrmotLoadComp does: three numbers a line, stop at the first line that has not."""
+        rows: list[list[float]] = []
+        for line in text.split("\n"):
+            words = line.split()
+            try:
+                values = [float(w) for w in words[:3]]
+            except ValueError:
+                break
+            if len(values) < 3:
+                break
+            expect(not rows or values[0] > rows[-1][0], name, "positions are not ascending")
+            rows.append(values)
+        expect(2 <= len(rows) <= MOST, name, f"{len(rows)} rows (2 to {MOST} are taken)")
+        x, up, down = np.array(rows).T
+        axis = name.split(".")[0].upper()
+        return Curve(axis, axis, x, up, down)

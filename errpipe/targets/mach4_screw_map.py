@@ -47,7 +47,16 @@ class Mach4ScrewMap(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        return _read(name, text)
+        axis, sides, facts = name.split("_")[1][0], {}, {}
+        for part in text.split("[")[1:]:
+            head, body = part.split("]\n", 1)
+            facts = dict(line.split("=") for line in body.splitlines())
+            count = int(facts["Points"])
+            expect(count >= 2 and f"Error{count - 1}" in facts, name, f"has not {count} points")
+            sides[head[-1]] = np.array([float(facts[f"Error{k}"]) for k in range(count)])
+        expect(set(sides) == {"+", "-"}, name, "needs a map for each direction")
+        x = float(facts["Start"]) + np.linspace(0.0, float(facts["Length"]), sides["+"].size)
+        return Curve(axis, axis, x, sides["+"], sides["-"])
 
 
 def _text(axis: str, curve: Curve) -> str:
@@ -57,16 +66,3 @@ def _text(axis: str, curve: Curve) -> str:
         lines += [f"[{axis}{side}]", f"Start={curve.positions[0]:.6f}", f"Length={length:.6f}", f"Points={n}"]
         lines += [f"Error{k}={v + 0.0:.6f}" for k, v in enumerate(values.tolist())]
     return "\n".join(lines) + "\n"
-
-
-def _read(name: str, text: str) -> Curve:
-    axis, sides, facts = name.split("_")[1][0], {}, {}
-    for part in text.split("[")[1:]:
-        head, body = part.split("]\n", 1)
-        facts = dict(line.split("=") for line in body.splitlines())
-        count = int(facts["Points"])
-        expect(count >= 2 and f"Error{count - 1}" in facts, name, f"has not {count} points")
-        sides[head[-1]] = np.array([float(facts[f"Error{k}"]) for k in range(count)])
-    expect(set(sides) == {"+", "-"}, name, "needs a map for each direction")
-    x = float(facts["Start"]) + np.linspace(0.0, float(facts["Length"]), sides["+"].size)
-    return Curve(axis, axis, x, sides["+"], sides["-"])

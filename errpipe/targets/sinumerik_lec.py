@@ -68,7 +68,21 @@ class SinumerikLec(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        return _read(name, text)
+        points = {int(n): float(v) for n, v in re.findall(r"\$AA_ENC_COMP\[0,(\d+),\w+\]=(\S+)", text)}
+        facts = {k: float(v) for k, v in re.findall(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,\w+\]=(\S+)", text)}
+        expect(len(facts) == 3 and facts["STEP"] > 0, name, "STEP, MIN or MAX is missing")
+        count = (
+            math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
+        )  # not rounded: a control may not do so either
+        expect(sorted(points) == list(range(count)), name, f"{len(points)} points where MIN, MAX and STEP say {count}")
+        expect(text.rstrip().endswith("M17"), name, "does not end with M17")
+        value = -np.array([points[n] for n in range(count)])
+        axis = name.split("_")[1]
+        curve = Curve(axis, axis, facts["MIN"] + facts["STEP"] * np.arange(count), value, value)
+        if re.search(r"IS_MODULO\[0,\w+\]=1", text):
+            expect(value[0] == value[-1], name, "does not end on its first value, and repeats")
+            return every_turn(curve)
+        return curve
 
 
 def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray, turns: bool) -> str:
@@ -78,19 +92,3 @@ def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray, turns: b
     facts = {"STEP": step, "MIN": float(positions[0]), "MAX": float(positions[-1])}
     lines += [f"$AA_ENC_COMP_{key}[0,{machine_axis}]={_sample.decimal(value)}" for key, value in facts.items()]
     return "\n".join([*lines, f"$AA_ENC_COMP_IS_MODULO[0,{machine_axis}]={turns:d}", "M17", ""])
-
-
-def _read(name: str, text: str) -> Curve:
-    points = {int(n): float(v) for n, v in re.findall(r"\$AA_ENC_COMP\[0,(\d+),\w+\]=(\S+)", text)}
-    facts = {k: float(v) for k, v in re.findall(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,\w+\]=(\S+)", text)}
-    expect(len(facts) == 3 and facts["STEP"] > 0, name, "STEP, MIN or MAX is missing")
-    count = math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1  # not rounded: a control may not do so either
-    expect(sorted(points) == list(range(count)), name, f"{len(points)} points where MIN, MAX and STEP say {count}")
-    expect(text.rstrip().endswith("M17"), name, "does not end with M17")
-    value = -np.array([points[n] for n in range(count)])
-    axis = name.split("_")[1]
-    curve = Curve(axis, axis, facts["MIN"] + facts["STEP"] * np.arange(count), value, value)
-    if re.search(r"IS_MODULO\[0,\w+\]=1", text):
-        expect(value[0] == value[-1], name, "does not end on its first value, and repeats")
-        return every_turn(curve)
-    return curve

@@ -47,7 +47,17 @@ class TwincatNcTable(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        return _read(name, text)
+        axis = name.split(".")[0].split("_")[-1]
+        sides = []
+        for side in SIDES:
+            match = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
+            if match is None:
+                raise VerifyError(f"{name}: has no array for {SIDES[side]}")
+            rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(match[2])]
+            expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
+            sides.append(np.array(rows))
+        curve = Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])
+        return every_turn(curve) if "Modulo := TRUE" in text else curve
 
 
 def literal(value: float) -> str:
@@ -86,17 +96,3 @@ def _program(axis: str) -> list[str]:
             f"        Ramp := {literal(RAMP)}, DisableMode := DisableModeHold);",
         ]
     return [*lines, "END_PROGRAM", ""]
-
-
-def _read(name: str, text: str) -> Curve:
-    axis = name.split(".")[0].split("_")[-1]
-    sides = []
-    for side in SIDES:
-        match = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
-        if match is None:
-            raise VerifyError(f"{name}: has no array for {SIDES[side]}")
-        rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(match[2])]
-        expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
-        sides.append(np.array(rows))
-    curve = Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])
-    return every_turn(curve) if "Modulo := TRUE" in text else curve

@@ -102,7 +102,6 @@ class Scale(Listed):
     bounded: ClassVar[bool] = False
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         typical = next(p for p in term.nonlinear() if p.name == name).typical
         low, high = self.limits(term, recording)
         if not 0 < low < high < np.inf:
@@ -128,7 +127,6 @@ class Times(Scale):
     """A time constant: from the sampling step to one and a half times the longest session."""
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
-        """Smallest and largest value that the recording resolves."""
         step, longest = resolved_times(recording)
         return step, 1.5 * longest
 
@@ -141,7 +139,6 @@ class Lengths(Scale):
     """
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
-        """Smallest and largest value that the recording resolves."""
         step, span = resolved_lengths(recording, term.axis)
         overrun = getattr(term, "overrun", 0.0)
         return (overrun / 40 if overrun else min(step, 1e-2 * span)), span / 3
@@ -156,7 +153,6 @@ class Speeds(Listed):
     shares: tuple[float, ...] = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         fastest = float(np.nanquantile(np.abs(recording.array(term.column)), 0.999))
         return tuple(fastest * s for s in self.shares)
 
@@ -168,12 +164,10 @@ class Waves(Listed):
     bounded: ClassVar[bool] = False
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         x = position(recording, term.axis)
         return periods(x[signals.rows], signals.values)
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
-        """Values near the best one."""
         _, span = resolved_lengths(recording, term.axis)
         return 1.0 / np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), 1e-12 / span)
 
@@ -193,12 +187,10 @@ class Places(Listed):
     count: int = 25
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         x = position(recording, term.axis)
         return tuple(np.linspace(np.nanmin(x), np.nanmax(x), self.count)[1:-1])
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
-        """Values near the best one."""
         return value + resolved_lengths(recording, term.axis)[1] / (self.count - 1) * np.linspace(-1.0, 1.0, STEPS)
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
@@ -216,7 +208,6 @@ class Widths(Listed):
     shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08)
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         _, span = resolved_lengths(recording, term.axis)
         return tuple(span * s for s in self.shares)
 
@@ -226,7 +217,6 @@ class Shifts(Listed):
     """A shift in time within the term's `shortest` and `longest`, either way; it is not refined."""
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         if term.longest < 20.0:
             return ()  # clocks of loggers differ by seconds and minutes, not by samples of a fast trace
         half = np.geomspace(max(term.shortest, 5.0), min(term.longest, 900.0), 14)
@@ -258,7 +248,6 @@ class Delays(Listed):
     """A delay, located by the term; refined within a tenth of a sampling step."""
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
-        """Values near the best one."""
         return value + 0.1 * resolved_times(recording)[0] * np.linspace(-1.0, 1.0, STEPS)
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:

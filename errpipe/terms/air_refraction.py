@@ -16,8 +16,6 @@ from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
-PER_KELVIN, PER_HPA = 0.93, -0.27  # um/m: Edlen's formula near 20 degC, 1013 hPa
-
 
 class AirRefraction(Term):
     """The laser's wavelength was not corrected for the air: every length read is off by the air's refraction.
