@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_result, stage_module
 
 
 def command(
@@ -29,8 +30,6 @@ def command(
       errpipe compare out/champion out/retrain/run --max-um 5
       errpipe compare before.ect out/export/table.ect --figure change.svg
     """
-    from errpipe.cli.output import print_result, stage_module
-
     comparison = stage_module("compare").compare(old, new, max_um, figure)
     says = comparison.pop("says")
     code = 4 if comparison["within"] is False else 0

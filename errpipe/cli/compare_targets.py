@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -19,6 +20,4 @@ def command(
     Example:
       errpipe compare-targets out/axis/export/table.ect
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("compare-targets", stage_module("targets").compare_targets(table), as_json=json)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import At, Json, input_values
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -36,8 +37,6 @@ def command(
     Example:
       errpipe correct part.ngc --table out/axis/export/table.ect --start 0,0,0 --out part-corrected.ngc
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     done = stage_module("correct").correct(
         program,
         table,

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -20,7 +21,6 @@ def command(
       errpipe demo
       errpipe demo --out out/demo
     """
-    from errpipe.cli.output import print_answer, stage_module
     from errpipe.cli.progress import ProgressReporter
 
     print_answer("demo", stage_module("demo").demo(out, ProgressReporter(str(out)).callbacks()), as_json=json)

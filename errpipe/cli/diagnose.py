@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, print_result, stage_module
 from errpipe.errors import UsageError
 
 
@@ -35,7 +36,6 @@ def command(
       errpipe diagnose examples/vmc-1 --out out/diagnosis --apply out/corrected
       errpipe diagnose examples/vmc-1 --out out/later --against out/diagnosis/diagnosis.json
     """
-    from errpipe.cli.output import print_answer, print_result, stage_module
     from errpipe.cli.progress import ProgressReporter
 
     if against is not None:

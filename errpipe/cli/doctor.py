@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(json: bool = Json) -> None:
@@ -12,6 +13,4 @@ def command(json: bool = Json) -> None:
     Example:
       errpipe doctor
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("doctor", stage_module("doctor").doctor(), as_json=json)

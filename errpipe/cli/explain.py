@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -18,6 +19,4 @@ def command(
       errpipe explain absolute-readings
       errpipe explain 4
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("explain", stage_module("catalogue").explain(code), as_json=json)

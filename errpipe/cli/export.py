@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -34,7 +35,4 @@ def command(
     Example:
       errpipe export out/axis/export/table.ect --target linuxcnc_screw --out out/linuxcnc
     """
-    from errpipe.cli.output import print_answer, stage_module
-
-    done = stage_module("targets").export(table, target, out, allow, limit, public_key)
-    print_answer("export", done, as_json=json)
+    print_answer("export", stage_module("targets").export(table, target, out, allow, limit, public_key), as_json=json)

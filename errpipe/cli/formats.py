@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -17,6 +18,4 @@ def command(
       errpipe formats
       errpipe formats ecmc_dat
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("formats", stage_module("catalogue").formats(name), as_json=json)

@@ -9,6 +9,7 @@ from typing import Literal
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import folded, print_result, stage_module
 
 
 def command(
@@ -48,7 +49,6 @@ def command(
       errpipe import positions.csv --out recording --yes
       errpipe import log.txt --out recording --names x_cmd,x_fb --period 0.001 --yes
     """
-    from errpipe.cli.output import folded, print_result, stage_module
     from errpipe.errors import UsageError
 
     work = stage_module("import_files")

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -21,6 +22,4 @@ def command(
     Example:
       errpipe keygen keys
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("keygen", stage_module("signing").keygen(folder), as_json=json)

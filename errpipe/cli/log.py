@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -26,6 +27,4 @@ def command(
       errpipe log registry 7 --at 2026-03-03 --public-key keys/errpipe.pub
       errpipe log registry --file found-on-the-controller.ect --public-key keys/errpipe.pub
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("log", stage_module("signing").log(registry, machine, at, file, public_key), as_json=json)

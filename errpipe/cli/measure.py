@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -26,6 +27,4 @@ def command(
     Example:
       errpipe measure examples/machines/vertical-centre.yaml --out plan.ngc
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("measure", stage_module("measure").measure(machine, out, without, positions), as_json=json)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_result, stage_module
 
 
 def command(
@@ -26,7 +27,6 @@ def command(
     Example:
       errpipe place --bar 1.5
     """
-    from errpipe.cli.output import print_result, stage_module
     from errpipe.errors import UsageError
 
     if (field is None) == (bar is None):

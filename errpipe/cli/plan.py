@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+from errpipe.cli.output import print_result
 
 
 def command(
@@ -27,7 +28,6 @@ def command(
     """
     from errpipe.cli._arguments import output_folder
     from errpipe.cli._pipeline import load_pipeline_file
-    from errpipe.cli.output import print_result
     from errpipe.pipeline import runner
 
     steps = runner.plan(load_pipeline_file(pipeline, sets), output_folder(pipeline, out), to=to, force=force)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_result, stage_module
 
 _By = typer.Option([], "--by", metavar="GROUP", help="Its labels name a duty cycle; default: duty_cycle. Repeatable.")
 
@@ -36,8 +37,6 @@ def command(
       errpipe plan-day recording
       errpipe plan-day --speed 6000 --hours 4
     """
-    from errpipe.cli.output import print_result, stage_module
-
     stage = stage_module("plan_day")
     if speed is None and recording is not None and stage.has_errors(recording):
         document, lines = stage.from_errors(recording, log, component, by, least)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -32,6 +33,4 @@ def command(
     Example:
       errpipe predict out/axis/fit/error_model.json examples/vmc-1 --out predicted.csv
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("predict", stage_module("predict").predict(source, recording, out, readings), as_json=json)

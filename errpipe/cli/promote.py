@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -27,7 +28,5 @@ def command(
     Example:
       errpipe promote registry 7 table.ect --why "new spindle" --key keys/errpipe.key --public-key keys/errpipe.pub
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     done = stage_module("signing").promote(registry, machine, table, why, key, public_key, time)
     print_answer("promote", done, as_json=json)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from errpipe.cli.output import stage_module
+
 
 def command(
     page: str = typer.Argument("terms", metavar="[PAGE]", help="terms, formats, targets, stages or recordings."),
@@ -19,8 +21,6 @@ def command(
       errpipe reference terms backlash
       errpipe reference stages
     """
-    from errpipe.cli.output import stage_module
-
     reference = stage_module("reference")
     if write is not None:
         reference.write(write)

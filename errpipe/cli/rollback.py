@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -30,7 +31,5 @@ def command(
     Example:
       errpipe rollback registry 7 --out table.ect --why "worse in the cold" --key errpipe.key --public-key errpipe.pub
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     done = stage_module("signing").rollback(registry, machine, to, out, why, key, public_key, time)
     print_answer("rollback", done, as_json=json)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+from errpipe.cli.output import print_result, short_value, stage_module
 
 if TYPE_CHECKING:
     from errpipe.cli.progress import ProgressReporter
@@ -43,7 +44,6 @@ def command(
       errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
     """
     from errpipe.cli._arguments import output_folder
-    from errpipe.cli.output import print_result, short_value
     from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline import unchanged
 
@@ -83,7 +83,6 @@ def _run(
 ) -> tuple[Pipeline, list[Step]]:
     """Read the pipeline and run what must run; a refusal (exit code 4) writes its report first."""
     from errpipe.cli._pipeline import load_pipeline_file
-    from errpipe.cli.output import stage_module
     from errpipe.errors import DataError, GateError
     from errpipe.pipeline import runner
 
@@ -106,7 +105,6 @@ def _run(
 
 def _refuse_names(spec: Pipeline, err: Exception) -> None:
     """Raise ConfigError where the cause of a refusal stands in the pipeline file: say where, all at once."""
-    from errpipe.cli.output import stage_module
     from errpipe.errors import ConfigError
 
     problems = [p for p in stage_module("check").problems(spec) if p.file == spec.document.file]

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -20,6 +21,4 @@ def command(
       errpipe show recording
       errpipe show out/export/table.ect
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("show", stage_module("show").show(file), as_json=json)

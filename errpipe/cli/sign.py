@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, SecretKey
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -21,6 +22,4 @@ def command(
     Example:
       errpipe sign out/axis/export/table.ect --key keys/errpipe.key --comment "machine 7"
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("sign", stage_module("signing").sign(file, key, comment), as_json=json)

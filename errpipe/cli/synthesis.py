@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_result, stage_module
 
 
 def command(
@@ -21,7 +22,5 @@ def command(
     Example:
       errpipe synthesis examples/machines/horizontal-centre-ni-1997.yaml
     """
-    from errpipe.cli.output import print_result, stage_module
-
     document, lines = stage_module("synthesis").synthesis(machine)
     print_result("synthesis", document, lines, as_json=json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -18,8 +19,6 @@ def command(
       errpipe targets linuxcnc_screw
       errpipe targets --json
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     if name:
         page = stage_module("reference").entry("targets", name)
         print_answer("targets", {"target": name, "says": [page.rstrip()]}, as_json=json)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -24,8 +25,6 @@ def command(
     Example:
       errpipe verify out/axis/export
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     if public_key is not None:
         stage_module("signing").verify_signature(folder / "table.ect", public_key)
     print_answer("verify", stage_module("verify").verify(folder), as_json=json)

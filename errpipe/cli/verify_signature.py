@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -20,6 +21,4 @@ def command(
     Example:
       errpipe verify-signature out/axis/export/table.ect --public-key keys/errpipe.pub
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("verify-signature", stage_module("signing").verify_signature(file, public_key), as_json=json)

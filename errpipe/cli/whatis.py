@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
+from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
@@ -18,6 +19,4 @@ def command(
     Example:
       errpipe whatis out/axis/export/table.ect
     """
-    from errpipe.cli.output import print_answer, stage_module
-
     print_answer("whatis", stage_module("whatis").whatis(file), as_json=json)
