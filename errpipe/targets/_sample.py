@@ -16,6 +16,7 @@ from errpipe.targets._base import TURN, Curve, Line, Plane, Points
 SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
 PER_KELVIN = 2.0  # K on either side for a slope
+LEAST_WARM_UM = 0.01  # per kelvin over the travel; less is left out
 MOST_CURVE = 4000  # intervals at which a curve is compared with the points written
 MOST_POINTS = 20_000  # of any control's table
 # Into which a turn is divided: steps are whole micrometres (thousandths of a degree), and short binary fractions.
@@ -284,6 +285,19 @@ def line(table: CompensationTable, axis: str, sensor: str) -> Line:
     else:
         slope, level = 0.0, float(per_kelvin.mean())
     return Line(axis, sensor, base, float(level), float(slope), zero)
+
+
+def warm_lines(table: CompensationTable, target: str) -> list[Line]:
+    """The line of every axis and sensor that move together. Raises GateError of the target where none do."""
+    lines = []
+    for axis in outputs_by_axis(table):
+        low, high = reach(table, axis)
+        for fitted in (line(table, axis, sensor) for sensor in sensors_of(table)):
+            if 1e3 * (abs(fitted.level) + abs(fitted.slope) * (high - low) / 2) >= LEAST_WARM_UM:
+                lines.append(fitted)
+    if not lines:
+        raise GateError(f"{target}: no axis of the table moves with a temperature")
+    return lines
 
 
 def even(table: CompensationTable, axis: str, count: int) -> Points:

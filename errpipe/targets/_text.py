@@ -1,6 +1,13 @@
-"""Titles and names as text of a comment: no title can become a part of a file's program."""
+"""Text of files: titles and names as text of a comment (no title becomes a part of the program), and templates."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import jinja2
 
 # Beside letters and digits of any script. Without quotes, backslashes, stars, question marks, semicolons, brackets and
 # percent signs nothing ends or opens a comment, a string, a section or a file in any of the controllers' languages: not
@@ -11,3 +18,22 @@ KEPT = " _-.,:+/^"
 def plain(text: str) -> str:
     """A text on one line, each sign that a language could read as its own replaced by a space."""
     return " ".join("".join(c if c.isalnum() or c in KEPT else " " for c in text).split())
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("errpipe.targets"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,
+    )
+
+
+def filled(template: str, facts: Mapping[str, Any]) -> str:
+    """A template of the folder `templates` with its facts."""
+    return _templates().get_template(template).render(facts)

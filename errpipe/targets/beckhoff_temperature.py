@@ -10,12 +10,10 @@ import re
 from collections.abc import Mapping
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Line, ReadBack, Target, expect
 
 FILE = "temp_comp.lis"
-LEAST_UM = 0.01  # per kelvin over the travel
 _ROW = re.compile(r"# (\w) (.+) T0=(\S+) offset_per_K=(\S+) coefficient_per_K=(\S+) position_0=(\S+)")
 
 
@@ -34,16 +32,7 @@ class BeckhoffTemperature(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        rows = []
-        for axis in _sample.outputs_by_axis(table):
-            low, high = _sample.reach(table, axis)
-            for sensor in _sample.sensors_of(table):
-                line = _sample.line(table, axis, sensor)
-                if 1e3 * (abs(line.level) + abs(line.slope) * (high - low) / 2) >= LEAST_UM:
-                    rows.append(_text(line))
-        if not rows:
-            raise GateError("beckhoff_temperature: no axis of the table moves with a temperature")
-        return {FILE: "".join([f"# {CAUTION}\n", *rows])}
+        return {FILE: "".join([f"# {CAUTION}\n", *map(_text, _sample.warm_lines(table, cls.name))])}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

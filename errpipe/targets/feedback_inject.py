@@ -16,20 +16,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import ReadBack, Target, expect
-from errpipe.targets._text import plain
+from errpipe.targets._text import filled, plain
 from errpipe.targets._whole import WholeTable
-
-if TYPE_CHECKING:
-    import jinja2
 
 COMPONENT, WIRING = "errpipe_inject.comp", "errpipe-inject.hal"
 TABLE, TABLE_HEADER = "inject_table.c", "inject_table.h"
@@ -82,8 +77,8 @@ class FeedbackInject(Target):
         files = dict(zip(CORE, (header, source), strict=True))
         runtime = resources.files("errpipe.tables").joinpath("runtime")
         files |= {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c")}
-        files[COMPONENT] = _templates().get_template("errpipe-inject.comp.j2").render(facts)
-        files[WIRING] = _templates().get_template("errpipe-inject.hal.j2").render(facts)
+        files[COMPONENT] = filled("errpipe-inject.comp.j2", facts)
+        files[WIRING] = filled("errpipe-inject.hal.j2", facts)
         data = ect.dumps(table)
         rows = [", ".join(map(str, data[k : k + PER_LINE])) for k in range(0, len(data), PER_LINE)]
         files[TABLE] = f'#include "{TABLE_HEADER}"\n\nconst uint8_t inject_table[{len(data)}] = {{\n    ' + (
@@ -129,17 +124,3 @@ def _header(table: CompensationTable, size: int) -> str:
 
 def _core(name: str) -> str:
     return resources.files("errpipe.targets").joinpath("inject", name).read_text(encoding="utf-8")
-
-
-@cache
-def _templates() -> jinja2.Environment:
-    import jinja2
-
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("errpipe.targets"),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-        autoescape=False,
-    )

@@ -14,20 +14,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from errpipe.domain import table as t
 from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import Target, expect
-from errpipe.targets._text import plain
+from errpipe.targets._text import filled, plain
 from errpipe.targets._whole import WholeTable
-
-if TYPE_CHECKING:
-    import jinja2
 
 COMPONENT = "errpipe.comp"
 JOINTS = "errpipe-joints.hal"
@@ -77,9 +73,9 @@ class LinuxcncHal(Target):
             )
         facts = _facts(table, data)
         return {
-            COMPONENT: _fill("errpipe.comp.j2", facts | _source(data)),
-            JOINTS: _fill("errpipe-joints.hal.j2", facts),
-            SHIFT: _fill("errpipe-origin-shift.hal.j2", facts),
+            COMPONENT: filled("errpipe.comp.j2", facts | _source(data)),
+            JOINTS: filled("errpipe-joints.hal.j2", facts),
+            SHIFT: filled("errpipe-origin-shift.hal.j2", facts),
         }
 
     @classmethod
@@ -213,24 +209,6 @@ def _source(data: bytes) -> dict[str, Any]:
         "size": len(data),
         "bytes": "\n".join("    " + " ".join(f"0x{b:02x}," for b in row) for row in rows),
     }
-
-
-@cache
-def _templates() -> jinja2.Environment:
-    import jinja2
-
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("errpipe.targets"),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-        autoescape=False,
-    )
-
-
-def _fill(name: str, facts: Mapping[str, Any]) -> str:
-    return _templates().get_template(name).render(facts)
 
 
 def hal(name: str) -> str:

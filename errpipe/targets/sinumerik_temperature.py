@@ -11,12 +11,10 @@ import re
 from collections.abc import Mapping
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import Line, ReadBack, Target, expect
 
 FILE = "TEMP_COMP.SPF"
-LEAST_UM = 0.01  # per kelvin over the travel; less is left out
 _ROW = re.compile(r"; (\w)\[(\w+)\] sensor=(.+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)")
 
 
@@ -42,16 +40,8 @@ class SinumerikTemperature(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         axes = _sample.axes_of(table)
-        lines = []
-        for axis in _sample.outputs_by_axis(table):
-            low, high = _sample.reach(table, axis)
-            for sensor in _sample.sensors_of(table):
-                fitted_line = _sample.line(table, axis, sensor)
-                if 1e3 * (abs(fitted_line.level) + abs(fitted_line.slope) * (high - low) / 2) >= LEAST_UM:
-                    lines.append((f"AX{axes.index(axis) + 1}", fitted_line))
-        if not lines:
-            raise GateError("sinumerik_temperature: no axis of the table moves with a temperature")
-        return {FILE: _text(lines)}
+        lines = _sample.warm_lines(table, cls.name)
+        return {FILE: _text([(f"AX{axes.index(line.axis) + 1}", line) for line in lines])}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

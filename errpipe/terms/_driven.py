@@ -1,17 +1,22 @@
-"""Terms that are one parameter times a driver: most of what is thermal."""
+"""Bases of terms: one parameter times a driver (most of what is thermal), a curve of one axis, a simulated force."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import Any, Self
 
 import numpy as np
+from pydantic import Field
 
-from errpipe.domain.driver import Driver
+from errpipe.domain.driver import ONE, Driver
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
-from errpipe.terms._base import Term
+from errpipe.drivers.motion import position
+from errpipe.terms import _profiles as shapes
+from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._fields import Axis
 from errpipe.terms._warm import scaled
 
 
@@ -28,3 +33,48 @@ class Driven(Term):
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (gain,) = self.linear()
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters[gain.name])),)
+
+
+class CurveOverAxis(Term):
+    """deviation = a profile with a span over one axis, the same at every temperature."""
+
+    axis: Axis
+    sample = {"axis": "X"}
+
+    @abstractmethod
+    def _profile(self) -> shapes.Polynomial | shapes.Curve:
+        """The profile; its span is the field `span`."""
+
+    def settled(self, recording: Recording) -> Self:
+        """The term with its span written down."""
+        profile = self._profile().settled(position(recording, self.axis))
+        return self.model_copy(update={"span": profile.span})
+
+    def linear(self) -> tuple[Parameter, ...]:
+        return shapes.parameters(self._profile(), rotary=False)
+
+    def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
+        return self._profile().basis(position(recording, self.axis))
+
+    def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
+        gains = np.array([parameters[p.name] for p in self.linear()])
+        return (Lowered(ONE, self.axis, shapes.curve(self._profile(), gains, rotary=False)),)
+
+
+class OfSimulatedForce(Term):
+    """What a drive makes of the simulated force, by a limit that it searches: with gain 1."""
+
+    column: str = Field(description="Column of the simulated force.")
+    family = "friction"
+    compensable = False
+    simulated_log_odds = NEVER
+    nuisance = False
+    gain_sd = 0.15  # it has no size of its own beside its limit
+    in_part = "never"
+    gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where it explains the mismatch in full"),)
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Self]:
+        own: Any = cls  # a subclass has its `term`
+        for column in recording.names("simulated", component=component) if component.startswith("F_") else ():
+            yield own(column=column)
