@@ -49,8 +49,6 @@ def command(
       errpipe import positions.csv --out recording --yes
       errpipe import log.txt --out recording --names x_cmd,x_fb --period 0.001 --yes
     """
-    from errpipe.errors import UsageError
-
     work = stage_module("import_files")
     from errpipe.importing.sheet import DoorOptions
 
@@ -69,12 +67,18 @@ def command(
     proposal, shown = work.prepare(files, door, options)
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
     if not yes:
-        sys.stderr.write("\n".join(lines) + "\n")
-        lines = []
-        yes = not json and sys.stdin.isatty() and typer.confirm("Write this recording?", err=True)
-    if not yes:
+        _confirm(lines, asked=not json)
+    done = work.write(proposal, out, options, files)
+    said = [*(lines if yes else ()), *done["says"]]
+    print_result("import", {**work.plain(shown), "folder": str(out)}, said, as_json=json)
+
+
+def _confirm(lines: list[str], asked: bool) -> None:
+    """Show the guesses and ask. Raises UsageError where nobody says yes."""
+    from errpipe.errors import UsageError
+
+    sys.stderr.write("\n".join(lines) + "\n")
+    if not (asked and sys.stdin.isatty() and typer.confirm("Write this recording?", err=True)):
         raise UsageError(
             "nothing was written: judge the guesses, then give --yes (or mend them with --set, --sign, ...)"
         )
-    done = work.write(proposal, out, options, files)
-    print_result("import", {**work.plain(shown), "folder": str(out)}, [*lines, *done["says"]], as_json=json)
