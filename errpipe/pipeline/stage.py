@@ -10,9 +10,7 @@ A stage is one pydantic class with a `kind`. The engine knows nothing else of it
         code_version = 2
         takes = {"recording": Need("recording")}
         gives = ("error_model",)
-
-        def outputs(self):
-            return ("error_model.json",)
+        writes = ("error_model.json",)
 
         def run(self, context):
             folder = context.needed("recording")            # of the nearest earlier stage that gives a recording
@@ -133,6 +131,7 @@ class Stage(Options, ABC):
         description="Which earlier stages to read, slot: stage name; default: the nearest that gives it.",
     )
 
+    writes: ClassVar[tuple[str, ...]] = ()
     code_version: ClassVar[int] = 1  # raise it when the same inputs give other outputs
     takes: ClassVar[Mapping[str, Need]] = {}  # slot -> the artefact it needs of an earlier stage
     gives: ClassVar[tuple[str, ...]] = ()  # types of the artefacts in its folder
@@ -150,8 +149,8 @@ class Stage(Options, ABC):
         return [part for group in parts for part in group if isinstance(part, Path)]
 
     def outputs(self) -> Sequence[str]:
-        """Files it promises to write into its folder; it may write more."""
-        return ()
+        """Files it promises to write into its folder (`writes`, unless an option changes them); it may write more."""
+        return self.writes
 
     def parameters(self) -> dict[str, Any]:
         """Canonical parameters for the lock file: JSON values, and of a path only its last part."""

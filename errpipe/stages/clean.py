@@ -36,9 +36,7 @@ class Clean(Stage):
     )
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
     gives: ClassVar[tuple[str, ...]] = ("recording", "cleaning")
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("recording.yaml", "recording.parquet", "cleaning.json")
+    writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "cleaning.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.cleaning import clean

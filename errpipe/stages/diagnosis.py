@@ -26,9 +26,13 @@ class Diagnosis(Stage):
         "error_model": Need("error_model", optional=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("error_model", "diagnosis")
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("diagnosis.json", "report.html", _artefacts.MODEL, _artefacts.PROCEDURE, "acceptance.json")
+    writes: ClassVar[tuple[str, ...]] = (
+        "diagnosis.json",
+        "report.html",
+        _artefacts.MODEL,
+        _artefacts.PROCEDURE,
+        "acceptance.json",
+    )
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import jsonfile

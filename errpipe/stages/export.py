@@ -48,9 +48,7 @@ class Export(CompileOptions, SignOptions, Stage):
         "validation": Need("validation", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("table",)
-
-    def outputs(self) -> tuple[str, ...]:
-        return (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
+    writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.stages import _plausible

@@ -50,9 +50,7 @@ class ExportVolumetric(SignOptions, Stage):
         "validation": Need("validation", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("table",)
-
-    def outputs(self) -> tuple[str, ...]:
-        return (_artefacts.TABLE, _artefacts.TWIN, "export.json")
+    writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import jsonfile, yamlfile

@@ -37,10 +37,8 @@ class Identify(Stage):
         "simulated": Need("simulated_truth", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("identified_machine",)
+    writes: ClassVar[tuple[str, ...]] = (IDENTIFICATION, MACHINE, "identification.html")
     code_version: ClassVar[int] = 3
-
-    def outputs(self) -> tuple[str, ...]:
-        return (IDENTIFICATION, MACHINE, "identification.html")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.stages import _machine_page

@@ -23,9 +23,7 @@ class Ingest(Stage):
 
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
     gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("recording.yaml", "recording.parquet", "ingest.json")
+    writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "ingest.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import formats

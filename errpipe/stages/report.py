@@ -36,9 +36,7 @@ class Report(Stage):
         "tables": Need("table", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("report",)
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("report.html",)
+    writes: ClassVar[tuple[str, ...]] = ("report.html",)
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import __version__, jsonfile

@@ -20,9 +20,7 @@ class Simulate(Stage):
     seed: int = Field(1, ge=0, description="Seed of the noise and of the room's weather.")
 
     gives: ClassVar[tuple[str, ...]] = ("raw_recording",)
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("recording.yaml", "recording.csv")
+    writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.csv")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.simulation import ball_screw_axis, folder, spindle_drift

@@ -45,10 +45,8 @@ class SimulateTest(Stage):
     lasers: dict[str, Beam] = LASERS
     squares: dict[str, float] = SQUARES
     gives: ClassVar[tuple[str, ...]] = ("raw_recording", "simulated_truth")
+    writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.csv", TRUTH)
     code_version: ClassVar[int] = 2
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("recording.yaml", "recording.csv", TRUTH)
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import yamlfile

@@ -26,9 +26,7 @@ class SimulateWith(Stage):
         "error_model": Need("error_model", optional=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("recording",)
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("recording.yaml", "recording.parquet", "twin.json")
+    writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "twin.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.formats import manifest_folder

@@ -32,9 +32,7 @@ class Validate(Stage):
         "recordings": Need("recording", every=True, beside="identified_machine"),
     }
     gives: ClassVar[tuple[str, ...]] = ("validation",)
-
-    def outputs(self) -> tuple[str, ...]:
-        return ("validation.json",)
+    writes: ClassVar[tuple[str, ...]] = ("validation.json",)
 
     def run(self, context: Context) -> Mapping[str, Any]:
         document: dict[str, Any] = {"components": []}
