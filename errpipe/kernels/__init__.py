@@ -16,6 +16,7 @@ import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 
@@ -61,6 +62,31 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
+def _in_cache(function: Callable[..., Any], folder: Path) -> Callable[..., Any]:
+    """A kernel of this package as if its file lay in the cache; the function itself where that cannot be written.
+
+    Numba files compiled code by the folder of its source. Every checkout, copy and new installation would compile the
+    same kernels again, although `folder` stands for their source already.
+    """
+    source, place = Path(function.__code__.co_filename), (folder / "source").absolute()
+    if not isinstance(function, FunctionType) or source.parent != Path(__file__).parent:
+        return function
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        if not (place / source.name).exists():
+            copy = place / f"{source.name}.{os.getpid()}"
+            copy.write_bytes(source.read_bytes())
+            os.utime(copy, (0, 0))  # some versions of Numba compare times
+            copy.replace(place / source.name)
+    except OSError:
+        return function
+    code = function.__code__.replace(co_filename=str(place / source.name))
+    twin = FunctionType(code, function.__globals__, function.__name__, function.__defaults__, function.__closure__)
+    twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
+    twin.__annotations__ = function.__annotations__
+    return twin
+
+
 class Kernel:
     """A function that Numba compiles at its first call. `compiled` is the dispatcher, `py_func` the source."""
 
@@ -86,7 +112,7 @@ class Kernel:
             njit: Any = numba.njit  # its stubs do not know _nrt
             cached = folder is not None
             made = njit(cache=cached, fastmath=False, error_model="numpy", nogil=True, _nrt=self.allocates)
-            return made(self.py_func)
+            return made(_in_cache(self.py_func, Path(config.CACHE_DIR)) if cached else self.py_func)
         finally:
             config.CACHE_DIR = before
 

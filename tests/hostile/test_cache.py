@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -99,3 +100,15 @@ def test_a_planted_index_runs_in_no_process(tmp_path: Path) -> None:
     (temporary / folder.name).symlink_to(temporary / "elsewhere")
     call()
     assert not ran.exists()
+
+
+@pytest.mark.slow
+def test_two_installations_share_what_was_compiled(tmp_path: Path) -> None:
+    root, cache = Path(__file__).parents[2], tmp_path / "cache"
+    shutil.copytree(root / "errpipe", tmp_path / "copy" / "errpipe", ignore=shutil.ignore_patterns("__pycache__"))
+    kept = []
+    for path in (root, tmp_path / "copy"):
+        env = os.environ | {"PYTHONPATH": str(path), "NUMBA_CACHE_DIR": str(cache)}
+        subprocess.run([sys.executable, "-c", CALL], env=env, cwd=path, check=True, timeout=300)
+        kept.append({file: file.stat().st_mtime_ns for file in cache.rglob("*.nb?")})
+    assert kept[0] and kept[1] == kept[0]
