@@ -32,6 +32,7 @@ MOST_TERMS = 3  # of an equation: more are neither readable nor held out
 MOST_ROWS = 6000  # rows that take part, chosen at random: further rows change the result little
 MOST_BASE = 40  # columns and lags whose products are tried
 LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name; and beyond what names predict
+ALIKE = 0.985  # correlation with the form of an effect: 97 % of its variance
 LIKELY = 0.5  # confidence of a name from which no equation is sought in its place
 MOST_LIKELY = 0.9  # of an equation; below it the share that it predicts
 SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
@@ -74,8 +75,10 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     empirical = equation(case.recording, case.pair.rows, whole, response.unit)
     named = 1.0 - (case.held.names / float(np.std(whole))) ** 2 if names and case.held else 0.0
     if empirical is not None and empirical.share > named + LEAST_SHARE:
+        known = has_a_name(case, empirical)
         p = max(min(empirical.share, MOST_LIKELY), response.findings[place].confidence if place is not None else 0.0)
-        return _unknown_first(case, response, p, empirical)
+        if not (known and names):
+            return _unknown_first(case, response, min(p, unnamed.PROVISIONAL) if known else p, empirical)
     if place:  # beside names that predict more
         empirical = equation(case.recording, case.pair.rows, residual(case), response.unit)
     if place is None or empirical is None:
@@ -84,6 +87,20 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     better = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
     findings = (*response.findings[:place], better, *response.findings[place + 1 :])
     return response.model_copy(update={"findings": findings})
+
+
+def has_a_name(case: Case, empirical: Empirical) -> bool:
+    """Is the equation one column that is the form of an effect without non-linear parameters?
+
+    It is no mechanism outside of the vocabulary, then, but an effect that noise which wanders may play.
+    """
+    library, rows = case.library, case.pair.rows
+    if len(empirical.terms) > 1:
+        return False
+    (values,) = (c.values for c in candidates(case.recording, rows) if c.name == empirical.terms[0].column)
+    single = [i for i, h in enumerate(library.hypotheses) if not any(h.nonlinear) and library.cores[i] == 1]
+    cores = (library.block(i, case.recording, rows)[:, 0] for i in single if not library.hypotheses[i].mask)
+    return any(abs(np.corrcoef(core, values)[0, 1]) > ALIKE for core in cores if np.std(core) > 0)
 
 
 def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical: Empirical) -> ResponseDiagnosis:

@@ -125,8 +125,9 @@ def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) ->
     kept = [*range(first)]
     for i, size in chosen:
         whole = part.active([(i, size)])
-        core = slice(part.nuisance.index.size, part.nuisance.index.size + part.library.cores[i])
+        count = part.library.textbook(i)
+        core = slice(part.nuisance.index.size, part.nuisance.index.size + count)
         active = active.plus(whole.index[core], whole.sd[core])
-        kept += range(first, first + part.library.cores[i])
+        kept += range(first, first + count)
         first += part.library.indices(i).size
     return active, judged.columns([i for i, _ in chosen])[:, kept]

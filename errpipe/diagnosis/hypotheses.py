@@ -52,8 +52,14 @@ class Library:
     table: whitened products; its column `datum` is the constant.
     """
 
-    def __init__(self, made: Iterable[tuple[Hypothesis, Block, int]], run: np.ndarray, fold: np.ndarray):
-        """made: each hypothesis with its scaled block and the number of its core columns, as they come."""
+    def __init__(
+        self, made: Iterable[tuple[Hypothesis, Block, int]], run: np.ndarray, fold: np.ndarray, starts: int = 1
+    ):
+        """made: each hypothesis with its scaled block and the number of its core columns, as they come.
+
+        starts: columns in which a body's state at the start of each session stands.
+        """
+        self.starts = starts
         self.hypotheses: list[Hypothesis] = []
         self.cores: list[int] = []
         self.freedoms: list[np.ndarray] = []
@@ -125,6 +131,11 @@ class Library:
         """Freedoms of a hypothesis' columns."""
         return self.freedoms[i]
 
+    def textbook(self, i: int) -> int:
+        """How many of its columns are its own form, with the states in which bodies started."""
+        starts = {"textbook": 0, "any start": self.starts, "any shape": self.places[i].size}
+        return min(self.cores[i] * (1 + starts[self.hypotheses[i].terms[0].form]), self.places[i].size)
+
     def family(self, i: int) -> list[int]:
         """The hypotheses that differ from it in non-linear parameters only."""
         return self._families[self.hypotheses[i].key]
@@ -146,7 +157,10 @@ def build(
     still = tuple(signal - motion @ (motion.T @ signal) for signal in signals)
     seen = Signals(rows, still, signals[0] if signals else None, motion)
     every = enumerate_all(recording, component, raw or recording, seen)
-    return Library(_with_columns(every, recording, rows), run, folds(run, sessions(recording)[rows])[0])
+    session = sessions(recording)
+    count = np.unique(session).size
+    starts = 1 if count >= MANY_STARTS else count
+    return Library(_with_columns(every, recording, rows), run, folds(run, session[rows])[0], starts)
 
 
 def _with_columns(

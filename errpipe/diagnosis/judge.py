@@ -15,7 +15,7 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
-from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, only_noise, zoomed
+from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, only_noise, rounded, zoomed
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -170,7 +170,7 @@ RETRIES = 4  # further searches, each without the findings ruled out before
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; of those of the search."""
     case = _without_impossible(made, search, *explanations)
-    made.taken_back = only_noise(case) and not _predicts_whole_runs(case)
+    made.taken_back = rounded(case) or (only_noise(case) and not _predicts_whole_runs(case))
     return _nothing_named(made) if made.taken_back else case
 
 

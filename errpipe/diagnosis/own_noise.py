@@ -17,6 +17,8 @@ from errpipe.terms import search_of
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
+SAME = 1e-6  # share of the range of a reading below which two values are the same
+ROUNDED = 1.15  # threshold: rms over that of rounding (a sixth of a step of noise beside it)
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
 
@@ -128,6 +130,17 @@ def only_noise(case: Case) -> bool:
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
     gain = linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear)
     return gain < 0.0 and linear_gain(case, bare, *_textbook_alone(case, nonlinear)) < 0.0
+
+
+def rounded(case: Case) -> bool:
+    """Is what a recalibration leaves no more than the rounding of the reading to the steps of its display?
+
+    A reading that is rounded to steps q differs from the true value by q / sqrt(12) rms, along a smooth trend in waves.
+    """
+    values = np.sort(case.recording.array(case.pair.error)[case.pair.rows])
+    steps = np.diff(values)
+    steps = steps[steps > SAME * (values[-1] - values[0])]
+    return bool(steps.size) and float(np.std(residual(case, []))) < ROUNDED * float(steps.min()) / np.sqrt(12.0)
 
 
 def _textbook_alone(case: Case, nonlinear: int) -> tuple[np.ndarray, int]:

@@ -74,14 +74,28 @@ ROLES = (
 )
 SLOW = ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "force")
 LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged inputs
-MOST_PRODUCTS = 8  # inputs whose products are tried in pairs
+MOST_PRODUCTS = 8  # inputs whose products are tried in pairs, and with the place on an axis
+DECAYS = (0.01, 0.03, 0.1, 0.3)  # of the longest session: time constants of what comes anew with each run
+LEAST_STARTS = 3  # runs from which that is more than a wandering reading
 
 
-def _of_columns(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
-    """Smooth in an input, in a lagged input, or in the product of two."""
+def _since_start(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
+    """Decays that come anew with each run and are the same in all: a gauge or a slide that settles."""
+    run, clock = recording.name("run"), recording.name("time")
+    if run is None or clock is None:
+        return
+    t, starts = recording.time(), recording.run_codes()
+    codes, first, inside = np.unique(starts, return_index=True, return_inverse=True)
+    if codes.size >= LEAST_STARTS:
+        since = (t - t[first][inside])[rows]
+        taus = np.array(DECAYS) * resolved_times(recording)[1]
+        yield "start of each run", (run, clock), np.exp(-since[:, None] / taus), np.ones(taus.size)
+
+
+def _of_columns(recording: Recording, rows: np.ndarray, slow: list[tuple[str, np.ndarray]]) -> Iterator[tuple]:
+    """Smooth in an input, in a lagged input, or in the product of two; slow: filled with these inputs."""
     session, t = sessions(recording), recording.time()
     _, longest = resolved_times(recording)
-    slow: list[tuple[str, np.ndarray]] = []
     for role in ROLES:
         for name in recording.names(role):
             whole = recording.array(name)
@@ -95,8 +109,8 @@ def _of_columns(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
                 for v in lagged:
                     yield ("lagged column", (name,), *_waves(v, 3))
                 slow.append((name, lagged[1]))
-    centred = [(name, (u - u.mean()) / (u.std() or 1.0)) for name, u in slow[:MOST_PRODUCTS]]
-    for (one, u), (other, v) in itertools.combinations_with_replacement(centred, 2):
+    slow[:] = [(name, (u - u.mean()) / (u.std() or 1.0)) for name, u in slow[:MOST_PRODUCTS]]
+    for (one, u), (other, v) in itertools.combinations_with_replacement(slow, 2):
         yield "product", tuple(dict.fromkeys((one, other))), (u * v)[:, None] - np.mean(u * v), np.ones(1)
 
 
@@ -109,7 +123,9 @@ def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iter
     if codes.size > 1:
         steps = (run[:, None] == codes).astype(float)
         yield "runs", (recording.name("run") or clock,), steps - steps.mean(axis=0), np.ones(codes.size)
-    yield from _of_columns(recording, rows)
+    yield from _since_start(recording, rows)
+    slow: list[tuple[str, np.ndarray]] = []
+    yield from _of_columns(recording, rows, slow)
     letters = axes(recording)
     if component == "E_R" and len(letters) >= 2:
         x, y = (recording.array(position_name(recording, a))[rows] for a in letters[:2])
@@ -129,6 +145,8 @@ def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iter
             continue
         waves, free = _waves(x, PLACE_WAVES)
         yield "place", (name,), waves, free
+        for other, u in slow if len(letters) == 1 else ():
+            yield "place and input", (name, other), waves[:, :SMOOTH] * u[:, None], free[:SMOOTH]
         try:
             side = direction(recording, axis)[rows]
         except KeyError:

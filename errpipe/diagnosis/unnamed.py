@@ -8,7 +8,7 @@ from errpipe.diagnosis import confidence, holdout
 from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise
 from errpipe.diagnosis.evidence import Scene
-from errpipe.diagnosis.own_noise import linear_gain
+from errpipe.diagnosis.own_noise import linear_gain, rounded
 from errpipe.domain.diagnosis import Finding, Where
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
@@ -32,6 +32,8 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
     Autocorrelated residuals alone (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
     must predict held-out rows, or what is left must come in events or in a rhythm.
     """
+    if rounded(case):
+        return 0.0
     share = held.shape_share()
     if departs(case, held):
         return max(confidence.unknown(indicators[0]), DEPARTED)
@@ -100,10 +102,9 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as a shape without a name must?
 
     Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's. The
-    decay of a state that a body brought along is part of its form.
+    decay of a state that a body brought along is part of its form, and so is any shape of a guideway.
     """
-    findings = case.explanation.accepted
-    if not findings or any(term.any_start for term in findings[0].hypothesis.terms):
+    if not case.explanation.accepted:
         return False
     if held.departing() < HELD_OUT_SHARE or held.textbook_share() >= TEXTBOOK:
         return False
@@ -119,8 +120,8 @@ def textbook_alone(case: Case) -> float:
     if first.hypothesis.terms[0].gain_sd is not None:
         return 1.0
     library, family = case.library, case.library.family(first.index)
-    columns = [library.indices(i)[: library.cores[i]] for i in family]
-    freedoms = [library.freedom_of(i)[: library.cores[i]] for i in family]
+    columns = [library.indices(i)[: library.textbook(i)] for i in family]
+    freedoms = [library.freedom_of(i)[: library.textbook(i)] for i in family]
     scored = case.search.scene([(f.index, f.size) for f in others]).score(columns, freedoms, case.search.rows)
     best = max(s.gain + case.search.prior[i] for i, s in zip(family, scored, strict=True))
     return float(best / max(first.gain, 1e-9))

@@ -93,7 +93,8 @@ class Term(Frozen, ABC):
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
-    any_start: ClassVar[bool] = False  # a body whose state at the start of a session is unknown, not of another form
+    # what of its slack is no departure: the first columns (the state of a body at the start of a session), or all
+    form: ClassVar[Literal["textbook", "any start", "any shape"]] = "textbook"
     friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
     gains: ClassVar[tuple[Parameter, ...]] = ()  # what `linear` gives, where no field changes it
     searched: ClassVar[tuple[Parameter, ...]] = ()  # what `nonlinear` gives, where no field changes it

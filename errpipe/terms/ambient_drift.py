@@ -31,7 +31,7 @@ class AmbientDrift(Driven):
     reference: Reference = REFERENCE
     reports_as = "ambient_drift"
     family = "thermal"
-    any_start = True
+    form = "any start"
     rowwise = True
     gains = (Parameter("gain", "um/K", (1.0, 6.0), (-100.0, 100.0), "shift per kelvin of the room"),)
     searched = (Parameter("tau", "s", (3000.0, 40000.0), (1000.0, 200000.0), "time constant"),)

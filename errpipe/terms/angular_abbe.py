@@ -38,6 +38,7 @@ class AngularAbbe(Term):
     order: int = Field(3, description="Highest degree of the angle over the axis.")
     reports_as = "angular_abbe"
     family = "geometric"
+    form = "any shape"
     rowwise = True
 
     def linear(self) -> tuple[Parameter, ...]:

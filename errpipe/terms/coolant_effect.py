@@ -38,7 +38,7 @@ class CoolantEffect(Term):
     at_once: bool = Field(False, description="Without a time constant, which is shorter than rows are apart.")
     reports_as = "coolant_effect"
     family = "thermal"
-    any_start = True
+    form = "any start"
     simulated_log_odds = -2.0
 
     def linear(self) -> tuple[Parameter, ...]:

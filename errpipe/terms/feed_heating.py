@@ -41,7 +41,7 @@ class FeedHeating(Term):
     fixed_end: float = quantity("mm", "Position of the screw's fixed bearing, from where it grows.", 0.0)
     reports_as = "feed_heating"
     family = "thermal"
-    any_start = True
+    form = "any start"
     gains = (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
     searched = (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
 
@@ -85,14 +85,14 @@ class FeedHeating(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         x = position(recording, self.axis)
+        for column, freedom in start_states(recording, nonlinear[0], 0.1, 0.5):
+            yield column * x, freedom
         yield x, 0.2
         yield from bent(base[:, 0], x)
         # the position of the fixed end is unknown
         reach = x - self.fixed_end
         level = base[:, 0] / np.where(np.abs(reach) > 1e-9, reach, 1e-9) * (np.nanmax(x) - np.nanmin(x))
         yield np.where(np.abs(reach) > 1e-6, level, 0.0), 0.3
-        for column, freedom in start_states(recording, nonlinear[0], 0.1, 0.5):
-            yield column * x, freedom
         for factor in (0.3, 3.0):
             yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
 

@@ -34,7 +34,7 @@ class SpindleGrowth(Driven):
     full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
     reports_as = "spindle_growth"
     family = "thermal"
-    any_start = True
+    form = "any start"
     rowwise = True
     gains = (Parameter("growth", "um", (5.0, 60.0), (-500.0, 500.0), "growth at full speed, warmed through"),)
     searched = (

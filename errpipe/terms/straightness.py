@@ -44,6 +44,7 @@ class Straightness(Term):
     reports_as = "straightness"
     family = "geometric"
     rowwise = True
+    form = "any shape"
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(

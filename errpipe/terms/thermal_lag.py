@@ -43,7 +43,7 @@ class ThermalLag(Term):
     two_stages: bool = Field(False, description="A second, slower part follows the same sensor.")
     reports_as = "thermal_lag"
     family = "thermal"
-    any_start = True
+    form = "any start"
     rowwise = True
     simulated_log_odds = -4.0
 

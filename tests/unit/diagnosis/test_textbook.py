@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import diagnose, judge, unnamed
+from errpipe.diagnosis import diagnose, hypotheses, judge, unnamed
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.search import Explanation
 from errpipe.domain.recording import Recording
 
-from .machines import recording
+from .machines import axis, recording
 
 
 def held(bare: float, textbook: float, named: float) -> HeldOut:
@@ -25,14 +25,9 @@ def held(bare: float, textbook: float, named: float) -> HeldOut:
 def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, departs):
     """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well."""
 
-    def explained(any_start: bool) -> SimpleNamespace:
-        hypothesis = SimpleNamespace(terms=[SimpleNamespace(any_start=any_start)])
-        finding = SimpleNamespace(hypothesis=hypothesis)
-        return SimpleNamespace(explanation=Explanation((finding,), np.zeros(1), 1.0))  # type: ignore[arg-type]
-
+    explained = SimpleNamespace(explanation=Explanation((SimpleNamespace(),), np.zeros(1), 1.0))  # type: ignore[arg-type]
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
-    assert unnamed.departs(explained(False), held(3.0, textbook, 1.0)) == departs
-    assert not unnamed.departs(explained(True), held(3.0, textbook, 1.0))
+    assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
     assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0), 0.0)), held(3.0, textbook, 1.0))
 
 
@@ -76,3 +71,17 @@ def test_the_right_inputs_in_a_form_of_their_own_have_no_name():
         assert (response.verdict == "unexplained") != named
         assert named or "form that no effect" in first.says
         assert named or all(f.confidence < 0.5 for f in response.findings[1:] if f.effect != "recalibration")
+
+
+def test_states_at_the_start_and_shapes_of_a_guideway_are_no_departures():
+    """Of a lag the decay of what a body brought along is its own form, of a guideway every smooth curve."""
+    made = axis()
+    library = hypotheses.build(made, "EYX", np.arange(len(made)))
+    sizes = zip(library.hypotheses, library.cores, library.places, strict=True)
+    forms = {h.effect: (core, library.textbook(i), place.size) for i, (h, core, place) in enumerate(sizes)}
+    core, own, every = forms["straightness"]
+    assert core < own == every
+    core, own, every = forms["ambient_drift"]
+    assert own == core + library.starts < every
+    core, own, every = forms["backlash"]
+    assert own == core < every

@@ -1,0 +1,97 @@
+"""What has no name: what comes anew with each run, what follows place and temperature at once, what a display rounds."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import diagnose, empirical, own_noise
+from errpipe.diagnosis.shapes import shapes
+from errpipe.domain.diagnosis import Empirical, EmpiricalTerm
+
+from .machines import axis, recording, spindle
+
+
+def test_a_decay_at_the_start_of_each_run_is_a_shape():
+    """Three runs show it; two may be a reading that wanders."""
+    for runs, offered in ((6, True), (2, False)):
+        made = axis(runs=runs)
+        kinds = [s.kind for s in shapes(made, "EXX", np.arange(len(made)))]
+        assert ("start of each run" in kinds) == offered
+
+
+def test_a_profile_that_grows_with_a_temperature_is_a_shape():
+    made = axis()
+    x, rise = made.array("x"), made.array("T_nut")
+    wave = np.cos(2 * np.pi * (x - x.min()) / np.ptp(x)) * (rise - rise.mean())
+    every = shapes(made, "EXX", np.arange(len(made)))
+    own = next(s for s in every if s.kind == "place and input" and s.drivers == ("x", "T_nut"))
+    left = wave - own.columns @ np.linalg.lstsq(own.columns, wave, rcond=None)[0]
+    assert np.std(left) < 1e-6 * np.std(wave)
+
+
+def settling(seed: int = 0):
+    """A slide that settles over 40 s at the start of each of eight runs; nothing recorded drives it."""
+    rng = np.random.default_rng(seed)
+    places = np.linspace(0, 500, 25)
+    x, run = np.tile(np.r_[places, places[::-1]], 8), np.repeat(np.arange(8), 50)
+    since = np.tile(2.0 * np.arange(50), 8)
+    simulated = 0.02 * x + 0.3 * np.sin(x / 60)
+    error = simulated + 4 * np.exp(-since / 40.0) + 0.6 * rng.standard_normal(x.size)
+    columns = {"run": run.astype(str), "t": since + 1200.0 * run, "x": x, "E": error, "S": simulated}
+    columns["d"] = np.tile(np.repeat([1.0, -1.0], 25), 8)
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "d": {"role": "direction", "axis": "X"},
+        "E": {"role": "error", "component": "EXX", "unit": "um"},
+        "S": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    return recording(columns, kinds)
+
+
+@pytest.mark.slow
+def test_what_settles_in_each_run_is_not_named_surely():
+    (response,) = diagnose(settling())[0].responses
+    assert max(f.confidence for f in response.findings if f.effect not in ("unknown", "recalibration")) < 0.5
+
+
+@pytest.mark.parametrize(("step", "noise", "rounded"), [(4.0, 0.1, True), (4.0, 2.0, False), (0.01, 0.5, False)])
+def test_what_is_left_of_a_coarse_reading_may_be_its_rounding(step, noise, rounded):
+    """Along a smooth trend the rounding is a wave; noise of half a step is more than rounding."""
+    trend = np.linspace(0, 60, 400)
+    read = np.round((trend + noise * np.random.default_rng(1).standard_normal(400)) / step) * step
+    case = SimpleNamespace(recording=SimpleNamespace(array=lambda name: read))
+    case.pair = SimpleNamespace(error="E", rows=np.arange(400))
+    residual, own_noise.residual = own_noise.residual, lambda case, chosen: read - trend
+    try:
+        assert own_noise.rounded(case) == rounded  # type: ignore[arg-type]
+    finally:
+        own_noise.residual = residual
+
+
+def test_a_rounded_trend_lacks_nothing():
+    """A display of 4 um on a machine that drifts by 40 um."""
+    made = spindle(noise=0.2, gain=1.0)
+    ramp = np.linspace(0, 40, len(made))
+    made.frame["E_Z_sim"] = made.array("E_Z_sim") + ramp
+    made.frame["E_Z"] = np.round((made.array("E_Z") + ramp) / 4.0) * 4.0
+    (response,) = diagnose(made)[0].responses
+    assert response.verdict in ("no_mismatch", "recalibrate")
+
+
+@pytest.mark.parametrize(("column", "known"), [("(T_room - {mean:.5g})", True), ("(T_room - {mean:.5g})^2", False)])
+def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known):
+    from errpipe.diagnosis import hypotheses
+
+    made = spindle()
+    rows = np.arange(len(made))
+    name = column.format(mean=made.array("T_room").mean())
+    name = name if known else f"({name[:-2]})^2"
+    term = EmpiricalTerm(column=name, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
+    law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
+    assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
