@@ -1,4 +1,4 @@
-"""What has no name: what comes anew with each run, what follows place and temperature at once, what a display rounds."""
+"""What has no name: what comes anew with each run, what follows place and temperature, what a display rounds."""
 
 from __future__ import annotations
 
