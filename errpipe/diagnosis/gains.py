@@ -12,6 +12,13 @@ from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.nuisances import Nuisance
 
 LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a margin for parts that are poorly separated)
+FAR_OFF = 0.5  # a gain of a part less 1 that no simulation has unless it was fitted without what is missing
+
+
+def far_off(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:
+    """How many parts have a gain that far off in a scene whose first active columns are the nuisances."""
+    held, rows = totals(nuisances, sizes)
+    return int(np.count_nonzero(np.abs(rows @ scene.coefficients()[: rows.shape[1]]) > FAR_OFF)) if held else 0
 
 
 def totals(nuisances: list[Nuisance], sizes: np.ndarray) -> tuple[list[Nuisance], np.ndarray]:

@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from errpipe.diagnosis import admit, holdout, hypotheses, model, partial, plausible, recalibration
+from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial, plausible, recalibration
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
@@ -28,7 +28,7 @@ Progress = Callable[[float, str], None]
 
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
 PROVED = 0.7  # mean square on held-out rows, over that without, from which wide gains are believed whatever they cost
-WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off
+WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off, and MORE for each that is: it is a finding, too
 
 
 def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
@@ -308,7 +308,8 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     chosen = [chosen_of(e) for e in (explanation, wide_gains)]
     if search.rows:
         narrow, proved = (_held_out(made, *way) for way in ((search, chosen[0]), (other, chosen[1])))
-        likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE
+        price = WIDE_PRICE + MORE * gains.far_off(other.scene(chosen[1]), made.nuisances, made.sizes)
+        likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + price
         if proved < PROVED * narrow or (likelier and proved < narrow):
             return other, wide_gains, wide
     return search, explanation, nuisance

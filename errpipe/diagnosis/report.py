@@ -35,8 +35,8 @@ REVERSED = (
 )
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
 PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
-FAR_OFF, BESIDE_FAR_OFF = 0.5, 0.75  # gain less 1 of an effect in the simulation, and upper limit of the confidence of
-# a name that needs it: two things are said to be wrong, and other names may do without one of them
+BESIDE_FAR_OFF = 0.75  # upper limit of the confidence of a name that stands beside a gain far off: two things are said
+# to be wrong, and other names may do without one of them
 UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not bear out, or that noise may play
 
 
@@ -53,7 +53,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else 1.0 for m, w in zip(made, wandering, strict=True)]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
-    if _needs_gains_far_off(case):
+    if gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes):
         findings = [unnamed.capped(f, BESIDE_FAR_OFF) for f in findings]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
@@ -323,13 +323,6 @@ def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[
     rows = np.concatenate([np.diag(1.0 / case.sizes)[own], rows])
     for nuisance, row in zip([*(case.nuisances[j] for j in own), *(held or [WHOLE])], rows, strict=True):
         yield nuisance, float(row @ b), float(np.sqrt(row @ covariance @ row))
-
-
-def _needs_gains_far_off(case: Case) -> bool:
-    """Do the names stand beside gains that no simulation has unless it was fitted without what is named?"""
-    held, rows = gains.totals(case.nuisances, case.sizes)
-    b = case.search.scene(case.chosen()).coefficients()[: case.nuisance.index.size]
-    return bool(held) and float(np.max(np.abs(rows @ b))) > FAR_OFF
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:
