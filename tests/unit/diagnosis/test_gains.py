@@ -32,6 +32,14 @@ def test_gains_within_the_limits_cost_nothing(off):
     assert not beyond.any()
 
 
+@pytest.mark.parametrize(("off", "count"), [(0.3, 0), (0.8, 1), (-0.9, 1)])
+def test_gains_that_no_simulation_has_are_counted(off, count):
+    """Each costs as much as a finding where an explanation with narrower gains competes."""
+    made, _ = scene(off, sd=1.0)
+    assert gains.far_off(made, [DATUM, WHOLE, *PARTS], np.ones(4)) == count
+    assert gains.far_off(made, [DATUM, WHOLE], np.ones(2)) == 0
+
+
 @pytest.mark.parametrize("off", [0.5, -0.5])
 def test_a_gain_far_off_costs_what_the_limit_would_leave_unexplained(off):
     cost, beyond = gains.excess(*scene(off))

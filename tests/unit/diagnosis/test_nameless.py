@@ -74,11 +74,17 @@ def test_what_is_left_of_a_coarse_reading_may_be_its_rounding(step, noise, round
 
 
 def test_a_rounded_trend_lacks_nothing():
-    """A display of 4 um on a machine that drifts by 40 um."""
-    made = spindle(noise=0.2, gain=1.0)
-    ramp = np.linspace(0, 40, len(made))
-    made.frame["E_Z_sim"] = made.array("E_Z_sim") + ramp
-    made.frame["E_Z"] = np.round((made.array("E_Z") + ramp) / 4.0) * 4.0
+    """One pass over 800 mm with a display whose step is a twelfth of the trend: the rounding is a wave of 70 mm."""
+    rng, x = np.random.default_rng(1), np.linspace(0, 800, 300)
+    simulated = 0.05 * x
+    read = np.round((1.05 * simulated + 0.3 * rng.standard_normal(300) + 0.5) / 3.5) * 3.5
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "E": {"role": "error", "component": "EXX", "unit": "um"},
+        "S": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    made = recording({"t": 5.0 * np.arange(300), "x": x, "E": read, "S": simulated}, kinds)
     (response,) = diagnose(made)[0].responses
     assert response.verdict in ("no_mismatch", "recalibrate")
 
