@@ -2,6 +2,7 @@
 
 no size        no linear parameter differs significantly from 0, alone or jointly
 cancelling     a finding far larger than the mismatch, nearly all of which another finding cancels
+no such size   a linear parameter outside of its bounds, where it is a constant of nature
 at its limit   a scale at the end of what the recording resolves: a lag as long as the whole session is a drift
 """
 
@@ -22,7 +23,7 @@ CANCELLING = -0.8  # correlation of two findings from which they cancel
 def impossible(case: Case) -> list[model.Modelled]:
     """Accepted findings that cannot be true: at a limit of what the recording resolves, or cancelled by another one."""
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return [m for m in made if at_its_limit(case, m) or not_in_full(m)] or cancelling(case, made)
+    return [m for m in made if at_its_limit(case, m) or not_in_full(m) or no_such_size(m)] or cancelling(case, made)
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
@@ -65,6 +66,14 @@ def not_in_full(m: model.Modelled) -> bool:
     """Is it far from 1 where the linear parameter is known to be 1? A time shift acts in full or not at all."""
     sd = m.hypothesis.terms[0].gain_sd
     return sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * sd
+
+
+def no_such_size(m: model.Modelled) -> bool:
+    """Does the interval of a constant of nature lie outside of its bounds?"""
+    term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
+    return term.of_nature and any(
+        spans[p.name].low > p.bounds[1] or spans[p.name].high < p.bounds[0] for p in term.linear()
+    )
 
 
 def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:

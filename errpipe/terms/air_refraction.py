@@ -35,6 +35,7 @@ class AirRefraction(Term):
     family = "measurement"
     rowwise = True
     compensable = False
+    of_nature = True
     artefact = "it is the air in the beam of the measuring laser, not the machine: correct the reading"
     simulated_log_odds = -12.0
     prior_log_odds = -4.0  # two sensors and a datum can fit most slopes

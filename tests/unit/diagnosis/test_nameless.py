@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import diagnose, empirical, own_noise
+from errpipe.diagnosis import diagnose, empirical, own_noise, plausible
 from errpipe.diagnosis.shapes import shapes
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm
+from errpipe.terms.air_refraction import AirRefraction
+from errpipe.terms.scale_expansion import ScaleExpansion
 
 from .machines import axis, recording, spindle
 
@@ -101,3 +103,16 @@ def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known
     law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
     case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
     assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("low", "high", "no_such_size"), [(7.0, 9.0, True), (4.0, 9.0, False), (-9.0, -7.0, True)])
+def test_air_refracts_by_a_constant_of_nature(low, high, no_such_size):
+    """What grows by 8 um/m/K is a scale that expands; a scale's own coefficient has no such limit."""
+    span = SimpleNamespace(name="per_kelvin", low=low, high=high)
+    for term, expected in (
+        (AirRefraction(axis="X", sensor="T_room"), no_such_size),
+        (ScaleExpansion(axis="X", sensor="T_room"), False),
+    ):
+        spans = [span, SimpleNamespace(name="coefficient", low=1e3 * low, high=1e3 * high)]
+        made = SimpleNamespace(hypothesis=SimpleNamespace(terms=[term]), estimates=spans)
+        assert plausible.no_such_size(made) == expected  # type: ignore[arg-type]
