@@ -50,11 +50,10 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     # Noise that wanders is as likely; held-out rows that are predicted well speak against it.
     slow = held.names > PREDICTED * held.before
     wandering = [case.over_noise < 0.0 or (slow and s.wandering > s.gain) for s in indicators]
-    sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else 1.0 for m, w in zip(made, wandering, strict=True)]
+    most = _most(case)
+    sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else most for m, w in zip(made, wandering, strict=True)]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
-    if gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes):
-        findings = [unnamed.capped(f, BESIDE_FAR_OFF) for f in findings]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
     nameless = unnamed.unexplained(case, held)
@@ -63,9 +62,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings, verdict = _verdict(case, findings, p_unknown, nameless)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
         contribution["unknown"], after = unnamed.with_shapes(case)
-    floor = float(
-        min(case.sigma, case.noise_estimate) if indicators or p_unknown >= unnamed.PROVISIONAL else case.sigma
-    )
+    known = indicators or p_unknown >= unnamed.PROVISIONAL
+    floor = float(min(case.sigma, case.noise_estimate) if known else case.sigma)
     recalibrated = residual(case, [])
     datums = own_datums(case, [])
     chance = significance.chance(case)
@@ -102,6 +100,11 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
+
+
+def _most(case: Case) -> float:
+    """Upper limit of the confidence of names by the gains of the simulation that they stand beside."""
+    return BESIDE_FAR_OFF if gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes) else 1.0
 
 
 def _datums(case: Case) -> str:
