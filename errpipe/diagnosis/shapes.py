@@ -156,8 +156,8 @@ def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iter
         if codes.size > 1 and len(letters) == 1:
             slopes = (run[:, None] == codes) * (x - x.mean())[:, None]
             yield "slope of each run", (name, recording.name("run") or clock), slopes, np.ones(codes.size)
-            slow, free_shapes = _waves(place, 20)
-            yield "slope in time", (name, clock), slow * (x - x.mean())[:, None], free_shapes
+            over_time, free_shapes = _waves(place, 20)
+            yield "slope in time", (name, clock), over_time * (x - x.mean())[:, None], free_shapes
     if len(letters) >= 2:
         units = []
         for axis in letters[:3]:
