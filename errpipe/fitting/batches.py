@@ -119,7 +119,7 @@ class History:
     def add(self, part: Part) -> None:
         """Take the rows of a batch."""
         rows, kept = self.columns(part.batch), part.sampled
-        self.rows.append(np.ascontiguousarray(rows[kept]))
+        self.rows.append(np.ascontiguousarray(rows.T.take(kept, axis=1).T))
         if self.centre is None:
             self.centre = np.nan_to_num(np.nanmean(rows[:FIRST_ROWS], axis=0))
             self.centre[0] = 0.0

@@ -146,7 +146,7 @@ def iter_batches(folder: Path, names: Sequence[str] | None = None, rows: int = C
             columns = {n: part[n] if n in labels else part[n].to_numpy(zero_copy_only=False) for n in kept}
             batch = Batch(manifest, columns, part.num_rows, past)
             yield batch
-            last = batch.run_labels()[batch.run_codes()[-1]]
+            last = batch.run_stretches[0][-1]
             time = float(batch.time()[-1]) if timed else -1.0  # without a time, rows are counted from 0 in every batch
             past = Past(last, time, past.later)
     except (pa.ArrowException, OSError):

@@ -6,6 +6,8 @@ that fails, or whose worker dies, does not stop the others. What was finished is
 
 from __future__ import annotations
 
+import importlib
+import multiprocessing
 import os
 import re
 import time
@@ -22,6 +24,7 @@ from errpipe.errors import ErrpipeError, UsageError
 from errpipe.yamlfile import Options
 
 MACHINES, TIMES = "machines", "times.csv"
+WORKER = "errpipe.stages._fleet_worker"
 ATTEMPTS = 3  # of a machine whose worker dies; the last one alone in its pool, so that no other can be the cause
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 Progress = Callable[[float, str], None]
@@ -66,6 +69,8 @@ def fleet(
     jobs: processes, 0 for one per core; scheduler: address of a running Dask cluster instead. Raises ConfigError,
     UsageError; what goes wrong with one machine stands in the document.
     """
+    if not scheduler:
+        _start_imports()
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
     from errpipe.stages._fleet_report import model_of, write_report
@@ -187,14 +192,12 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[dict[str, Any]]:
 
 def _one_pool(tasks: Sequence[Task], count: int, attempts: dict[str, int]) -> Iterator[tuple[Task, dict[str, Any]]]:
     """Results of one pool of processes until it is through or one of its workers dies; `attempts` is counted up."""
-    import multiprocessing
-
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
+    with ProcessPoolExecutor(count, _start_imports(), _prepare, (dict(os.environ),)) as pool:
         waiting = list(reversed(tasks))
         running: dict[Future[dict[str, Any]], Task] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < count:  # only what workers can take: few tasks are lost with a worker
+                while waiting and len(running) <= count:  # one lies ready; more would be lost with a worker
                     task = waiting.pop()
                     running[pool.submit(run_machine, *task)] = task
                     attempts[task[1]] += 1
@@ -206,10 +209,25 @@ def _one_pool(tasks: Sequence[Task], count: int, attempts: dict[str, int]) -> It
             return
 
 
-def _one_thread() -> None:
-    """One thread of linear algebra per process: results and cores are then those of one machine each."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+def _start_imports() -> Any:
+    """How workers are made: copies of a process that has imported what they need, and that begins to do so here.
+
+    Where the system cannot copy a process, each worker imports for itself.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    from multiprocessing import forkserver
+
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["__main__", WORKER])
+    forkserver.ensure_running()
+    return context
+
+
+def _prepare(environment: dict[str, str]) -> None:
+    """Before a worker's first machine: the caller's environment, which may be another than the fork server's."""
+    os.environ.update(environment)
+    importlib.import_module(WORKER)
 
 
 def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]:

@@ -75,7 +75,7 @@ def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path
         for _ in range(600):
             time.sleep(0.05)
             if list((tmp_path / "b/machines").glob("*/.errpipe/*/*")):
-                os.kill(_children()[0], signal.SIGKILL)
+                os.kill(_workers()[0], signal.SIGKILL)
                 killed.set()
                 return
 
@@ -93,17 +93,16 @@ def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path
     assert run(file, tmp_path / "a", capsys, "--jobs", "1")[0] == 4 and model.stat().st_mtime_ns == before
 
 
-def _children() -> list[int]:
-    """Processes that this one has spawned as workers, oldest first."""
-    out = []
+def _workers() -> list[int]:
+    """Copies of the fork server that this process has started, oldest first."""
+    parents: dict[int, int] = {}
     for entry in Path("/proc").iterdir():
         try:
-            words = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-            if int(words[1]) == os.getpid() and b"spawn_main" in (entry / "cmdline").read_bytes():
-                out.append(int(entry.name))
+            if b"forkserver" in (entry / "cmdline").read_bytes():
+                parents[int(entry.name)] = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
         except (OSError, ValueError, IndexError):
             continue
-    return sorted(out)
+    return sorted(pid for pid, parent in parents.items() if parents.get(parent) == os.getpid())
 
 
 def test_a_machine_whose_worker_always_dies_is_failed_and_the_others_are_done(monkeypatch: Any) -> None:
