@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Batch(Recording):
-    """Some rows of a recording. columns: name -> (rows,), float64, or a dictionary array of labels (pyarrow).
+    """Some rows of a recording. columns: name -> (rows,), float64, or labels: a pyarrow dictionary array or `Stretches`.
 
     Its frame is made where somebody asks for it.
     """
@@ -41,6 +41,8 @@ class Batch(Recording):
         name = self.name("run")
         if name is None:
             return (["1"], np.zeros(1, dtype=np.int64)) if len(self) else ([], np.zeros(0, dtype=np.int64))
+        if isinstance(self.columns[name], Stretches):
+            return self.columns[name].dictionary, self.columns[name].starts
         index, labels = self.columns[name].indices.to_numpy(), self.columns[name].dictionary.to_pylist()
         starts = np.flatnonzero(np.r_[index[:1] >= 0, index[1:] != index[:-1]])
         return [labels[k] for k in index[starts]], starts
@@ -70,11 +72,34 @@ class Batch(Recording):
         return Batch(self.manifest, {n: _taken(values, rows) for n, values in self.columns.items()}, len(rows))
 
 
+class Stretches:
+    """Labels of which each stands for a stretch of rows. starts: first row of each, (stretches,). A dictionary array
+    only where somebody asks for rows: making one takes a tenth of the time of reading a batch.
+    """
+
+    def __init__(self, labels: list[str], starts: np.ndarray, rows: int):
+        self.dictionary, self.starts, self.rows = labels, starts, rows
+
+    def take(self, rows: np.ndarray) -> Any:
+        """The labels of some rows, as a dictionary array."""
+        import numpy as np
+        import pyarrow as pa
+
+        index = np.searchsorted(self.starts, rows, side="right") - 1
+        return pa.DictionaryArray.from_arrays(index.astype(np.int32), self.dictionary, safe=False)
+
+    def to_pandas(self) -> pd.Series:
+        """The labels of all rows, as categories."""
+        import numpy as np
+
+        return self.take(np.arange(self.rows)).to_pandas()
+
+
 def _taken(values: Any, rows: np.ndarray) -> Any:
     """Some rows of a column; of labels by numpy, which takes a third of pyarrow's time."""
-    if not hasattr(values, "dictionary"):
+    if not hasattr(values, "indices"):
         return values.take(rows)
-    return type(values).from_arrays(values.indices.to_numpy().take(rows), values.dictionary)
+    return type(values).from_arrays(values.indices.to_numpy().take(rows), values.dictionary, safe=False)
 
 
 def joined(parts: Sequence[Recording]) -> pd.DataFrame:

@@ -36,12 +36,13 @@ class Source:
     """A recording on disk.
 
     ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
-    batch by batch, each with what the rows before it leave behind. complete: columns in which no value is missing.
+    batch by batch, each with what the rows before it leave behind; `runs=` gives the rows of each run where they are
+    known. complete: columns in which no value is missing.
     """
 
     rows: int
     ends: Recording
-    batches: Callable[[Sequence[str]], Iterator[Recording]]
+    batches: Callable[..., Iterator[Recording]]
     complete: frozenset[str] = frozenset()
 
     @property
@@ -58,6 +59,11 @@ class Layout:
     lengths: np.ndarray
     scheme: holdout.HoldOut
     rows: int
+
+    @cached_property
+    def rows_of_runs(self) -> dict[str, int]:
+        """Rows of each run."""
+        return dict(zip(self.runs, self.lengths.tolist(), strict=True))
 
 
 @dataclass
@@ -187,12 +193,14 @@ def _products(rows: np.ndarray, live: Sequence[int]) -> tuple[np.ndarray, int]:
 
 def _gram(columns: np.ndarray, live: Sequence[int]) -> np.ndarray:
     """columns @ columns.T; of few long columns twice as fast, one after the other, as by one product."""
-    sums = np.zeros((columns.shape[0], columns.shape[0]))
+    sums, wanted = np.zeros((columns.shape[0], columns.shape[0])), np.zeros(columns.shape[0], dtype=bool)
+    wanted[live] = True
     for k in live:
-        sums[k, : k + 1] = columns[: k + 1] @ columns[k]
-    lower = np.zeros_like(sums)
-    lower[np.ix_(live, live)] = sums[np.ix_(live, live)]
-    return lower + np.tril(lower, -1).T
+        np.matmul(columns[: k + 1], columns[k], out=sums[k, : k + 1])
+        sums[k, : k + 1][~wanted[: k + 1]] = 0.0
+    sums += sums.T
+    sums.flat[:: sums.shape[0] + 1] *= 0.5
+    return sums
 
 
 def part_stretches(part: Part) -> Iterator[tuple[tuple[str, str], int, int]]:
@@ -261,7 +269,7 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
     """The batches of a recording, each cut where the run or the group changes. prepare: what is done to each first."""
     numbers = {label: k for k, label in enumerate(layout.runs)}
     at, in_run, last = 0, 0, ""
-    for batch in map(prepare, source.batches(names)):
+    for batch in map(prepare, source.batches(names, runs=layout.rows_of_runs)):
         groups = _groups(batch, layout, at)
         runs, starts = batch.run_stretches
         keys = [(run, "") for run in runs]

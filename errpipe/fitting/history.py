@@ -150,7 +150,7 @@ def _estimate(source, history: History, problem: Problem, rows, solution: solve.
 def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepare) -> np.ndarray:
     """design' C design with the noise's correlation C, from a second pass, (width, width); C ends with each batch."""
     total = np.zeros((history.width, history.width))
-    for batch in map(prepare, source.batches(history.names)):
+    for batch in map(prepare, source.batches(history.names, runs=history.layout.rows_of_runs)):
         rows = history.columns(batch)
         known = np.isfinite(rows.sum(axis=1))
         design = np.ascontiguousarray(rows[known, 1:-2])

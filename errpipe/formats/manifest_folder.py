@@ -9,7 +9,7 @@ decreases in a run, a direction that is not +1 or -1, a path outside the folder.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 
 from errpipe import files, jsonfile, yamlfile
 from errpipe.domain import units
-from errpipe.domain.batch import Batch
+from errpipe.domain.batch import Batch, Stretches
 from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import DataError
@@ -129,28 +129,46 @@ def rows_written(folder: Path) -> int:
     return int(pq.read_metadata(path).num_rows)
 
 
-def iter_batches(folder: Path, names: Sequence[str] | None = None, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
+def iter_batches(
+    folder: Path, names: Sequence[str] | None = None, rows: int = CHUNK_ROWS, runs: Mapping[str, int] | None = None
+) -> Iterator[Recording]:
     """Columns of a folder that `write` or `to_parquet` made, `rows` at a time; all columns without names.
 
     Each batch says what the rows before it leave behind, so that states go on; a buffer of the file's would keep all
-    that was read. Raises DataError for a damaged file.
+    that was read. runs: rows of each run in their order, where they are known: they are then not read again.
+    Raises DataError for a damaged file.
     """
     manifest = canonical(load_manifest(folder))
     kept = [n for n, c in manifest.columns.items() if c.role != "ignore" and (names is None or n in names)]
-    labels = [n for n in kept if manifest.columns[n].role in LABELS]
+    read = [n for n in kept if not (runs and manifest.columns[n].role == "run")]
+    labels = [n for n in read if manifest.columns[n].role in LABELS]
     timed = any(manifest.columns[n].role == "time" for n in kept)
-    past = Past()
+    past, at = Past(), 0
     try:
         table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
-        for part in table.iter_batches(batch_size=rows, columns=kept, use_threads=False):
-            columns = {n: part[n] if n in labels else part[n].to_numpy(zero_copy_only=False) for n in kept}
+        for part in table.iter_batches(batch_size=rows, columns=read, use_threads=False):
+            columns = {
+                n: _known_runs(runs or {}, at, part.num_rows)
+                if n not in read
+                else part[n]
+                if n in labels
+                else part[n].to_numpy(zero_copy_only=False)
+                for n in kept
+            }
             batch = Batch(manifest, columns, part.num_rows, past)
             yield batch
             last = batch.run_stretches[0][-1]
             time = float(batch.time()[-1]) if timed else -1.0  # without a time, rows are counted from 0 in every batch
-            past = Past(last, time, past.later)
+            past, at = Past(last, time, past.later), at + part.num_rows
     except (pa.ArrowException, OSError):
         raise DataError(f"{Path(folder) / TABLE}: not a Parquet file, or a damaged one") from None
+
+
+def _known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
+    """The runs of `rows` rows from row `at` on."""
+    ends = np.cumsum(list(runs.values()))
+    first, last = np.searchsorted(ends, [at, at + rows - 1], side="right")
+    return Stretches(list(runs)[first : last + 1], np.r_[0, ends[first:last] - at], rows)
 
 
 def extremes(folder: Path) -> tuple[Recording, frozenset[str]]:

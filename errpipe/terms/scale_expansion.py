@@ -49,7 +49,10 @@ class ScaleExpansion(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         rise = drive(rise_driver(self.sensor, self.reference), recording)
-        return (position(recording, self.axis) * 1e-3 * rise * share(recording, self.axis, self.radial))[:, None]
+        column = position(recording, self.axis) * 1e-3
+        column *= rise  # in place: new memory for each product costs as much as the product
+        column *= share(recording, self.axis, self.radial)
+        return column[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if self.radial:
