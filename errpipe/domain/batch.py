@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Batch(Recording):
-    """Some rows of a recording. columns: name -> (rows,), float64, or labels: a pyarrow dictionary array or `Stretches`.
+    """Some rows of a recording. columns: name -> (rows,), float64; labels as a pyarrow dictionary array or `Stretches`.
 
     Its frame is made where somebody asks for it.
     """

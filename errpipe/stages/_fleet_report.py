@@ -23,7 +23,10 @@ DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
 
 
 def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
-    """What the fleet needs to know of one finished run: held-out figures per response, and what drifts."""
+    """What the fleet needs to know of one finished run: held-out figures per response, what drifts, and the model.
+
+    OUT may be a folder of the machine that ran it, which nobody else can read.
+    """
     folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
     if "validation" in folders:
@@ -33,6 +36,7 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
             figures["responses"][c["component"]] = {key: c[key] for key in keys}
     if "error_model" in folders:
         figures["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
+        figures["parameters"] = jsonfile.read(folders["error_model"] / _artefacts.MODEL)
     if "recording" in folders:
         recording = _artefacts.recording_in(folders["recording"])
         figures["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
@@ -73,13 +77,12 @@ def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, 
     return out
 
 
-def model_of(result: Mapping[str, Any], out: Path) -> ErrorModel | None:
+def model_of(result: Mapping[str, Any]) -> ErrorModel | None:
     """The model of one machine's run, None where it has none. What the report imports comes with the first one."""
     import errpipe.fitting.pooling  # noqa: F401
+    from errpipe.domain.error_model import ErrorModel
 
-    if not result["model"] or result["state"] == "failed":
-        return None
-    return _artefacts.read_model(out / "machines" / result["name"] / result["model"])
+    return ErrorModel.model_validate(result["parameters"]) if result.get("parameters") else None
 
 
 def write_report(

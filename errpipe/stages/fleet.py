@@ -82,11 +82,11 @@ def fleet(
     load_pipeline(pipeline, STAGES, sets=tasks[0][2])  # a pipeline that cannot be read is said once, not once a machine
     run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
     results: dict[str, dict[str, Any]] = {}
-    with ThreadPoolExecutor(1) as reader:  # models are read while other machines run
+    with ThreadPoolExecutor(1) as reader:  # models are checked while other machines run
         models = {}
         for result in run:
             name = result["name"]
-            results[name], models[name] = result, reader.submit(model_of, result, Path(out))
+            results[name], models[name] = result, reader.submit(model_of, result)
             progress(len(results) / len(tasks), f"{name}: {result['state']}")
     ordered = [results[task[1]] for task in tasks]
     types = {m.name: m.type for m in machines_of(spec, root)}

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +22,7 @@ from errpipe.cli.app import main
 from errpipe.domain.error_model import ErrorModel
 from errpipe.stages import fleet as fleet_stage
 from tests.e2e.retrain.test_retrain import PIPELINE, record
+from tests.unit.fitting.test_history import two_years
 
 
 def site(where: Path, machines: int, days: int = 6) -> Path:
@@ -160,6 +166,50 @@ def test_machines_on_a_dask_cluster_with_a_worker_killed(tmp_path: Path, capsys:
         killer.join()
     assert code == 4 and spread["machines"] == local["machines"]
     assert bytes_below(tmp_path / "a") == bytes_below(tmp_path / "b")
+
+
+@pytest.mark.slow
+def test_partitions_that_only_the_workers_can_read(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
+    """Two years of logs below the workers' current folder, fitted in batches on Dask; nothing of them lies here."""
+    pytest.importorskip("distributed")
+    there, here = tmp_path / "there", tmp_path / "here"
+    there.mkdir(), here.mkdir()
+    two_years(there, 150_000)
+    (there / "pipeline.yaml").rename(here / "pipeline.yaml")
+    machine = "{name: m0, set: [ingest.recording=/proc/self/cwd/raw]}"
+    (here / "fleet.yaml").write_text(f"fleet: 1\npipeline: pipeline.yaml\nmachines: [{machine}]\n", encoding="utf-8")
+    monkeypatch.chdir(here)
+    code, result = run(here / "fleet.yaml", tmp_path / "nothing", capsys, "--jobs", "1")
+    assert code == 4 and "/proc/self/cwd/raw" in result["machines"][0]["message"]
+    with cluster_in(there) as address:
+        code, far = run(here / "fleet.yaml", tmp_path / "a", capsys, "--scheduler", address)
+    (judged,) = far["machines"][0]["responses"].values()
+    assert code == 0 and judged["rms_after"] < judged["rms_before"] / 5
+    monkeypatch.chdir(there)
+    assert run(here / "fleet.yaml", tmp_path / "b", capsys, "--jobs", "1")[0] == 0
+    assert bytes_below(tmp_path / "a") == bytes_below(tmp_path / "b")
+
+
+@contextmanager
+def cluster_in(folder: Path) -> Iterator[str]:
+    """A Dask scheduler and a worker whose current folder is another than ours."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    file = folder.parent / "scheduler.json"
+    scheduler = ["distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--host", "127.0.0.1"]
+    worker = ["distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard"]
+    with contextlib.ExitStack() as stack:
+        for command in (scheduler, worker):
+            child = subprocess.Popen(
+                [sys.executable, "-m", *command, "--scheduler-file", str(file)],
+                cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+            stack.callback(child.wait)
+            stack.callback(child.terminate)
+        for _ in range(600):
+            if file.exists():
+                break
+            time.sleep(0.1)
+        yield json.loads(file.read_text(encoding="utf-8"))["address"]
 
 
 def test_twelve_machines_and_what_they_borrow_from_their_type(
