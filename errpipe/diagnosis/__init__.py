@@ -19,15 +19,20 @@ separate    which rival explains nearly as well, and which measurement separates
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.domain.diagnosis import Diagnosis
+from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import in_order_of_time
 from errpipe.terms import Term
+
+SIDE_BY_SIDE = 2  # responses judged at a time: each holds a table of products, 0.5 GB at
+MANY_ROWS = 20_000  # rows, from which they are judged one after the other
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,8 @@ def diagnose(
 ) -> tuple[Diagnosis, list[Rows]]:
     """Every response with a simulated twin, judged. Raises DataError where none can be.
 
-    One thread: thousands of small matrices gain nothing from more, and results then do not depend on the cores.
+    BLAS in one thread: thousands of small matrices gain nothing from more, and results then do not depend on the cores.
+    Two responses at a time, each as if it were alone.
     """
     from threadpoolctl import threadpool_limits
 
@@ -69,18 +75,24 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
     recording = short.recording
     pairs, notes = prepare.pairs(recording)
     conditioned = prepare.condition(recording)
-    responses, rows = [], []
-    for k, pair in enumerate(pairs):
-        done = lambda share, text, k=k: progress((k + share) / len(pairs), text)  # noqa: E731
+    shares = [0.0] * len(pairs)
+
+    def judged(k: int, pair: prepare.Pair) -> tuple[ResponseDiagnosis, Rows]:
+        def done(share: float, text: str) -> None:
+            shares[k] = share
+            progress(sum(shares) / len(pairs), text)
+
         case = judge.judge(recording, prepare.followed(recording, conditioned, pair), pair, done)
-        progress((k + 0.8) / len(pairs), f"{pair.component}: proving it on rows that had no say")
+        done(0.8, f"{pair.component}: proving it on rows that had no say")
         response, contribution, residual = report.response(case)
         response = empirical.with_equation(case, response)
-        responses.append(response)
         inputs = report.inputs(case, response)
         held = [p.hypothesis for p in case.decomposition.parts]
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
-        rows.append(Rows(case.y, residual, case.run, contribution, inputs, parts))
-        del case  # frees one table of products before the next is built
-    diagnosis = Diagnosis(recording=title, responses=tuple(responses), notes=(*short.notes, *notes))
-    return derived.named_by_source(diagnosis, source), rows
+        return response, Rows(case.y, residual, case.run, contribution, inputs, parts)
+
+    at_once = SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1
+    with ThreadPoolExecutor(min(at_once, os.cpu_count() or 1)) as pool:
+        responses, rows = zip(*pool.map(judged, range(len(pairs)), pairs), strict=True)
+    diagnosis = Diagnosis(recording=title, responses=responses, notes=(*short.notes, *notes))
+    return derived.named_by_source(diagnosis, source), list(rows)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.diagnosis.coloured import USUAL, Colour, recolour, whiten
-from errpipe.kernels import evidence
+from errpipe.kernels import evidence, noise
 
 AT_ONCE = 64  # columns filtered together
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
@@ -125,14 +125,14 @@ class Table:
         """Store a block's columns, shared ones once; returns their indices."""
         where: list[int] = []
         fresh: list[int] = []
-        for j in range(block.shape[1]):
-            column = np.ascontiguousarray(block[:, j], dtype=float)
+        each = np.ascontiguousarray(block.T, dtype=float)
+        for j, column in enumerate(each):
             digest = hashlib.sha1(column.data, usedforsecurity=False).digest()  # twice as fast as blake2b here
             at = self._seen.setdefault(digest, self.width + len(fresh))
             if at == self.width + len(fresh):
                 fresh.append(j)
             where.append(at)
-        self.add(block[:, fresh])
+        self.add(each[fresh].T)
         return np.array(where, dtype=int)
 
     def add(self, columns: np.ndarray) -> np.ndarray:
@@ -142,9 +142,8 @@ class Table:
             grown = np.zeros((self.n, 2 * last), order="F")
             grown[:, :first] = self.W
             self._store = grown
-        for k in range(first, last, AT_ONCE):
-            fresh = columns[:, k - first : k - first + AT_ONCE]
-            self._store[:, k : min(k + AT_ONCE, last)] = whiten(fresh, self.run, self.colour)
+        each = np.ascontiguousarray(columns.T, dtype=float)
+        noise.whiten_each(self.run, each, self._store.T[first:last], *self.colour.filter())
         self.width = last
         return np.arange(first, last)
 

@@ -14,6 +14,7 @@ import hashlib
 import os
 import stat
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
@@ -87,6 +88,9 @@ def _in_cache(function: Callable[..., Any], folder: Path) -> Callable[..., Any]:
     return twin
 
 
+_SETTINGS = threading.RLock()  # Numba has one cache folder for all threads
+
+
 class Kernel:
     """A function that Numba compiles at its first call. `compiled` is the dispatcher, `py_func` the source."""
 
@@ -106,15 +110,16 @@ class Kernel:
 
         folder = os.environ.get("NUMBA_CACHE_DIR") or _cache_folder()
         config: Any = numba.config
-        before = config.CACHE_DIR
-        config.CACHE_DIR = str(Path(folder) / _fingerprint()) if folder else ""
-        try:
-            njit: Any = numba.njit  # its stubs do not know _nrt
-            cached = folder is not None
-            made = njit(cache=cached, fastmath=False, error_model="numpy", nogil=True, _nrt=self.allocates)
-            return made(_in_cache(self.py_func, Path(config.CACHE_DIR)) if cached else self.py_func)
-        finally:
-            config.CACHE_DIR = before
+        with _SETTINGS:
+            before = config.CACHE_DIR
+            config.CACHE_DIR = str(Path(folder) / _fingerprint()) if folder else ""
+            try:
+                njit: Any = numba.njit  # its stubs do not know _nrt
+                cached = folder is not None
+                made = njit(cache=cached, fastmath=False, error_model="numpy", nogil=True, _nrt=self.allocates)
+                return made(_in_cache(self.py_func, Path(config.CACHE_DIR)) if cached else self.py_func)
+            finally:
+                config.CACHE_DIR = before
 
     def __call__(self, *arguments: Any) -> Any:
         return self.compiled(*arguments)

@@ -23,6 +23,21 @@ def whiten(run, columns, phi, theta, gain):
 
 
 @kernel
+def whiten_each(run, columns, out, phi, theta, gain):
+    """As `whiten`, the same bits, into `out`: columns and out (k, rows), each column in one piece."""
+    k, n = columns.shape
+    for first in range(0, k, 4):
+        a, b, c, d = first, min(first + 1, k - 1), min(first + 2, k - 1), min(first + 3, k - 1)
+        for i in range(n):
+            if i == 0 or run[i] != run[i - 1]:
+                for j in (a, b, c, d):
+                    out[j, i] = columns[j, i]
+            else:
+                for j in (a, b, c, d):
+                    out[j, i] = (columns[j, i] - phi * columns[j, i - 1]) / gain + theta * out[j, i - 1]
+
+
+@kernel
 def coloured(run, columns, phi, theta, gain):
     """The inverse of `whiten`: columns (rows, k) as they were before the filter."""
     n, k = columns.shape

@@ -60,10 +60,11 @@ def figure(width: float = 7.2, height: float = 3.0, rows: int = 1, columns: int 
 def to_svg(canvas: Figure, title: str) -> str:
     """Inline SVG text of a figure: no clock, scales with the page, carries `title` for screen readers."""
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     stream = io.StringIO()
-    with matplotlib.rc_context(STYLE):
-        canvas.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    with matplotlib.rc_context(STYLE):  # `savefig` would draw all of it twice, once to place it
+        FigureCanvasSVG(canvas).print_svg(stream, metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     head, rest = text.split(">", 1)

@@ -683,7 +683,7 @@ static int is_turn_count_small(const ect *e, const ect_profile *p, ect_real step
 
 static ect_error load_profiles(ect *e, const sections *s)
 {
-    uint32_t i, k, used = 0;
+    uint32_t i, k, used = 0, first = 0;
     for (i = 0; i < s->count[PROFILES]; i++) {
         const uint8_t *r = s->at[PROFILES] + i * RECORD[PROFILES], *before = r - RECORD[PROFILES];
         ect_profile *p = &e->profiles[i];
@@ -735,7 +735,12 @@ static ect_error load_profiles(ect *e, const sections *s)
             return ECT_PROFILE;
         }
         p->value = (ect_real)i32_at(p->values) * p->scale;
-        p->same_grid = (uint8_t)(i > 0 && p->input >= 0 && same_bytes(r, before, 8) && same_bytes(r + 12, before + 12, 20));
+        p->alike = 0;
+        if (i > 0 && p->input >= 0 && same_bytes(r, before, 8) && same_bytes(r + 12, before + 12, 20)) {
+            e->profiles[first].alike += 1;
+        } else {
+            first = i;
+        }
         used += count;
     }
     e->where = used;
@@ -752,17 +757,20 @@ static ect_error load_sums(ect *e, const sections *s)
             || u32_at(r + 16) > 1 || u32_at(r + 20) != 0) {
             return ECT_COMPONENT;
         }
+        e->components[i] = R(0);
     }
     for (i = 0; i < s->count[PAIRS]; i++) {
         const uint8_t *r = s->at[PAIRS] + i * RECORD[PAIRS];
         ect_pair *p = &e->pairs[i];
         e->where = i;
-        p->keep = u32_at(r + 12);
         if (u32_at(r) >= s->count[COMPONENTS] || u32_at(r + 4) >= s->count[PROFILES] || u32_at(r + 8) >= s->count[NODES]
-            || p->keep > 1) {
+            || u32_at(r + 12) > 1) {
             return ECT_PAIR;
         }
+        p->keep = (uint16_t)u16_at(r + 12);
         p->component = &e->components[u32_at(r)];
+        p->first = *p->component <= R(0);
+        *p->component = R(1); /* until the first cycle: it has a pair */
         p->profile = &e->profiles[u32_at(r + 4)].value;
         p->node = &e->nodes[u32_at(r + 8)].value;
     }
@@ -792,6 +800,7 @@ static int is_factor(uint32_t units, const uint8_t *factor)
 
 static ect_error load_outputs(ect *e, const sections *s)
 {
+    static const ect_real one = R(1);
     uint32_t i, k, used = 0;
     for (i = 0; i < s->count[OUTPUTS]; i++) {
         const uint8_t *r = s->at[OUTPUTS] + i * RECORD[OUTPUTS];
@@ -837,7 +846,7 @@ static ect_error load_outputs(ect *e, const sections *s)
             if (k < t->count ? number >= s->count[NODES] : number != 0xFFFFFFFFu) {
                 return ECT_TERM;
             }
-            t->node[k] = k < t->count ? &e->nodes[number].value : NULL;
+            t->node[k] = k < t->count ? &e->nodes[number].value : &one;
         }
     }
     return ECT_OK;
@@ -986,9 +995,9 @@ int ect_take_over(ect *e, const ect *before)
 /* Does a reading lie where its rate and noise let it be? The anchor follows it at that rate. */
 static int follows(const ect *e, ect_input *in, int fresh)
 {
-    ect_real reach = in->max_rate * in->age, moved = in->raw - in->anchor;
+    ect_real reach = in->max_rate * in->age, moved = in->raw - in->anchor, far = moved < R(0) ? -moved : moved;
     if (in->seen || e->rules > 1) {
-        if (moved > reach + in->noise || -moved > reach + in->noise) {
+        if (far > reach + in->noise) {
             if (!in->seen) {
                 in->anchor = in->raw;
                 in->age = R(0);
@@ -1000,12 +1009,8 @@ static int follows(const ect *e, ect_input *in, int fresh)
         if (!in->seen && in->age < R(0.5) * e->thermal) {
             return 0;
         }
-        if (moved > reach) {
-            in->anchor = in->anchor + reach;
-            return 1;
-        }
-        if (-moved > reach) {
-            in->anchor = in->anchor - reach;
+        if (far > reach) {
+            in->anchor = in->anchor + (moved < R(0) ? -reach : reach);
             return 1;
         }
     }
@@ -1015,13 +1020,14 @@ static int follows(const ect *e, ect_input *in, int fresh)
 
 static uint8_t judge(const ect *e, ect_input *in, int fresh)
 {
-    if (!is_sane(in->raw)) {
+    int within = in->raw >= in->low && in->raw <= in->high; /* then it is sane too */
+    if (!within && !is_sane(in->raw)) {
         return 1;
     }
     if ((in->flags & HAS_STALE) && in->wait > in->stale_after) {
         return 2;
     }
-    if (in->raw < in->low || in->raw > in->high) {
+    if (!within) {
         return 3;
     }
     return (in->flags & HAS_MAX_RATE) && !follows(e, in, fresh) ? 4 : 0;
@@ -1073,11 +1079,12 @@ static uint32_t condition(ect *e, const ect_real *readings, const uint8_t *fresh
     for (i = 0; i < e->input_count; i++) {
         ect_input *in = &e->inputs[i];
         in->age = in->age + e->cycle;
-        in->wait = in->wait + e->cycle;
         is_new = fresh == NULL || fresh[i];
         if (is_new) {
             in->raw = readings[i];
             in->wait = R(0);
+        } else {
+            in->wait = in->wait + e->cycle;
         }
         in->fault = judge(e, in, is_new);
         in->source = 0;
@@ -1316,66 +1323,65 @@ static uint32_t run_fade(ect *e, ect_real target)
 
 static uint32_t run_profiles(ect *e)
 {
-    uint32_t i, status = 0;
-    int32_t j = 0, left, right;
-    ect_real f = R(0);
-    for (i = 0; i < e->profile_count; i++) {
-        ect_profile *p = &e->profiles[i];
+    uint32_t status = 0;
+    ect_profile *p = e->profiles, *end = p + e->profile_count, *last;
+    for (; p < end; p = last) {
+        ect_real n = (ect_real)p->last, s, f;
+        int32_t j, left, right;
+        last = p + p->alike + 1;
         if (p->input < 0) {
             continue; /* its value is fixed */
         }
-        if (!p->same_grid) {
-            ect_real n = (ect_real)p->last, s = (e->inputs[p->input].value - p->start) * p->inverse_step;
-            if (p->periodic) {
-                ect_real t = s * p->inverse_turn;
-                int32_t k = (int32_t)t;
-                if (t < (ect_real)k) {
-                    k -= 1;
-                }
-                s = s - (ect_real)k * n;
-            } else if (s < R(0) || s > n) {
-                status |= ECT_BEYOND_PROFILE;
+        s = (e->inputs[p->input].value - p->start) * p->inverse_step;
+        if (p->periodic) {
+            ect_real t = s * p->inverse_turn;
+            int32_t k = (int32_t)t;
+            if (t < (ect_real)k) {
+                k -= 1;
             }
-            if (s < R(0)) {
-                s = R(0);
-            }
-            if (s > n) {
-                s = n;
-            }
-            j = (int32_t)s;
-            if (j > p->last - 1) {
-                j = p->last - 1;
-            }
-            f = s - (ect_real)j;
+            s = s - (ect_real)k * n;
+        } else if (s < R(0) || s > n) {
+            status |= ECT_BEYOND_PROFILE;
         }
-        left = i32_at(p->values + 4 * (ptrdiff_t)j);
-        right = i32_at(p->values + 4 * (ptrdiff_t)j + 4);
-        p->value = ((ect_real)left + f * (ect_real)(right - left)) * p->scale;
+        if (s < R(0)) {
+            s = R(0);
+        }
+        if (s > n) {
+            s = n;
+        }
+        j = (int32_t)s;
+        if (j > p->last - 1) {
+            j = p->last - 1;
+        }
+        f = s - (ect_real)j;
+        for (; p < last; p++) {
+            left = i32_at(p->values + 4 * (ptrdiff_t)j);
+            right = i32_at(p->values + 4 * (ptrdiff_t)j + 4);
+            p->value = ((ect_real)left + f * (ect_real)(right - left)) * p->scale;
+        }
     }
     return status;
 }
 
 static uint32_t run_sums(ect *e)
 {
-    uint32_t i, k, m, status = 0;
-    for (i = 0; i < e->component_count; i++) {
-        e->components[i] = R(0);
-    }
-    for (i = 0; i < e->pair_count; i++) {
-        const ect_pair *p = &e->pairs[i];
+    uint32_t i, m, status = 0;
+    const ect_real fade = e->fade;
+    const ect_pair *p = e->pairs, *pairs_end = p + e->pair_count;
+    const ect_term *t = e->terms, *terms_end;
+    for (; p < pairs_end; p++) {
         ect_real part = *p->profile * *p->node;
         if (!p->keep) {
-            part = part * e->fade;
+            part = part * fade;
         }
-        *p->component = *p->component + part;
+        *p->component = (p->first ? R(0) : *p->component) + part;
     }
     for (i = 0; i < e->output_count; i++) {
         ect_output *o = &e->outputs[i];
         ect_real d = R(0);
-        for (k = o->first; k < o->first + o->count; k++) {
-            const ect_term *t = &e->terms[k];
-            ect_real part = t->weight * *t->component;
-            for (m = 0; m < t->count; m++) {
+        for (terms_end = t + o->count; t < terms_end; t++) {
+            ect_real part = t->weight * *t->component * *t->node[0]; /* 1 where it has none */
+            for (m = 1; m < t->count; m++) {
                 part = part * *t->node[m];
             }
             d = d + part;

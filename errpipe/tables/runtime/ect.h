@@ -102,13 +102,15 @@ typedef struct {
     ect_real value;
     const uint8_t *values;  /* in the table */
     int32_t input, last;
-    uint8_t periodic, same_grid;
+    uint8_t periodic;
+    uint16_t alike; /* profiles behind it on the same grid */
 } ect_profile;
 
 typedef struct {
     const ect_real *profile, *node; /* their values */
     ect_real *component;
-    uint32_t keep;
+    uint16_t keep;
+    uint16_t first;         /* of its component */
 } ect_pair;
 
 typedef struct {

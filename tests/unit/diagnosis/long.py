@@ -137,7 +137,7 @@ SHAPES = {
     "one run": Shape(lambda: linear_axis(1, 5.0, ("EXX",)), {"backlash"}, 1000, 8),
     "16 sessions": Shape(lambda: linear_axis(16, 5.0, ("EXX",)), {"backlash"}, 1000, 8),
     "16 sessions of a fast trace": Shape(lambda: linear_axis(16, 0.02, ("EXX",)), {"backlash"}, 1000, 8),
-    "3 responses of a fast trace": Shape(lambda: linear_axis(16, 0.02, ("EXX", "EYX", "EZX")), {"backlash"}, 1000, 8),
+    "3 responses of a fast trace": Shape(lambda: linear_axis(16, 0.02, ("EXX", "EYX", "EZX")), {"backlash"}, 1500, 8),
     "a volume, 2 responses": Shape(grid, {"squareness"}, 1000, 8),
     "a million rows at 1 kHz": Shape(
         lambda: log(1_000_000, lambda c: 0.6 * np.sin(2 * np.pi * c["x"] / 0.9) - 0.03 * c["v"]),
