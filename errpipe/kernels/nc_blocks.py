@@ -292,6 +292,26 @@ def read(data, cursor, here, mode, rows, value, goal):
 
 
 @bare_kernel
+def words(commands, given, scale, decimals, absolute, last, shown):
+    """Words of the linear axes, NaN for none, into `shown`: (largest of them, its row); NaN where one is not known.
+
+    commands: (n, 3) mm; given: as in `Rows`; scale: mm per unit; last: (3,) the places before, and after.
+    """
+    farthest, row, ten = 0.0, 0, _POWER[decimals]
+    for k in range(commands.shape[0]):
+        for n in range(_ROTARY):
+            value = np.rint(commands[k, n] / scale * ten) / ten + 0.0
+            word = value if absolute else np.rint((value - last[n]) * ten) / ten + 0.0
+            size = abs(word)
+            if not size <= farthest and farthest == farthest:
+                farthest, row = size, k
+            shown[k, n] = word if given[k] >> n & 1 or value != last[n] else np.nan
+            shown[k, _ROTARY + n] = np.nan
+            last[n] = value
+    return farthest, row
+
+
+@bare_kernel
 def _digits(value, decimals, out, used):
     """Append a number of at most 15 digits that was rounded to so many decimals."""
     whole, ten = np.uint64(np.rint(abs(value) * _POWER[decimals])), np.uint64(10)

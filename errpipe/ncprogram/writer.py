@@ -96,20 +96,18 @@ class Writer:
     def _moves(self) -> tuple[bytes, list[int]]:
         """The lines of all points (none where nothing is left to write), and where the line of each ends."""
         assert self.emitted is not None
-        points, given = self.rows.points[: self.used], self.rows.given[: self.used, None] & _BITS != 0
+        points, given = self.rows.points[: self.used], self.rows.given[: self.used]
         scale, decimals = (MM_PER_INCH, self.decimals + 2) if self.state.inch else (1.0, self.decimals)
-        values = np.round(self._commands(points[:, :3]) / scale, decimals) + 0.0
-        first = [np.nan if v is None else v for v in self.emitted[:3]]
-        last = np.vstack([first, values[:-1]])
-        linear = values if self.state.absolute else np.round(values - last, decimals) + 0.0
-        if np.isnan(linear).any():
+        last = np.array([np.nan if v is None else v for v in self.emitted[:3]])
+        shown = np.empty(points.shape)
+        commands, absolute = self._commands(points[:, :3]), self.state.absolute
+        farthest, row = nc_blocks.words(commands, given, scale, decimals, absolute, last, shown)
+        if np.isnan(farthest):
             raise self._refusal(0, "an increment from a place that is not known")
-        if np.abs(linear).max() > FARTHEST:
-            raise self._refusal(int(np.abs(linear).max(axis=1).argmax()), "a place beyond any machine")
-        self.emitted[:3] = values[-1].tolist()
-        shown = np.full(points.shape, np.nan)
-        np.copyto(shown[:, :3], linear, where=given[:, :3] | (values != last))
-        self._angles(points[:, 3:], given[:, 3:], shown[:, 3:])
+        if farthest > FARTHEST:
+            raise self._refusal(row, "a place beyond any machine")
+        self.emitted[:3] = last.tolist()
+        self._angles(points[:, 3:], given, shown[:, 3:])
         out = np.empty(self.texts + len(shown) * len(_AXES) * (16 + decimals), dtype=np.uint8)
         ends = np.empty(len(shown), dtype=np.int64)
         places = np.array([decimals] * 3 + [self.decimals] * 3)
@@ -141,10 +139,10 @@ class Writer:
         return command - zero
 
     def _angles(self, angles: np.ndarray, given: np.ndarray, shown: np.ndarray) -> None:
-        """Words of the rotary axes, which are not corrected, into `shown`. Shapes (n, 3)."""
+        """Words of the rotary axes, which are not corrected, into `shown`. Shapes (n, 3); given: as in `Rows`."""
         assert self.emitted is not None
-        for n in np.flatnonzero(given.any(axis=0)):
-            rows, before = given[:, n], self.emitted[3 + n]
+        for n in np.flatnonzero(np.bitwise_or.reduce(given) & _BITS[3:]):
+            rows, before = given & _BITS[3 + n] != 0, self.emitted[3 + n]
             values = rounded(angles[rows, n], self.decimals)
             self.emitted[3 + n] = float(values[-1])
             if not self.state.absolute:
