@@ -91,8 +91,12 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
         return response, Rows(case.y, residual, case.run, contribution, inputs, parts)
 
-    at_once = SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1
-    with ThreadPoolExecutor(min(at_once, os.cpu_count() or 1)) as pool:
-        responses, rows = zip(*pool.map(judged, range(len(pairs)), pairs), strict=True)
+    at_once = min(SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1, len(pairs), os.cpu_count() or 1)
+    if at_once == 1:
+        made = [judged(k, pair) for k, pair in enumerate(pairs)]
+    else:
+        with ThreadPoolExecutor(at_once) as pool:
+            made = list(pool.map(judged, range(len(pairs)), pairs))
+    responses, rows = zip(*made, strict=True)
     diagnosis = Diagnosis(recording=title, responses=responses, notes=(*short.notes, *notes))
     return derived.named_by_source(diagnosis, source), list(rows)

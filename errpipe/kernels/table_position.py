@@ -50,7 +50,7 @@ class Plan(NamedTuple):
 
     components: int
     opens: np.ndarray  # (pairs,) 1: the first of its component
-    alone: np.ndarray  # (pairs,) 1: its profile is written to its component at once
+    alone: np.ndarray  # (pairs,) 1: its profile is written to its component at once, 2: that never changes
     knots: np.ndarray  # of the profiles that move: values and rises to the next, one profile or two by turns
     first: np.ndarray  # (profiles + 1,) where the knots of a profile begin
     width: np.ndarray  # (profiles,) numbers per knot: 2, 4 where the next profile is worked off with it, else 0
@@ -190,8 +190,8 @@ def fade_block(channel, x, fade):
 
 @bare_kernel
 def sum_pairs(pairs, opens, alone, profiles, nodes, fixed, moves, inside, sums):
-    """Components from pairs over a block. opens: 1 where a pair is the first of its component; alone: 1 where its
-    profile was written to the component at once."""
+    """Components from pairs over a block. opens: 1 where a pair is the first of its component; alone: not 0 where its
+    component holds it already."""
     for k in range(pairs.size):
         if alone[k]:
             continue
@@ -216,7 +216,8 @@ def sum_pairs(pairs, opens, alone, profiles, nodes, fixed, moves, inside, sums):
 
 @bare_kernel
 def sum_terms(terms, first, count, sums, nodes, part, total):
-    """One output from components over a block; neighbours with one factor each share a pass."""
+    """One output from components over a block; neighbours share a pass: two with one factor each (an
+    angle and its arm), also behind one without (a translation and two angles)."""
     for i in range(total.size):
         total[i] = 0.0
     k, end = first, first + count
@@ -229,6 +230,14 @@ def sum_terms(terms, first, count, sums, nodes, part, total):
             for i in range(total.size):
                 total[i] = total[i] + weight * component[i] * node[i] + weight2 * component2[i] * node2[i]
             k = k + 1
+        elif term.count == 0 and k + 2 < end and terms[k + 1].count == 1 and terms[k + 2].count == 1:
+            second, third = terms[k + 1], terms[k + 2]
+            weight2, component2, node2 = second.weight, sums[second.component], nodes[second.n0]
+            weight3, component3, node3 = third.weight, sums[third.component], nodes[third.n0]
+            for i in range(total.size):
+                angles = weight2 * component2[i] * node2[i], weight3 * component3[i] * node3[i]
+                total[i] = total[i] + weight * component[i] + angles[0] + angles[1]
+            k = k + 2
         elif term.count == 0:
             for i in range(total.size):
                 total[i] = total[i] + weight * component[i]
@@ -267,6 +276,10 @@ def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixe
     profiles = sums[plan.components :]
     for p in range(program.profiles.size):
         profiles[p, :] = profile_fixed[p]
+    for k in range(program.pairs.size):
+        pair = program.pairs[k]
+        if plan.alone[k] == 2:
+            sums[pair.component, :] = 0.0 + profile_fixed[pair.profile] * node_fixed[pair.node]
     buffers = Buffers(inputs, nodes, sums, profiles, np.empty((3, BLOCK)), np.empty(BLOCK, dtype=np.int32))
     return run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buffers, out)
 

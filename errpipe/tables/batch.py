@@ -208,17 +208,21 @@ def _plan(
     """Order in which the blocks of a table are evaluated.
 
     A profile is written to its component at once where its only pair is the component's first, is kept outside
-    validity, and has a driver that stands still. Two neighbours on one grid are evaluated together.
+    validity, and has a driver that stands still; before all blocks where the profile stands still too. Two neighbours
+    on one grid are evaluated together.
     """
     components = 1 + max(int(records["component"].max(initial=0)) for records in (program.pairs, program.terms))
     opens, alone = np.zeros((2, len(program.pairs)), dtype=np.uint8)
     opens[np.unique(program.pairs["component"], return_index=True)[1]] = 1
     row, factor = components + np.arange(len(table.profiles)), np.ones(len(table.profiles))
     used = np.bincount(program.pairs["profile"], minlength=len(table.profiles))
+    shared = np.bincount(program.pairs["component"], minlength=components)
     for k, pair in enumerate(program.pairs):
         p, node, kept = pair["profile"], pair["node"], pair["flags"] & KEEP
         if opens[k] and kept and used[p] == 1 and profile_moves[p] and not node_moves[node]:
             alone[k], row[p], factor[p] = 1, pair["component"], node_fixed[node]
+        elif kept and shared[pair["component"]] == 1 and not profile_moves[p] and not node_moves[node]:
+            alone[k] = 2
     knots = [np.array([p.values, [*np.diff(p.values), 0]], dtype=float) for p in table.profiles]
     width = np.where(profile_moves, 2, 0)
     for p in range(len(knots) - 1):
