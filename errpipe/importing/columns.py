@@ -24,6 +24,12 @@ KIND_OF_UNIT = {
     "N m": "torque",
     "rpm": "spindle_speed",
     "mm/min": "feed",
+    "mm/s": "velocity",
+    "m/s": "velocity",
+    "mm/s2": "acceleration",
+    "m/s2": "acceleration",
+    "N": "force",
+    "kN": "force",
     "hPa": "pressure",
     "%": "humidity",
     "s": "time",
@@ -34,6 +40,7 @@ KIND_OF_UNIT = {
     "mrad": "error",
     "nm": "error",
 }
+OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "nothing in its name, unit or values says what it is"
 NO_PLACES = ("temperature", "current", "torque", "spindle_speed", "feed", "pressure", "humidity", "time")
 _AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE)
@@ -102,6 +109,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "command" and unit in ("um", "nm") and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
+    if kind == "actual" and unit in OF_DEVIATIONS and component_in(column.header):
+        return "error", f"its name ({component_in(column.header)}, a component of ISO 230-1)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
     if kind == "temperature" and unit is None and column.numeric and not _like_degrees(column):

@@ -13,7 +13,7 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import no_reading, settle, wide
+from errpipe.importing import no_reading, settle, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -254,6 +254,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         _counts(c, own, why, options, p)
     elif g.kind in ("error", "simulated"):
         component = stated.get("component") or options.component or guessing.component_in(c.header)
+        component = component or (simulated.component_of_force(c.header, unit, own) if g.kind == "simulated" else None)
         _response(c, g.kind, own, options.unit or unit, why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)

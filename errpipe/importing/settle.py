@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain import components, units
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing import order, words
+from errpipe.importing import order, simulated, words
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import plain_unit, split_header
@@ -169,6 +169,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     turn_signs(p, layout, options)
     readings_as_errors(p, axis)
     derive_error(p, axis, options)
+    simulated.forces_as_responses(p)
+    simulated.positions_as_deviations(p)
     if not any(e["role"] == "error" for e in p.entries.values()):
         have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(

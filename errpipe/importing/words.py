@@ -18,6 +18,11 @@ FOLLOWING = r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos
 
 _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"
 
+SIMULATED = (
+    r"\b(sim|simul\w*|modell?|modele|model[lo]o|predict(ed|ion)|vorhersage|prognose|fe[am]|(digital ?)?twin|zwilling)\b"
+    r"|仿真"
+)
+FORCES = r"(force|kraft|torque|drehmoment|moment)"
 # Of a tool point: a deviation, unless it is as long as a travel.
 DISPLACEMENT = r"(displacement|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento|変位|位移)"
 
@@ -35,7 +40,7 @@ GROUP = rf"^({'|'.join(GROUPS.values())})( ?(no|nr|id|name))?$"
 
 # What headers are called -> what they hold. The first pattern that fits wins.
 WORDS: tuple[tuple[str, str], ...] = (
-    (r"\b(sim(ulated|ulation)?|model|predicted)\b", "simulated"),
+    (SIMULATED, "simulated"),
     (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
     (GROUP, "group"),
     (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|時刻|時間|时间|日時)", "time"),

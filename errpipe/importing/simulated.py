@@ -1,0 +1,67 @@
+"""What a file holds of a simulation: positions become deviations, and a force beside its simulation is the response."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.domain import components, units
+from errpipe.domain.recording import ROLE_UNITS
+from errpipe.errors import DataError
+from errpipe.importing.proposed import Proposal
+from errpipe.importing.words import FORCES, SIMULATED, plain
+
+ALONG = 0.1  # of the command: a simulated value that rises with it by 1 within this is a position, no deviation
+
+
+def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
+    """F_X of a simulated force or torque, None where a header and its unit name none."""
+    force = unit in (*ROLE_UNITS["force"], *ROLE_UNITS["torque"]) or (unit is None and re.search(FORCES, plain(header)))
+    return f"F_{axis}" if force and re.search(SIMULATED, plain(header)) else None
+
+
+def forces_as_responses(p: Proposal) -> None:
+    """The force beside a simulated one is the response. Raises DataError where several are, or a unit is another's."""
+    for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and e["component"].startswith("F_")]:
+        component = p.entries[name]["component"]
+        measured = [n for n, e in p.entries.items() if e["role"] in ("force", "torque")]
+        if any(e["role"] == "error" for e in p.entries.values()) or not measured:
+            continue
+        if len(measured) > 1:
+            raise DataError(
+                f"beside the simulated {name!r} stand several forces ({', '.join(measured)}): say which one it is of, "
+                f"with --set {measured[0]}.role=error"
+            )
+        (force,) = measured
+        unit = p.entries[force]["unit"]
+        if ("N" if unit in ROLE_UNITS["force"] else "N m") not in components.allowed_units(component):
+            raise DataError(
+                f"{force!r} is in {unit}, and {component} is the drive force of a linear axis in N: divide by the "
+                "lever (screw lead / 2 pi), or name a rotary axis with --axis"
+            )
+        p.entries[force] = {"role": "error", "component": component, "unit": unit}
+        p.guesses[force] = f"{p.guesses.get(force, '')}; {component}, for its simulation stands beside it".strip("; ")
+
+
+def positions_as_deviations(p: Proposal) -> None:
+    """Simulated positions, which rise with the command one for one, less the command: simulated deviations."""
+    for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and n in p.data]:
+        entry = p.entries[name]
+        axis = next((e["axis"] for e in p.entries.values() if e.get("axis")), None)
+        command = (p.first("command", axis) or p.first("position", axis)) if axis else None
+        if command not in p.data or entry["component"] != components.positioning(str(axis)):
+            continue
+        x, y = p.data[command], p.data[name]
+        good = np.isfinite(x) & np.isfinite(y)
+        if good.sum() < 4 or not np.ptp(x[good]):
+            continue
+        unit = p.entries[command].get("unit", "mm")
+        same = entry.get("unit") == unit or "no unit is stated" in p.guesses.get(name, "")
+        if not same or abs(np.polyfit(x[good], y[good], 1)[0] - 1.0) > ALONG:
+            continue
+        own = components.unit(entry["component"])
+        convert = units.conversion("position", unit)
+        less = convert(y) - convert(x) if convert is not None else y - x
+        p.data[name], p.entries[name] = less * (1e3 if own == "um" else np.pi / 180 * 1e6), {**entry, "unit": own}
+        p.guesses[name] = f"it rises with {command} one for one: simulated positions, less {command}, in {own}"
