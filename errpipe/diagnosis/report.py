@@ -47,10 +47,11 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    # Noise that wanders is as likely; held-out rows that are predicted well speak against it.
+    # Noise that wanders, or another name beside a gain far off, is as likely; held-out rows that are predicted well
+    # speak against both.
     slow = held.names > PREDICTED * held.before
     wandering = [case.over_noise < 0.0 or (slow and s.wandering > s.gain) for s in indicators]
-    most = _most(case)
+    most = _most(case) if slow else 1.0
     sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else most for m, w in zip(made, wandering, strict=True)]
     sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
     findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]

@@ -220,7 +220,10 @@ def _start_imports() -> Any:
 
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["__main__", WORKER])
-    forkserver.ensure_running()
+    try:
+        forkserver.ensure_running()
+    except ChildProcessError:  # a copy of a process that has one: it is not the copy's to ask
+        return multiprocessing.get_context("spawn")
     return context
 
 
