@@ -47,7 +47,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    # Noise that wanders, or another name beside a far-off gain, is as likely: predicted held-out rows speak against both.
+    # Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
     slow = held.names > PREDICTED * held.before
     wandering = [case.over_noise < 0.0 or (slow and s.wandering > s.gain) for s in indicators]
     most = _most(case) if slow else 1.0
