@@ -10,16 +10,16 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.cleaning._base import Action, Rule, resolution, rows_of_runs
 from errpipe.domain.recording import Recording
+from errpipe.yamlfile import quantity
 
 SIDE = 4  # readings on either side whose median is a level
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change
 STAYS = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
 SLOWER = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
-LARGEST = 2.0  # K: a smaller step is not worth a run
+LEAST_STEP = 2.0  # K: a smaller step is not worth a run
 MOST_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
 DEAD_SHARE = 0.3  # of a sensor's cells after a jump: the rest is not worth the risk
 
@@ -28,11 +28,8 @@ class SensorJumps(Rule):
     """Blank a temperature from a jump on that no body can make, to the end of the run."""
 
     rule: Literal["sensor_jumps"] = "sensor_jumps"
-    threshold: float = Field(
-        6.0,
-        ge=2,
-        description="A jump is this many times as large as any other change of the sensor between two rows.",
-        json_schema_extra={"unit": "1"},
+    threshold: float = quantity(
+        "1", "A jump is this many times as large as any other change of the sensor between two rows.", 6.0, ge=2
     )
 
     def find(self, recording: Recording) -> list[Action]:
@@ -61,7 +58,7 @@ class SensorJumps(Rule):
         order = np.argsort(-np.abs(change), kind="stable")[: MOST_JUMPS + 1]
         size = np.abs(change[order])
         for count in range(min(MOST_JUMPS, size.size - 1), 0, -1):
-            usual = max(size[count], resolution(values), LARGEST / self.threshold)
+            usual = max(size[count], resolution(values), LEAST_STEP / self.threshold)
             found = sorted(after[order[:count]])
             if size[count - 1] > self.threshold * usual and all(_stays(values, recording, row, usual) for row in found):
                 return [int(row) for row in found]
