@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
+from errpipe.importing.dates import seconds
 from errpipe.importing.layout import RawColumn
-from errpipe.importing.sheet import Cell
-from errpipe.importing.words import CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, WORDS, plain
+from errpipe.importing.words import CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
 
 KIND_OF_UNIT = {
     "degC": "temperature",
@@ -34,6 +33,7 @@ KIND_OF_UNIT = {
     "%": "humidity",
     "s": "time",
     "ms": "time",
+    "h": "time",
     "um": "error",
     "urad": "error",
     "arcsec": "error",
@@ -43,35 +43,16 @@ KIND_OF_UNIT = {
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "nothing in its name, unit or values says what it is"
 NO_PLACES = ("temperature", "current", "torque", "spindle_speed", "feed", "pressure", "humidity", "time")
-_AXIS = re.compile(r"(?:^|[\s_.\-(/])([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE)
+_AXIS = re.compile(
+    r"(?:^|[\s_.\-(/])(?:[dΔ](?=[XYZ]))?([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)",
+    re.IGNORECASE,
+)
 _AXIS_ABOVE = re.compile(
     r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
 COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
-MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
-_DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./]\d{{1,2}}[./]\d{{2,4}})(?:{MIDNIGHT})?")
-_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( [AP]M)?")
-DATES = (
-    "%d.%m.%Y %H:%M:%S.%f",
-    "%d.%m.%Y %H:%M:%S",
-    "%d.%m.%Y %H:%M",
-    "%d.%m.%y %H:%M:%S",
-    "%d.%m.%y %H:%M",
-    "%m/%d/%Y %I:%M:%S %p",
-    "%m/%d/%Y %H:%M:%S.%f",
-    "%m/%d/%Y %H:%M:%S",
-    "%m/%d/%Y %H:%M",
-    "%d/%m/%Y %H:%M:%S.%f",
-    "%d/%m/%Y %H:%M:%S",
-    "%d/%m/%Y %H:%M",
-    "%Y/%m/%d %H:%M:%S",
-    "%H:%M:%S.%f",
-    "%H:%M:%S",
-    "%H:%M",
-)
-DAY_FIRST = tuple(form for form in DATES if form.startswith("%d/%m"))
 
 
 @dataclass(frozen=True)
@@ -85,14 +66,12 @@ class ColumnGuess:
 
 def guess(column: RawColumn) -> ColumnGuess:
     """What a column probably is. A column that fits nothing is `ignore`."""
-    text = plain(column.header)
     axis = axis_in(column.header)
     if column.numeric and component_in(column.header.strip()) == column.header.strip():
         return ColumnGuess("error", axis, f"its name ({column.header}, a component of ISO 230-1)")
-    for pattern, kind in WORDS:
-        if re.search(pattern, text):
-            kind, why = _settled(kind, column)
-            return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
+    if (kind := kind_by_name(column.header)) is not None:
+        kind, why = _settled(kind, column)
+        return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
     if column.unit in KIND_OF_UNIT:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
@@ -105,6 +84,8 @@ def guess(column: RawColumn) -> ColumnGuess:
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     """The kind corrected where the column's unit and values contradict it."""
     unit = column.unit
+    if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
+        return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "command" and unit in ("um", "nm") and not _too_large_for_a_deviation(column):
@@ -241,69 +222,6 @@ def sides(column: RawColumn) -> np.ndarray:
     """The column as +1 and -1; empty cells are NaN."""
     signs = [side(c) if c not in (None, "") else None for c in column.cells]
     return np.array([np.nan if s is None else s for s in signs])
-
-
-def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
-    """A column of dates or clock times as s since its first, that date by ISO 8601, and how it is written.
-
-    None where it is none.
-    """
-    texts = [str(c).strip().replace(",", ".") if c not in (None, "") else "" for c in column.cells]
-    first = next((t for t in texts if t), None)
-    usual = ("%M:%S",) if re.search(r"mm:ss", column.header) else ("ISO 8601", *DATES)
-    candidates = [s for forms in (usual, DAY_FIRST) if first and (s := _since_first(texts, forms))]
-    if len(candidates) > 1 and candidates[0][2].startswith(
-        "%m/"
-    ):  # 03/04: the month first or the day: the shorter time
-        return min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
-    return candidates[0] if candidates else None
-
-
-def _since_first(texts: list[str], forms: tuple[str, ...]) -> tuple[np.ndarray, str | None, str] | None:
-    for form in forms:
-        try:
-            stamps = [_stamp(t, form) if t else None for t in texts]
-            start = next(s for s in stamps if s is not None)
-            out = np.array([np.nan if s is None else (s - start).total_seconds() for s in stamps])
-        except (ValueError, TypeError):  # TypeError: some stamps with a time zone, some without
-            continue
-        if start.year > 1901:
-            return out, start.isoformat(), form
-        steps = np.flatnonzero(np.diff(out[np.isfinite(out)]) < -43200)  # s: a clock without a date passed midnight
-        rows = np.flatnonzero(np.isfinite(out))
-        for step in steps:
-            out[rows[step + 1 :]] += 86400.0
-        return out, None, form
-    return None
-
-
-def _stamp(text: str, form: str) -> datetime:
-    if form != "ISO 8601":
-        return datetime.strptime(text, form)
-    if not re.match(r"\d{4}-\d\d", text):
-        raise ValueError(text)
-    return datetime.fromisoformat(text.replace("Z", "+00:00"))
-
-
-def is_date(text: str) -> bool:
-    """Whether a text is a date without a time of day."""
-    return _DATE.fullmatch(text) is not None
-
-
-def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
-    """A column of dates without a time of day and one of clock times as one column of both."""
-    dates = [c for c in columns if not c.numeric and all(map(_DATE.fullmatch, _texts(c))) and _texts(c)]
-    clocks = [c for c in columns if not c.numeric and all(map(_CLOCK.fullmatch, _texts(c))) and _texts(c)]
-    if len(dates) != 1 or len(clocks) != 1:
-        return columns
-    (date,), (clock,) = dates, clocks
-    pairs = zip(date.cells, clock.cells, strict=True)
-    both: list[Cell] = [
-        None if d in (None, "") or c in (None, "") else f"{str(d).strip().removesuffix(MIDNIGHT)} {str(c).strip()}"
-        for d, c in pairs
-    ]
-    joined = RawColumn(f"{date.header} {clock.header}", None, both, np.full(len(both), np.nan))
-    return [joined if c is date else c for c in columns if c is not clock]
 
 
 def _texts(c: RawColumn) -> list[str]:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.columns import is_date
+from errpipe.importing.dates import is_date
 from errpipe.importing.layout import Layout
 
 LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading

@@ -13,7 +13,7 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import no_reading, settle, simulated, wide
+from errpipe.importing import dates, no_reading, settle, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -31,7 +31,7 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
         c.unit = unit_of(unit or "") or unit
     no_reading.empty(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
-    layout.columns = [part for c in guessing.date_and_clock(layout.columns) for part in wide.split_labels(c)]
+    layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     proposal = Proposal(notes=list(layout.notes))
     if not layout.columns:
         raise DataError("no column has a value")
@@ -305,25 +305,24 @@ def _unit_or(unit: str | None, usual: str, why: str) -> tuple[str, str]:
 
 
 def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
-    stamps = guessing.seconds(c) if not c.numeric else None
+    stamps = dates.seconds(c)
     if p.first("time") is not None:
         p.put(c.header, [label(x) for x in c.cells], "a second clock", role="ignore")
     elif stamps is not None:
         since, epoch, form = stamps
-        order = (
-            "; the month first" if form.startswith("%m/%d") else "; the day first" if form.startswith("%d/%m") else ""
-        )
-        p.put("t", since, f"{why}; dates written as s since the first row{order}", role="time", unit="s", epoch=epoch)
+        why += f"; dates written as s since the first row{dates.order_of(form)}"
+        p.put("t", since, why, role="time", unit="s", epoch=epoch)
     elif c.numeric:
         values, unit, why = _numbered_time(c, unit, why)
         p.put(c.header, values, why, role="time", unit=unit)
     else:
-        p.put(c.header, [label(x) for x in c.cells], "a date that is not understood", role="ignore")
+        p.put(c.header, [label(x) for x in c.cells], dates.NOT_UNDERSTOOD, role="ignore")
 
 
 # Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
 EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
-SERIAL_DAYS = (36526.0, 73050.0)  # of a spreadsheet: the years 2000 to 2099
+# Days of the years 2000 to 2099: of a spreadsheet (or modified Julian), of MATLAB's datenum, Julian.
+SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
 
 def _numbered_time(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str]:
@@ -334,13 +333,13 @@ def _numbered_time(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray
         return (c.values - first) * 1e-6, "s", f"{why}; us written as s"
     if unit not in ROLE_UNITS["time"] and tick is not None:
         return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size"
-    if unit is None and SERIAL_DAYS[0] <= first <= last < SERIAL_DAYS[1] and last - first < len(c.values):
+    days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
+    if unit is None and days and last - first < len(c.values):
         raise DataError(
-            f"column {c.header!r} starts at {first:g}: days of a spreadsheet, or seconds? "
-            f"(--set '{c.header}.unit=d', or s)"
+            f"column {c.header!r} starts at {first:g}: days since a date, or seconds? (--set '{c.header}.unit=d', or s)"
         )
     unit, why = _unit_or(unit if unit in ROLE_UNITS["time"] else None, "s", why)
-    return c.values - first if first > 1e8 or (first > SERIAL_DAYS[0] and unit == "d") else c.values, unit, why
+    return c.values - first if first > 1e8 or (first > SERIAL_DAYS[0][0] and unit == "d") else c.values, unit, why
 
 
 def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Proposal) -> None:

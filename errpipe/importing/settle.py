@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain import components, units
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing import order, simulated, words
+from errpipe.importing import dates, order, simulated, words
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import plain_unit, split_header
@@ -84,6 +84,10 @@ def settle_units(p: Proposal, layout: Layout) -> None:
         entry = p.entries[name]
         if "no unit is stated" not in why or entry.get("unit") not in ("mm", "um"):
             continue
+        if entry["role"] in PLACES and re.search(r"[ _]m$", name):
+            raise DataError(
+                f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
+            )
         narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < NARROW
         if inches or (narrow and not metric):
             raise DataError(
@@ -190,6 +194,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
                     f"column {header!r} ({unknown[0].unit}) is not understood, and no position is recorded: say "
                     f"--set '{header}.role=position', or --set '{header}.role=ignore'"
                 )
+            dates.refuse_unread(p.entries, p.guesses, p.data)
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
                 "; "

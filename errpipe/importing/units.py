@@ -6,6 +6,8 @@ import re
 
 import numpy as np
 
+from errpipe.importing.words import kind_by_name
+
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
 UNITS = {
     **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "mikrometer", "micrometer", "micrometers"), "um"),
@@ -58,6 +60,16 @@ UNITS = {
 # A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
 _PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0[.,]0*1))[x×*·]?([a-zµμ\"]+)")
 _BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
+# A last letter is a unit only of a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps that of axis A.
+LETTERS = {
+    "s": (("time", "s"),),
+    "h": (("time", "h"),),
+    "K": (("temperature", "K"),),
+    "C": (("temperature", "degC"),),
+    "F": (("temperature", "degF"),),
+    "N": (("force", "N"),),
+}
+_LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
@@ -82,6 +94,10 @@ def split_header(text: str) -> tuple[str, str | None]:
     after = _AFTER.match(text)
     if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
         return after.group(1).rstrip(" _/,"), unit
+    letter = _LAST_LETTER.match(text)
+    kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
+    if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):
+        return letter.group(1), unit
     return text, None
 
 

@@ -43,7 +43,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
     (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
     (GROUP, "group"),
-    (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|時刻|時間|时间|日時)", "time"),
+    (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)", "time"),
     (r"^(t|ts|sec|sek|x value)$", "time"),
     (
         r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)|^tc? ?\d{1,2}$"
@@ -58,7 +58,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
     (r"(torque|drehmoment|moment)", "torque"),
     (r"(current|strom|\biq\b|\bi q\b|ampere)", "current"),
-    (r"(force|kraft)", "force"),
+    (r"(force|kraft)|^f ?[xyz]$", "force"),
     (r"(spindle ?speed|drehzahl|rpm|\bs act\b)", "spindle_speed"),
     (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
     (r"(press|druck|baro)", "pressure"),
@@ -126,6 +126,12 @@ def plain(text: object) -> str:
     spaced = _AXIS_BEFORE.sub(r"\1 ", spaced)
     word = unicodedata.normalize("NFKD", spaced.lower().translate(_LETTERS))
     return "".join(c for c in word if not unicodedata.combining(c))
+
+
+def kind_by_name(header: str) -> str | None:
+    """What a header says its column holds, or None."""
+    text = plain(header)
+    return next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
 
 
 def is_correction(header: str) -> bool:

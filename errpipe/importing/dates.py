@@ -1,0 +1,153 @@
+"""Dates, clock times and elapsed times as files write them, in seconds since the first row."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.importing.layout import RawColumn
+from errpipe.importing.sheet import Cell
+
+NOT_UNDERSTOOD = "a date that is not understood"
+MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
+_DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( [AP]M)?")
+_ELAPSED = re.compile(
+    r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
+)
+_COMPACT = re.compile(r"(?:19|20)\d{12}")  # yyyymmddhhmmss, read as a number
+_FIRST_YEAR = 1901  # strptime gives 1900 where a text has a clock time alone
+_HALF_A_DAY = 43200.0  # s
+
+_CLOCKS = ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+_DAY_BEFORE_MONTH = ("%d.%m.%Y", "%d.%m.%y", "%d-%m-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y")
+_YEAR_FIRST = ("%Y/%m/%d", "%Y.%m.%d")
+
+
+def _forms(*dates: str) -> tuple[str, ...]:
+    return tuple(f"{date} {clock}" for date in dates for clock in _CLOCKS)
+
+
+_USUAL = (
+    *_forms(*_DAY_BEFORE_MONTH, "%m/%d/%Y", "%m/%d/%y", *_YEAR_FIRST),
+    "%Y%m%d%H%M%S",
+    "%Y%m%d_%H%M%S",
+    "%Y%m%d-%H%M%S",
+    "%Y%m%d %H:%M:%S",
+    *_CLOCKS,
+)
+# Slashes and dashes may put the month first or the day: both are tried, and the shorter time that never falls is taken.
+_OTHER_ORDER = _forms("%d/%m/%Y", "%d/%m/%y", "%m-%d-%Y")
+
+
+def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
+    """Dates, clocks or elapsed times as s since the first, that date by ISO 8601, and how it is written; or None."""
+    texts = [_without_commas(str(c).strip()) if c not in (None, "") else "" for c in _cells(column)]
+    first = next((t for t in texts if t), None)
+    if first is None:
+        return None
+    usual = ("%M:%S",) if re.search(r"mm:ss", column.header) else ("ISO 8601", *_USUAL)
+    candidates = [s for forms in (usual, _OTHER_ORDER) if (s := _since_first(texts, forms))]
+    if not candidates:
+        return _elapsed(texts)
+    return min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
+
+
+def order_of(form: str) -> str:
+    """What was assumed of a form in which day and month could be exchanged, for a person to judge."""
+    if form.startswith(("%m/", "%m-")):
+        return "; the month first"
+    return "; the day first" if form.startswith(("%d/", "%d-")) else ""
+
+
+def refuse_unread(entries: dict[str, dict[str, Any]], guesses: dict[str, str], data: dict[str, Any]) -> None:
+    """Raise DataError where a drift has no time that is understood, but a column of what may be dates."""
+    unread = next((name for name, why in guesses.items() if why == NOT_UNDERSTOOD), None)
+    if unread is not None and not any(e["role"] == "time" for e in entries.values()):
+        first = next((x for x in data[unread] if x), "")
+        raise DataError(
+            f"column {unread!r}: {first!r} is no time that is understood (allowed: 2025-03-01T07:00:00, the usual "
+            f"orders of day, month and year, seconds): write it so, or say --set {unread}.role=ignore"
+        )
+
+
+def is_date(text: str) -> bool:
+    """Whether a text is a date without a time of day."""
+    return _DATE.fullmatch(text) is not None
+
+
+def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
+    """A column of dates without a time of day and one of clock times as one column of both."""
+    dates = [c for c in columns if not c.numeric and all(map(_DATE.fullmatch, _texts(c))) and _texts(c)]
+    clocks = [c for c in columns if not c.numeric and all(map(_CLOCK.fullmatch, _texts(c))) and _texts(c)]
+    if len(dates) != 1 or len(clocks) != 1:
+        return columns
+    (date,), (clock,) = dates, clocks
+    pairs = zip(date.cells, clock.cells, strict=True)
+    both: list[Cell] = [
+        None if d in (None, "") or c in (None, "") else f"{str(d).strip().removesuffix(MIDNIGHT)} {str(c).strip()}"
+        for d, c in pairs
+    ]
+    joined = RawColumn(f"{date.header} {clock.header}", None, both, np.full(len(both), np.nan))
+    return [joined if c is date else c for c in columns if c is not clock]
+
+
+def _cells(column: RawColumn) -> list[Cell]:
+    """The cells, numbers of fourteen digits that begin with a year as texts; no others where the column is numeric."""
+    if not column.numeric:
+        return column.cells
+    texts = [f"{v:.0f}" if np.isfinite(v) else "" for v in column.values]
+    return [*texts] if all(_COMPACT.fullmatch(t) for t in texts if t) else []
+
+
+def _since_first(texts: list[str], forms: tuple[str, ...]) -> tuple[np.ndarray, str | None, str] | None:
+    for form in forms:
+        try:
+            stamps = [_stamp(t, form) if t else None for t in texts]
+            start = next(s for s in stamps if s is not None)
+            out = np.array([np.nan if s is None else (s - start).total_seconds() for s in stamps])
+        except (ValueError, TypeError):  # TypeError: some stamps with a time zone, some without
+            continue
+        if start.year >= _FIRST_YEAR:
+            return out, start.isoformat(), form
+        steps = np.flatnonzero(np.diff(out[np.isfinite(out)]) < -_HALF_A_DAY)  # a clock without a date passed midnight
+        rows = np.flatnonzero(np.isfinite(out))
+        for step in steps:
+            out[rows[step + 1 :]] += 2.0 * _HALF_A_DAY
+        return out, None, form
+    return None
+
+
+def _stamp(text: str, form: str) -> datetime:
+    if form != "ISO 8601":
+        return datetime.strptime(text, form)
+    if not re.match(r"\d{4}-\d\d", text):
+        raise ValueError(text)
+    return datetime.fromisoformat(text.replace("Z", "+00:00"))
+
+
+def _elapsed(texts: list[str]) -> tuple[np.ndarray, str | None, str] | None:
+    """`0 days 00:01:00`, `1.02:00:00`, `25:10:00`: days, hours, minutes and seconds since something began."""
+    parts = [_ELAPSED.fullmatch(t) for t in texts]
+    if not all(part or not t for part, t in zip(parts, texts, strict=True)):
+        return None
+    out = np.array([_seconds_of(part) if part else np.nan for part in parts])
+    return out - out[np.isfinite(out)][0], None, "days and a clock"
+
+
+def _seconds_of(part: re.Match[str]) -> float:
+    days, hours, minutes, rest = float(part[1] or part[2] or 0), float(part[3]), float(part[4]), float(part[5] or 0)
+    return ((days * 24.0 + hours) * 60.0 + minutes) * 60.0 + rest
+
+
+def _without_commas(text: str) -> str:
+    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank."""
+    return " ".join(re.sub(r",(?=\d)", ".", text).replace(",", " ").split())
+
+
+def _texts(c: RawColumn) -> list[str]:
+    return [str(cell).strip() for cell in c.cells if cell not in (None, "")]

@@ -1,0 +1,105 @@
+"""Logs of a drift as loggers write them: times in every form, units behind a blank or an underscore."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe.errors import DataError
+from tests.unit.importing.test_import import imported
+
+STEP = 60.0  # s
+START = datetime(2025, 3, 1, 11, 58)
+TIMES = STEP * np.arange(40)
+TEMPERATURES = np.round(20.0 + np.cumsum(np.random.default_rng(3).normal(0.0, 0.2, TIMES.size)), 2)
+DRIFTS = np.round(3.0 * (TEMPERATURES - 20.0) + np.sin(TIMES / 200.0), 2)
+
+
+def drift(tmp_path: Path, header: str, written: Callable[[float], str], rise: str = "T [°C]") -> Path:
+    """A log of time, temperature and drift along Z."""
+    rows = [f"{written(t)},{a},{z}" for t, a, z in zip(TIMES, TEMPERATURES, DRIFTS, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join([f"{header},{rise},Z drift um", *rows, ""]), encoding="utf-8")
+    return tmp_path / "log.csv"
+
+
+def dated(form: str) -> Callable[[float], str]:
+    return lambda t: (START + timedelta(seconds=t)).strftime(form)
+
+
+@pytest.mark.parametrize(
+    "header, written",
+    [
+        ("t_s", lambda t: f"{t:.1f}"),
+        ("t s", lambda t: f"{t:.1f}"),
+        ("time h", lambda t: f"{t / 3600:.8f}"),
+        ("t_h", lambda t: f"{t / 3600:.8f}"),
+        ("Date/Time", dated("%m/%d/%Y %I:%M %p")),
+        ("DateTime", dated("%d-%m-%Y %H:%M:%S")),
+        ("DateTime", dated("%d-%b-%Y %H:%M:%S")),
+        ("DateTime", dated("%Y/%m/%d %H:%M")),
+        ("DateTime", dated("%Y%m%d%H%M%S")),
+        ("DateTime", dated("%Y%m%d_%H%M%S")),
+        ("Elapsed", lambda t: f"0 days {timedelta(seconds=t)}"),
+        ("Elapsed", lambda t: f"{24 + int(t // 3600)}:{int(t // 60) % 60:02d}:{int(t) % 60:02d}"),
+        ("Elapsed", lambda t: f"1.{int(t // 3600):02d}:{int(t // 60) % 60:02d}:{int(t) % 60:02d}"),
+    ],
+)
+def test_times_in_seconds(tmp_path: Path, header: str, written: Callable[[float], str]) -> None:
+    recording = imported(tmp_path, drift(tmp_path, header, written))
+    time = recording.array(recording.name("time"))
+    assert time - time[0] == pytest.approx(TIMES, abs=0.1)
+    assert recording.array(recording.name("temperature")) == pytest.approx(TEMPERATURES)
+
+
+def test_day_and_month_are_not_exchanged_over_a_month(tmp_path: Path) -> None:
+    """1 to 13 March, day first with dashes: as months the time would fall, and a thirteenth is none."""
+    rows = [f"{day:02d}-03-2025 07:00:00,{20 + day % 3},{3.5 * (day % 3)}" for day in range(1, 13)]
+    (tmp_path / "log.csv").write_text("\n".join(["DateTime,T [°C],Z drift um", *rows, ""]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "log.csv")
+    assert np.diff(recording.array(recording.name("time"))) == pytest.approx(86400.0)
+
+
+@pytest.mark.parametrize(
+    "header, written",
+    [("datenum", lambda t: f"{739000.5 + t / 86400:.6f}"), ("Date", lambda t: f"day {t:.0f} of the week")],
+)
+def test_times_that_are_asked_about(tmp_path: Path, header: str, written: Callable[[float], str]) -> None:
+    with pytest.raises(DataError, match=f"--set '?{header}"):
+        imported(tmp_path, drift(tmp_path, header, written))
+
+
+@pytest.mark.parametrize("header", ["T_K", "T [K]", "T1 K", "temperature K"])
+def test_absolute_temperatures_in_kelvin(tmp_path: Path, header: str) -> None:
+    rows = [f"{t},{a + 273.15:.2f},{z}" for t, a, z in zip(TIMES, TEMPERATURES, DRIFTS, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join([f"time s,{header},Z drift um", *rows, ""]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "log.csv")
+    assert recording.array(recording.name("temperature")) == pytest.approx(TEMPERATURES, abs=0.006)
+
+
+@pytest.mark.parametrize("header", ["temp_F", "T_amb F", "T1 [°F]"])
+def test_fahrenheit(tmp_path: Path, header: str) -> None:
+    rows = [f"{t},{32 + 1.8 * a:.3f},{z}" for t, a, z in zip(TIMES, TEMPERATURES, DRIFTS, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join([f"time s,{header},Z drift um", *rows, ""]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "log.csv")
+    assert recording.array(recording.name("temperature")) == pytest.approx(TEMPERATURES, abs=0.006)
+
+
+@pytest.mark.parametrize("header", ["dZ [µm]", "dz_um", "ΔZ [µm]"])
+def test_a_difference_names_its_axis(tmp_path: Path, header: str) -> None:
+    rows = [f"{t},{a},{z}" for t, a, z in zip(TIMES, TEMPERATURES, DRIFTS, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join([f"time s,T [°C],{header}", *rows, ""]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "log.csv")
+    assert [c.component for c in recording.manifest.columns.values() if c.role == "error"] == ["E_Z"]
+
+
+def test_metres_or_measured(tmp_path: Path) -> None:
+    rows = [f"{r},{x / 1000},{0.01 * x:.2f}" for r in (1, 2) for x in range(0, 500, 40)]
+    (tmp_path / "f.csv").write_text("\n".join(["run,x_pos_m,dev_um", *rows, ""]), encoding="utf-8")
+    with pytest.raises(DataError, match="metres, or measured"):
+        imported(tmp_path, tmp_path / "f.csv")
+    recording = imported(tmp_path, tmp_path / "f.csv", sets=["x_pos_m.unit=m"])
+    assert np.ptp(recording.array(recording.name("position"))) == pytest.approx(480.0)
