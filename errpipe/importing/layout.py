@@ -25,6 +25,7 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|(?-i:(?:^| )([XYZ])$)|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b",
     re.IGNORECASE,
 )
+_MOMENT = re.compile(r"(?=.*\d[.:/-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -208,8 +209,7 @@ def _filled(row: list[Cell]) -> list[Cell]:
 
 def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float | None]]) -> int:
     """The first row of a run of rows of the usual width that hold numbers."""
-    filled = [len(_filled(row)) for row in rows]
-    counts = [sum(v is not None for v in row) for row in numbers]
+    filled, counts = _widths(rows, numbers)
     widths = Counter(n for n, c in zip(filled, counts, strict=True) if c >= 2 or (c and n <= 2))
     if not widths:
         raise DataError(f"{name}: no row with two numbers (needed: a table of measurements with a column per signal)")
@@ -220,6 +220,28 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
         if full and not _is_header(rows[r], numbers, r):
             return r
     raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines")
+
+
+def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[list[int], list[int]]:
+    """Filled cells and numbers of each row; of rows of numbers those of the widest one near.
+
+    A log of several devices fills some columns in one row and others in the next.
+    """
+    filled = [len(_filled(row)) for row in rows]
+    words = [any(map(is_word, row)) for row in rows]
+    counts = [
+        sum(v is not None or (not word and _is_moment(c)) for c, v in zip(row, of_row, strict=True))
+        for row, of_row, word in zip(rows, numbers, words, strict=True)
+    ]
+    bare = [c > 0 and not word for c, word in zip(counts, words, strict=True)]
+    near = [[j for j in range(max(i - 2, 0), min(i + 3, len(rows))) if bare[j]] for i in range(len(rows))]
+    widest = [max(js, key=lambda j: counts[j]) if b else i for i, (b, js) in enumerate(zip(bare, near, strict=True))]
+    return [filled[j] for j in widest], [counts[j] for j in widest]
+
+
+def _is_moment(cell: Cell) -> bool:
+    """Whether a cell is a date or a clock time in figures."""
+    return isinstance(cell, str) and _MOMENT.fullmatch(cell.strip()) is not None
 
 
 def _is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from datetime import datetime, timedelta
 
 import numpy as np
 
+from errpipe.domain import units
 from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal
 
@@ -55,6 +57,7 @@ def _log_of_an_axis(p: Proposal, axis: str) -> None:
 def _directions_and_runs(p: Proposal, axis: str) -> None:
     place = p.first("command", axis) or p.first("position", axis)
     if place is None or place not in p.data:
+        _runs_by_gaps(p)
         return
     x = p.data[place]
     if p.first("direction") is None:
@@ -74,6 +77,36 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         p.notes.append(
             "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
         )
+
+
+LONGEST_PAUSE = 3600.0  # s: a drift that was not measured for longer has cooled, and may count from another zero
+PAUSE_OF_STEPS = 5.0  # of the steps that nine in ten do not exceed: a longer one is a pause, not a slow logger
+
+
+def _runs_by_gaps(p: Proposal) -> None:
+    """A run of a drift for each stretch without a pause; they are called by their dates, or numbered."""
+    time = p.first("time")
+    if p.first("run") is not None or time is None:
+        return
+    scale = units.conversion("time", p.entries[time].get("unit"))
+    t = p.data[time] if scale is None else scale(p.data[time])
+    if not np.isfinite(t).all() or t.size < 3:
+        return
+    steps = np.diff(t)
+    pause = max(LONGEST_PAUSE, PAUSE_OF_STEPS * float(np.quantile(np.abs(steps), 0.9)))
+    number = np.concatenate([[0], np.cumsum(np.abs(steps) > pause)])
+    if number[-1] == 0:
+        return
+    labels = [str(n + 1) for n in range(number[-1] + 1)]
+    if epoch := p.entries[time].get("epoch"):
+        starts = [
+            datetime.fromisoformat(epoch) + timedelta(seconds=float(t[number == n][0])) for n in np.unique(number)
+        ]
+        dates = [f"{start:%Y-%m-%d}" for start in starts]
+        labels = dates if len(set(dates)) == len(dates) else [f"{start:%Y-%m-%d %H:%M}" for start in starts]
+    p.put(
+        "run", [labels[n] for n in number], f"a new run after each pause of more than {pause / 3600:.2g} h", role="run"
+    )
 
 
 FEWEST_COPIED = 3  # rows that repeat the rows before: fewer may be equal by chance on a coarse gauge

@@ -6,6 +6,7 @@ Everything computed here is stated in the manifest or in a note.
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -24,8 +25,11 @@ _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?
 _NO_UNIT = ("x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
-def propose(layout: Layout, options: ImportOptions) -> Proposal:
-    """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them."""
+def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) -> Proposal:
+    """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them.
+
+    may_be_log: whether a file may hold no deviation, but what another device logged meanwhile.
+    """
     for c in layout.columns:
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
@@ -48,7 +52,7 @@ def propose(layout: Layout, options: ImportOptions) -> Proposal:
     if wide_layout is not None:
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:
-        _long(layout, guesses, axis, options, proposal)
+        _long(layout, guesses, axis, options, proposal, may_be_log)
     return proposal
 
 
@@ -122,7 +126,12 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
 
 
 def _long(
-    layout: Layout, guesses: dict[str, guessing.ColumnGuess], axis: str, options: ImportOptions, p: Proposal
+    layout: Layout,
+    guesses: dict[str, guessing.ColumnGuess],
+    axis: str,
+    options: ImportOptions,
+    p: Proposal,
+    may_be_log: bool,
 ) -> None:
     """One row of the file is one row of the recording."""
     keep = _measured_rows(layout, guesses) & ~_figures_below(layout, p)
@@ -139,6 +148,9 @@ def _long(
         if odd and column.numeric:
             p.notes.append(f"{len(odd)} cells of {column.header!r} are no numbers (the first: {odd[0]!r}): left empty")
         add_column(column, guesses[column.header], axis, options, p)
+    if may_be_log and not {e["role"] for e in p.entries.values()} & {"error", *settle.PLACES}:
+        settle.settle_units(p, layout)
+        return
     settle.settle_positions(p, axis, options)
     settle.finish(p, layout, axis, options)
 
@@ -313,8 +325,8 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
         why += f"; dates written as s since the first row{dates.order_of(form)}"
         p.put("t", since, why, role="time", unit="s", epoch=epoch)
     elif c.numeric:
-        values, unit, why = _numbered_time(c, unit, why)
-        p.put(c.header, values, why, role="time", unit=unit)
+        values, unit, why, epoch = _numbered_time(c, unit, why)
+        p.put(c.header, values, why, role="time", unit=unit, epoch=epoch)
     else:
         p.put(c.header, [label(x) for x in c.cells], dates.NOT_UNDERSTOOD, role="ignore")
 
@@ -325,21 +337,29 @@ EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17
 SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
 
-def _numbered_time(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str]:
-    """Times that are numbers, their unit and the reason. Raises DataError for days of a spreadsheet or seconds."""
+FILE_TIME = 1e-7  # s: such ticks do not count from 1970
+
+
+def _numbered_time(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str, str | None]:
+    """Times that are numbers, their unit, the reason and when they were 0.
+
+    Raises DataError for what may be days or seconds.
+    """
     first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
     tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
     if unit == "us":
-        return (c.values - first) * 1e-6, "s", f"{why}; us written as s"
+        return (c.values - first) * 1e-6, "s", f"{why}; us written as s", None
     if unit not in ROLE_UNITS["time"] and tick is not None:
-        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size"
+        epoch = None if tick == FILE_TIME else datetime.fromtimestamp(first * tick, UTC).isoformat()
+        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
     if unit is None and days and last - first < len(c.values):
         raise DataError(
             f"column {c.header!r} starts at {first:g}: days since a date, or seconds? (--set '{c.header}.unit=d', or s)"
         )
     unit, why = _unit_or(unit if unit in ROLE_UNITS["time"] else None, "s", why)
-    return c.values - first if first > 1e8 or (first > SERIAL_DAYS[0][0] and unit == "d") else c.values, unit, why
+    late = first > 1e8 or (first > SERIAL_DAYS[0][0] and unit == "d")
+    return c.values - first if late else c.values, unit, why, None
 
 
 def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Proposal) -> None:

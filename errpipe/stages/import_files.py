@@ -16,6 +16,7 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.formats import _derived, manifest_folder
+from errpipe.importing import together
 from errpipe.importing.across import upright
 from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
@@ -37,16 +38,25 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
 
     Raises DataError for a file that cannot be read, UsageError for an option that does not fit.
     """
-    parts, sources = [], []
+    parts, sources = {}, []
     _refuse_twice(files)
     _refuse_several_axes(files, options)
-    for file in files:
-        proposal, source = _of_known_format(Path(file)), "a format with a door of its own"
+    for file in map(Path, files):
+        proposal, source = _of_known_format(file), "a format with a door of its own"
         if proposal is None:
-            proposal, source = _of_any_sheet(Path(file), door, options)
-        parts.append(proposal)
-        sources.append({"file": Path(file).name, "kind": source, "rows": proposal.rows})
-    complete = parts[0] if len(parts) == 1 else _together(parts, [Path(f).stem for f in files])
+            proposal, source = _of_any_sheet(file, door, options, may_be_log=len(files) > 1)
+        parts[file] = proposal
+        sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
+    logs = [file for file, part in parts.items() if part.first("error") is None]
+    if len(logs) == len(parts):
+        _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
+    measured = {file: part for file, part in parts.items() if file not in logs}
+    complete = together.one_after_another([*measured.values()], [file.stem for file in measured])
+    layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
+    for layout in layouts:  # a logger writes a file a day: those of one layout are one log
+        alike = [file for file in logs if tuple(parts[file].entries) == layout]
+        log = together.one_after_another([parts[file] for file in alike], [file.stem for file in alike])
+        together.add_log(complete, log, alike[0].stem)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
 
@@ -72,7 +82,9 @@ def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
         )
 
 
-def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tuple[Proposal, str]:
+def _of_any_sheet(
+    file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False
+) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
     out: list[tuple[Proposal, str]] = []
@@ -81,7 +93,7 @@ def _of_any_sheet(file: Path, door: DoorOptions, options: ImportOptions) -> tupl
         if len(out) > MOST_NAMED:
             break
         try:
-            out.append((propose(lay_out(upright(sheet), door.names), options), sheet.name))
+            out.append((propose(lay_out(upright(sheet), door.names), options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
     if not out:
@@ -143,31 +155,6 @@ def _of_known_format(file: Path) -> Proposal | None:
             values: Any = recording.frame[name].astype(str).tolist() if text else np.asarray(recording.array(name))
             proposal.put(name, values, **column.model_dump(exclude_none=True))
     return proposal
-
-
-def _together(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
-    """Files of one layout one after another; the runs of each carry its name."""
-    first = parts[0]
-    for other, stem in zip(parts[1:], stems[1:], strict=True):
-        if other.entries.keys() != first.entries.keys():
-            not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
-            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {not_shared})")
-    joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
-    run = joined.first("run")
-    if run is None:
-        run = joined.put("run", None, "one run for each file", role="run")
-        joined.entries = {run: joined.entries.pop(run), **joined.entries}
-    for name in first.data:
-        values = [part.data[name] for part in parts]
-        joined.data[name] = (
-            [v for part in values for v in part] if isinstance(values[0], list) else np.concatenate(values)
-        )
-    labels = []
-    for part, stem in zip(parts, stems, strict=True):
-        own_labels = part.data.get(run)
-        labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
-    joined.data[run] = labels
-    return joined
 
 
 def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path]) -> Any:

@@ -1,0 +1,122 @@
+"""Several files as one recording: files of one layout, and logs of other devices by date and time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+
+import numpy as np
+import pandas as pd
+
+from errpipe.errors import DataError
+from errpipe.importing.proposed import Proposal, slug
+
+OF_A_MACHINE = ("command", "position", "actual")
+STALE_STEPS = 10.0  # of a log: a reading that is older than so many of its steps is none of the row
+
+
+def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
+    """Files of one layout one after another; the runs of each carry its name, and times count from the first date."""
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    for other, stem in zip(parts[1:], stems[1:], strict=True):
+        if other.entries.keys() != first.entries.keys():
+            not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
+            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {not_shared})")
+        _shift(other, _epoch(first), _epoch(other))
+    joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
+    run = joined.first("run")
+    if run is None:
+        run = joined.put("run", None, "one run for each file", role="run")
+        joined.entries = {run: joined.entries.pop(run), **joined.entries}
+    for name in first.data:
+        values = [part.data[name] for part in parts]
+        joined.data[name] = (
+            [v for part in values for v in part] if isinstance(values[0], list) else np.concatenate(values)
+        )
+    labels = []
+    for part, stem in zip(parts, stems, strict=True):
+        own_labels = part.data.get(run)
+        labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
+    joined.data[run] = labels
+    return joined
+
+
+def add_log(p: Proposal, log: Proposal, stem: str) -> None:
+    """Put a log without deviations beside the readings, by date and time, in place.
+
+    Readings at a position take the last reading of the log before them. A drift keeps the rows of both, so that what
+    warmed between two readings stays known; rows of the log outside every run are runs of their own.
+    Raises DataError where a clock has no date, or where the two have no time in common.
+    """
+    start, own = _epoch(p), _epoch(log)
+    if start is None or own is None:
+        raise DataError(
+            f"{stem}: it holds no deviation, and files are put together by date and time, which not all of them have "
+            "(write times such as 2025-03-01T07:00:00, or join the columns in one table)"
+        )
+    _shift(log, start, own)
+    time, log_time = p.first("time") or "", log.first("time") or ""
+    logged = pd.DataFrame({n: v for n, v in log.data.items() if log.entries[n]["role"] != "run"})
+    logged = logged.dropna(subset=[log_time]).sort_values(log_time, kind="stable", ignore_index=True)
+    step = float(np.median(np.diff(logged[log_time]))) if len(logged) > 1 else 1.0
+    at = np.asarray(p.data[time], dtype=float)
+    latest = np.searchsorted(logged[log_time], at, side="right") - 1
+    fresh = (latest >= 0) & (at - logged[log_time].to_numpy()[np.maximum(latest, 0)] <= STALE_STEPS * step)
+    if not fresh.any():
+        raise DataError(
+            f"{stem}: no row of it is from the time of the deviations ({_period(start, at)}; "
+            f"of {stem}: {_period(start, logged[log_time].to_numpy())})"
+        )
+    names = {n: n if n not in p.entries else slug(f"{stem}_{n}") for n in logged.columns if n != log_time}
+    logged = logged.rename(columns={log_time: time, **names})
+    if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):
+        values = logged.drop(columns=time).reindex(np.where(fresh, latest, -1)).reset_index(drop=True)
+        both = pd.concat([pd.DataFrame(p.data), values], axis=1)
+        p.notes.append(f"{stem}: the last of its readings before each row; {int((~fresh).sum())} rows have none")
+    else:
+        both = _interleaved(p, logged, time, step)
+        p.notes.append(f"{stem}: its rows stand among those of the deviations, by date and time")
+    for n, name in names.items():
+        p.put(name, None, log.guesses.get(n, ""), **log.entries[n])
+    p.data = {n: both[n].fillna("").tolist() if _text(both[n]) else both[n].to_numpy(float) for n in both}
+
+
+def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> pd.DataFrame:
+    """Rows of readings and of a log in the order of time, shape (both,); `run` is added where there is none."""
+    run = p.first("run") or p.put("run", None, "the run of the deviations; what was logged beside it", role="run")
+    rows = pd.DataFrame(p.data)
+    rows[run] = rows[run].astype(str) if run in rows else "1"
+    spans = rows.groupby(run, sort=False)[time].agg(["min", "max"]).sort_values("min")
+    before = np.searchsorted(spans["min"] - step, logged[time], side="right") - 1
+    inside = (before >= 0) & (logged[time].to_numpy() <= spans["max"].to_numpy()[np.maximum(before, 0)])
+    own = [spans.index[b] if i else f"log {b + 2}" for b, i in zip(before, inside, strict=True)]
+    both = pd.concat([rows, logged.assign(**{run: own})], ignore_index=True)
+    return both.sort_values(time, kind="stable", ignore_index=True)
+
+
+def _text(column: pd.Series) -> bool:
+    return not pd.api.types.is_numeric_dtype(column)
+
+
+def _epoch(p: Proposal) -> datetime | None:
+    """When the time of a proposal, in s, was 0."""
+    entry = p.entries.get(p.first("time") or "", {})
+    return datetime.fromisoformat(entry["epoch"]) if entry.get("epoch") and entry.get("unit") == "s" else None
+
+
+def _shift(p: Proposal, start: datetime | None, own: datetime | None) -> None:
+    """Let the times of a proposal count from another date. Raises DataError where one date has a time zone alone."""
+    if start is None or own is None:
+        return
+    if (start.tzinfo is None) != (own.tzinfo is None):
+        raise DataError("some dates have a time zone and others do not: write all in one way")
+    time = p.first("time") or ""
+    p.data[time] = p.data[time] + (own - start).total_seconds()
+    p.entries[time]["epoch"] = start.isoformat()
+
+
+def _period(start: datetime, seconds: np.ndarray) -> str:
+    first, last = (start + timedelta(seconds=float(f(seconds))) for f in (np.nanmin, np.nanmax))
+    return f"{first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
