@@ -43,7 +43,7 @@ def command(
     """Turn measurement files into a recording; every guess is shown.
 
     Nothing is written before a person has said yes, or --yes is given. Deviation is actual minus commanded.
-    Several files of one layout are runs; a log of another device without deviations is put beside them by date and time.
+    Files of one layout are runs; a log of another device, without deviations, joins them by date and time.
 
     \b
     Example:
