@@ -48,7 +48,7 @@ def markdown(document: Mapping[str, Any]) -> str:
 
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     lines = ["## Drift", ""]
-    if not drift["inputs"] and not drift["residuals"]:
+    if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
     for d in drift["inputs"]:
         word = "drifts" if d["blamed"] else "disagrees with the others"
@@ -59,6 +59,11 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"- The champion's residual of {plain_text(d['component'])} moved since run {plain_text(d['since'])}: "
             f"{d['size_um']:+.3g} um on average."
+        )
+    for d in drift["sizes"]:
+        lines.append(
+            f"- {plain_text(d['component'])} is {d['factor']:.2g} of what the champion predicts since run "
+            f"{plain_text(d['since'])}: {plain_text(d['meaning'] or 'the machine changed')}."
         )
     return lines
 

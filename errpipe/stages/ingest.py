@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
@@ -21,6 +22,13 @@ class Ingest(Stage):
     format: str | None = Field(None, description="Name of the file format; default: the one that recognises the file.")
     options: dict[str, str | float | bool] = quantity("of each", "What the format itself asks for.", {})
 
+    compensated_by: InputPath | None = Field(
+        None,
+        description="Table (.ect) that was switched on while it was recorded: what it corrects is added to the "
+        "deviations, which are then those of the machine itself.",
+    )
+    compensated_since: str | None = Field(None, description="First run recorded with that table; default: all were.")
+
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
     gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "ingest.json")
@@ -34,13 +42,26 @@ class Ingest(Stage):
         if path is None:
             raise UsageError("ingest: no recording is named and no simulate stage stands before it")
         context.progress(0.1, "reading")
+        if self.compensated_by is not None:
+            return self._summary(context, *self._uncompensated(context, path))
         if manifest_folder.sniff(path) and self.format in (None, manifest_folder.name):
             rows = manifest_folder.to_parquet(path, context.folder)
         else:
             rows = manifest_folder.write(formats.read(path, self.format, self.options), context.folder)
         return self._summary(context, rows)
 
-    def _summary(self, context: Context, rows: int) -> Mapping[str, Any]:
+    def _uncompensated(self, context: Context, path: Path) -> tuple[int, Mapping[str, Any]]:
+        """Write the recording as without the table that was on. Returns its rows, and what was added."""
+        from errpipe import formats
+        from errpipe.formats import manifest_folder
+        from errpipe.stages import _compensated
+
+        assert self.compensated_by is not None
+        recording = formats.read(path, self.format, self.options)
+        recording, said = _compensated.uncompensated(recording, self.compensated_by, self.compensated_since)
+        return manifest_folder.write(recording, context.folder), said
+
+    def _summary(self, context: Context, rows: int, compensated: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
         from errpipe.formats import manifest_folder
 
         manifest = manifest_folder.load_manifest(context.folder)
@@ -55,6 +76,8 @@ class Ingest(Stage):
                 "rows": rows,
                 "columns": columns,
                 "simulated": self.recording is None,
+                **({"compensated": compensated} if compensated else {}),
             },
         )
-        return {"rows": rows, "columns": len(columns)}
+        added = {f"added_{c}_um": size for c, size in compensated["rms_um"].items()} if compensated else {}
+        return {"rows": rows, "columns": len(columns), **added}

@@ -83,9 +83,9 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     old_model, old_recording, fingerprint = champion
     known = frozenset(retraining.run_keys(old_recording))
     prediction = _predictions(old_model, recording)
-    gates: list[Gate] = []
     scores = list(earlier)
     drift = _drift(old_model, old_recording, recording, known)
+    gates = _response_gates(drift)
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
@@ -256,6 +256,21 @@ def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
     return Gate("sensors", not read, says)
 
 
+def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:
+    """No promotion of a challenger fitted on responses that are no deviations of the uncompensated machine."""
+    from errpipe.validation.retraining import Gate
+
+    return [
+        Gate(
+            f"readings of {d['component']}",
+            False,
+            f"since run {d['since']} they are {d['factor']:.2g} of what the champion predicts: {d['meaning']}",
+        )
+        for d in drift["sizes"]
+        if d["meaning"]
+    ]
+
+
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
     from errpipe.validation.retraining import LEAST_COVERAGE, Gate
 
@@ -275,27 +290,25 @@ def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
 
 
 def _drift(model: ErrorModel, old: Recording, recording: Recording, known: frozenset[str]) -> dict[str, Any]:
-    """Drift of inputs (which sensor, since when) and of the champion's residual (which component, since when).
+    """Drift of inputs (which sensor), of the champion's residual and of the size of a response, each with since when.
 
     The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
     """
     import numpy as np
 
-    from errpipe.validation import input_drift, retraining
+    from errpipe.validation import input_drift, response_drift, retraining
 
     keys = retraining.run_keys(recording)
     new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
     both = _joined(old, recording.take(new))
     if both is None:
-        return {"inputs": [], "residuals": []}
+        return {"inputs": [], "residuals": [], "sizes": []}
     reference = np.arange(len(both)) < len(old)
     prediction = _predictions(model, both)
     apparent = _apparent_errors(model, both, prediction, reference)
-    residuals = (_residual_drift(both, component, reference, prediction[component]) for component in prediction)
-    return {
-        "inputs": [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)],
-        "residuals": [drift for drift in residuals if drift],
-    }
+    residuals, sizes = response_drift.drifts(both, reference, prediction)
+    sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
+    return {"inputs": sensors, "residuals": residuals, "sizes": sizes}
 
 
 def _apparent_errors(model: ErrorModel, recording: Recording, prediction, reference) -> dict[str, np.ndarray]:
@@ -338,25 +351,3 @@ def _joined(old: Recording, new: Recording) -> Recording | None:
     kept = {name: column for name, column in old.manifest.columns.items() if name in names}
     manifest = old.manifest.model_copy(update={"columns": kept})
     return Recording(manifest, frame.assign(**{run: label}))
-
-
-def _residual_drift(recording, component: str, reference, prediction) -> dict[str, Any] | None:
-    import numpy as np
-
-    from errpipe.validation import input_drift
-
-    name = recording.name("error", component=component)
-    if name is None:
-        return None
-    residual, run = recording.array(name) - prediction, recording.run_codes()
-    codes = [c for c in dict.fromkeys(run.tolist()) if np.isfinite(residual[run == c]).any()]
-    means = {c: float(np.nanmean(residual[run == c])) for c in codes}
-    old = [means[c] for c in codes if reference[run == c].any()]
-    new = [c for c in codes if not reference[run == c].any()]
-    drift = input_drift.level_drift(old, [means[c] for c in new])
-    if drift is None:
-        return None
-    statistic, begin = drift
-    since = recording.run_labels()[new[begin]]
-    size = float(np.mean([means[c] for c in new[begin:]]) - np.mean(old))
-    return {"component": component, "since": since, "size_um": size, "statistic": float(statistic)}

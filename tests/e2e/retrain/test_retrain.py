@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,17 @@ stages:
 
 
 def record(
-    folder: Path, days: int, first: int = 0, changed_from: int | None = None, sensor_drift_from: int | None = None
+    folder: Path,
+    days: int,
+    first: int = 0,
+    changed_from: int | None = None,
+    sensor_drift_from: int | None = None,
+    read_from: int = 0,
+    as_read: Callable[[float], float] = float,
 ) -> None:
     """Days of a machine that is 10 um too long at x = 600 and expands by 11 um/m/K; later perhaps by 17.
 
-    Rows of days before `first` are not kept.
+    Rows of days before `first` are not kept. as_read: what is recorded of an error from the day `read_from` on.
     """
     rng = np.random.default_rng(4)
     rows = []
@@ -63,6 +70,8 @@ def record(
         for k, (x, side) in enumerate([(x, 1) for x in range(0, 601, 60)] + [(x, -1) for x in range(600, -1, -60)]):
             error = 10.0 * x / 600 + alpha * 1e-3 * x * (nut - 20) + rng.normal(0, 0.8)
             show = [round(v + rng.normal(0, 0.05), 2) for v in (nut + drift, bed, air)]
+            if day >= read_from:
+                error = as_read(error)
             rows.append([f"day {day}", 86400 * day + 5 * k, x, side, *show, round(error, 3)])
     rows = [row for row in rows if row[1] >= 86400 * first]
     folder.mkdir(parents=True, exist_ok=True)
@@ -103,7 +112,27 @@ def test_a_machine_that_did_not_change_keeps_its_champion(site: Path) -> None:
     code, document = retrain(site)
     assert code == 4 and document["decision"] == "keep the champion"
     assert failed(document) == ["evidence"]
-    assert document["drift"] == {"inputs": [], "residuals": []}
+    assert document["drift"] == {"inputs": [], "residuals": [], "sizes": []}
+
+
+@pytest.mark.parametrize(
+    "as_read, means",
+    [
+        (lambda e: 0.05 * e, "compensation switched on"),
+        (lambda e: -e, "their sign is the other one"),
+        (lambda e: e / 1000.0, "another unit, 1/1000"),
+    ],
+    ids=["compensated", "sign", "unit"],
+)
+def test_readings_that_are_no_deviations_of_the_machine_stop_a_promotion(
+    site: Path, as_read: Callable[[float], float], means: str
+) -> None:
+    """All new days were read otherwise, and the old ones are no longer kept: the challenger suits what was read."""
+    record(site / "recording", 44, first=12, read_from=12, as_read=as_read)
+    code, document = retrain(site)
+    assert code == 4 and "readings of EXX" in failed(document)
+    (size,) = document["drift"]["sizes"]
+    assert means in size["meaning"] and int(size["since"].split()[1]) == 12
 
 
 def test_a_machine_that_changed_gets_the_challenger_and_the_residual_drift_is_dated(site: Path) -> None:

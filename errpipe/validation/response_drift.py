@@ -1,0 +1,84 @@
+"""Whether a response moved away from what a model predicts: its level or its size, and since which run.
+
+The level of a run is the mean residual, its size the slope of the measured deviations on the predicted ones (least
+squares, each about its mean). Both go into a CUSUM against the runs that the model was fitted on (`input_drift`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.validation.input_drift import level_drift
+
+WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved says nothing of the size
+NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
+UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
+UNIT_TOLERANCE = 0.2  # of such a factor
+
+
+def drifts(
+    recording: Recording, reference: np.ndarray, predictions: Mapping[str, np.ndarray]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Responses whose mean residual moved, and those whose size changed. reference: rows of the model's own runs."""
+    levels, sizes = [], []
+    for component, prediction in predictions.items():
+        name = recording.name("error", component=component)
+        if name is None:
+            continue
+        measured, run, labels = recording.array(name), recording.run_codes(), recording.run_labels()
+        level = _of_runs(measured - prediction, run)
+        if moved := _moved(level, reference, run):
+            since, before, after = moved
+            size = {"size_um": after - before}
+            levels.append({"component": component, "since": labels[since], **size})
+        slopes = _slopes(measured, prediction, run)
+        if moved := _moved(slopes, reference, run):
+            since, before, after = moved
+            factor = after / before if abs(before) > NO_RESPONSE else after
+            sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": meaning(factor)})
+    return levels, sizes
+
+
+def meaning(factor: float) -> str:
+    """What readings of another size probably are, where a fit would be wrong; empty where the machine changed."""
+    if factor < -NO_RESPONSE:
+        return "their sign is the other one"
+    unit = next((text for size, text in UNITS.items() if abs(factor / size - 1.0) < UNIT_TOLERANCE), None)
+    if unit is not None:
+        return f"they are in another unit, {unit} of the one before"
+    if abs(factor) < NO_RESPONSE:
+        return "they were measured with compensation switched on (`compensated_by` of ingest takes such runs)"
+    return ""
+
+
+def _of_runs(values: np.ndarray, run: np.ndarray) -> dict[int, float]:
+    """Mean of the known values of each run, in order of appearance."""
+    known = np.isfinite(values)
+    return {c: float(np.mean(values[known & (run == c)])) for c in dict.fromkeys(run[known].tolist())}
+
+
+def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> dict[int, float]:
+    """Slope of measured on predicted deviations in each run whose prediction moves."""
+    known = np.isfinite(measured) & np.isfinite(prediction)
+    centred = {}
+    for code in dict.fromkeys(run[known].tolist()):
+        rows = known & (run == code)
+        centred[code] = measured[rows] - np.mean(measured[rows]), prediction[rows] - np.mean(prediction[rows])
+    strength = {code: float(np.sqrt(np.mean(p**2))) for code, (_, p) in centred.items()}
+    least = WEAKEST_RUN * float(np.median([*strength.values()])) if strength else 0.0
+    return {code: float(m @ p / (p @ p)) for code, (m, p) in centred.items() if strength[code] > max(least, 1e-9)}
+
+
+def _moved(figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray) -> tuple[int, float, float] | None:
+    """The run since when a figure per run has another level, and its means before and after; None where it has not."""
+    old = [c for c in figures if reference[run == c].any()]
+    new = [c for c in figures if c not in old]
+    drift = level_drift([figures[c] for c in old], [figures[c] for c in new])
+    if drift is None:
+        return None
+    later = new[drift[1] :]
+    return later[0], float(np.mean([figures[c] for c in old])), float(np.mean([figures[c] for c in later]))
