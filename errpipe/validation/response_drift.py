@@ -16,6 +16,7 @@ from errpipe.validation.input_drift import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved says nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
+HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
 UNIT_TOLERANCE = 0.2  # of such a factor
 
@@ -77,8 +78,12 @@ def _moved(figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray)
     """The run since when a figure per run has another level, and its means before and after; None where it has not."""
     old = [c for c in figures if reference[run == c].any()]
     new = [c for c in figures if c not in old]
-    drift = level_drift([figures[c] for c in old], [figures[c] for c in new])
+    reference_values = [figures[c] for c in old]
+    drift = level_drift(reference_values, [figures[c] for c in new])
     if drift is None:
         return None
-    later = new[drift[1] :]
-    return later[0], float(np.mean([figures[c] for c in old])), float(np.mean([figures[c] for c in later]))
+    later = [figures[c] for c in new[drift[1] :]]
+    before, after = float(np.mean(reference_values)), float(np.median(later))
+    if abs(after - before) < HALF * abs(float(np.mean(later)) - before):
+        return None  # one odd run, such as a night of swapped sensors
+    return new[drift[1]], before, after

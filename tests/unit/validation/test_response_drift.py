@@ -1,0 +1,54 @@
+"""Level and size of a response beside what a model predicts: what changed, since when, and what is no change."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.validation import response_drift
+
+OLD, NEW, ROWS = 10, 8, 30
+RUN = np.repeat(np.arange(OLD + NEW), ROWS)
+REFERENCE = RUN < OLD
+
+
+def changed(factor: np.ndarray, offset: np.ndarray, seed: int = 1) -> tuple[list, list]:
+    """Drifts of 18 runs of which each is read by a factor and with an offset, um."""
+    rng = np.random.default_rng(seed)
+    prediction = 10.0 * np.sin(np.linspace(0.0, 40.0, RUN.size)) + rng.normal(0.0, 1.0, RUN.size)
+    noise = rng.normal(0.0, 0.5, RUN.size) * np.minimum(1.0, np.abs(factor[RUN]))
+    measured = factor[RUN] * prediction + offset[RUN] + noise
+    columns = {"run": Column(role="run"), "e": Column(role="error", component="E_Z", unit="um")}
+    frame = pd.DataFrame({"run": RUN.astype(str), "e": measured})
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
+    return response_drift.drifts(recording, REFERENCE, {"E_Z": prediction})
+
+
+def test_nothing_changed() -> None:
+    """Two figures, each with the false-alarm rate of a level: 2 % of series."""
+    alarms = [changed(np.ones(OLD + NEW), np.zeros(OLD + NEW), seed) != ([], []) for seed in range(60)]
+    assert sum(alarms) <= 6  # 2.4 expected
+
+
+@pytest.mark.parametrize(
+    "factor, means", [(0.05, "switched on"), (-1.0, "sign"), (1000.0, "1000"), (0.001, "1/1000"), (1.3, "")]
+)
+def test_what_a_factor_means(factor: float, means: str) -> None:
+    _, ((size),) = changed(np.where(np.arange(OLD + NEW) < OLD + 2, 1.0, factor), np.zeros(OLD + NEW))
+    assert size["factor"] == pytest.approx(factor, rel=0.1)
+    assert int(size["since"]) in range(OLD, OLD + 3)
+    assert means in size["meaning"] and bool(size["meaning"]) == bool(means)
+
+
+def test_a_level_that_moved_is_no_size() -> None:
+    levels, sizes = changed(np.ones(OLD + NEW), np.where(np.arange(OLD + NEW) < OLD, 0.0, 3.0))
+    assert sizes == []
+    assert levels[0]["size_um"] == pytest.approx(3.0, abs=0.3) and levels[0]["since"] == str(OLD)
+
+
+def test_one_odd_run_is_no_change() -> None:
+    factor = np.ones(OLD + NEW)
+    factor[OLD + 2] = -0.5
+    assert changed(factor, np.zeros(OLD + NEW))[1] == []
