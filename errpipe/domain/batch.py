@@ -29,9 +29,8 @@ class Batch(Recording):
     def __len__(self) -> int:
         return int(self.__dict__["rows"])
 
-    def names(self, role: str, *, axis: str | None = None, component: str | None = None) -> tuple[str, ...]:
-        """Column names of a role that are present in the rows, in manifest order."""
-        return tuple(n for n in self.manifest.names(role, axis=axis, component=component) if n in self.columns)
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
 
     @cached_property
     def run_stretches(self) -> tuple[list[str], np.ndarray]:
@@ -65,11 +64,16 @@ class Batch(Recording):
         return pd.DataFrame(made, copy=False)
 
     def take(self, rows: Any) -> Batch:
-        """The batch with only the rows of a boolean mask or an index array."""
+        """The batch with only the rows of a boolean mask, an index array or a slice (which copies nothing)."""
         import numpy as np
 
         rows = np.flatnonzero(rows) if getattr(rows, "dtype", None) == "bool" else rows
-        return Batch(self.manifest, {n: _taken(values, rows) for n, values in self.columns.items()}, len(rows))
+        size = len(range(*rows.indices(len(self)))) if isinstance(rows, slice) else len(rows)
+        return Batch(self.manifest, {n: _taken(values, rows) for n, values in self.columns.items()}, size)
+
+    def with_values(self, columns: dict[str, Any]) -> Batch:
+        """The rows with other values (arrays) in some columns."""
+        return Batch(self.manifest, self.columns | columns, len(self))
 
 
 class Stretches:
@@ -80,23 +84,25 @@ class Stretches:
     def __init__(self, labels: list[str], starts: np.ndarray, rows: int):
         self.dictionary, self.starts, self.rows = labels, starts, rows
 
-    def take(self, rows: np.ndarray) -> Any:
+    def take(self, rows: Any) -> Any:
         """The labels of some rows, as a dictionary array."""
         import numpy as np
         import pyarrow as pa
 
+        rows = np.arange(self.rows)[rows] if isinstance(rows, slice) else rows
         index = np.searchsorted(self.starts, rows, side="right") - 1
         return pa.DictionaryArray.from_arrays(index.astype(np.int32), self.dictionary, safe=False)
 
     def to_pandas(self) -> pd.Series:
         """The labels of all rows, as categories."""
-        import numpy as np
 
-        return self.take(np.arange(self.rows)).to_pandas()
+        return self.take(slice(None)).to_pandas()
 
 
 def _taken(values: Any, rows: np.ndarray) -> Any:
     """Some rows of a column; of labels by numpy, which takes a third of pyarrow's time."""
+    if isinstance(rows, slice) and not isinstance(values, Stretches):
+        return values[rows]
     if not hasattr(values, "indices"):
         return values.take(rows)
     return type(values).from_arrays(values.indices.to_numpy().take(rows), values.dictionary, safe=False)

@@ -301,9 +301,12 @@ class Recording:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def __contains__(self, name: str) -> bool:
+        return name in self.frame.columns
+
     def names(self, role: str, *, axis: str | None = None, component: str | None = None) -> tuple[str, ...]:
         """Column names of a role that are present in the rows, in manifest order."""
-        return tuple(n for n in self.manifest.names(role, axis=axis, component=component) if n in self.frame.columns)
+        return tuple(n for n in self.manifest.names(role, axis=axis, component=component) if n in self)
 
     def name(self, role: str, *, axis: str | None = None, component: str | None = None) -> str | None:
         """The first column of a role, or None."""
@@ -327,7 +330,7 @@ class Recording:
         return {}
 
     def _array(self, name: str) -> np.ndarray:
-        if name not in self.frame.columns:
+        if name not in self:
             near = did_you_mean(name, self.frame.columns)
             raise MissingColumn(
                 f"{name}: the recording has no such column (it has: {', '.join(self.frame.columns)}).{near} A column"
@@ -368,7 +371,7 @@ class Recording:
         import numpy as np
 
         column = self.name("time")
-        return np.arange(len(self.frame), dtype=float) if column is None else self.array(column)
+        return np.arange(len(self), dtype=float) if column is None else self.array(column)
 
     def components(self) -> tuple[str, ...]:
         """Components with an error column, in manifest order."""
@@ -378,6 +381,10 @@ class Recording:
         """The recording with only the rows of a boolean mask, an index array or a slice (which copies nothing)."""
         frame = self.frame[rows] if getattr(rows, "dtype", None) == "bool" else self.frame.iloc[rows]
         return Recording(self.manifest, frame.reset_index(drop=True), self.between)
+
+    def with_values(self, columns: dict[str, Any]) -> Recording:
+        """The rows with other values (arrays) in some columns, each of them held until the next row."""
+        return Recording(self.manifest, self.frame.assign(**columns))
 
     def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:
         """The recording with further columns (arrays) of the given kinds."""

@@ -83,7 +83,7 @@ def distance(validity: Validity, recording: Recording) -> np.ndarray:
     total = np.zeros(len(recording))
     for name, (low, high) in validity.ranges.items():
         width = max(high - low, validity.margins.get(name, 0.0), 1e-12)
-        values = recording.array(name) if name in recording.frame.columns else np.full(len(recording), np.nan)
+        values = recording.array(name) if name in recording else np.full(len(recording), np.nan)
         excess = np.maximum(np.maximum(low - values, values - high), 0.0) / width
         total += np.where(np.isnan(values), 1.0, excess)
     return total

@@ -21,6 +21,8 @@ LARGEST_OF_ANY = 1e15  # as in a compensation table: single precision controller
 def refuse_impossible(values: np.ndarray, role: str, unit: str | None, name: str, place: Callable[[int], str]) -> None:
     """Raises DataError at the first value, shape (rows,), beyond what its role can hold; NaN passes."""
     largest = LARGEST.get(role, {}).get(unit, LARGEST_OF_ANY)
+    if values.size and values.max() <= largest and values.min() >= -largest:  # neither is so where one is NaN
+        return
     with np.errstate(invalid="ignore"):
         beyond = np.abs(values) > largest
     if beyond.any():

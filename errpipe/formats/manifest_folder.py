@@ -94,31 +94,24 @@ def max_cells() -> int:
     return max(MIN_MAX_CELLS, memory // 2 // BYTES_PER_CELL)
 
 
-def iter_chunks(path: Path, rows: int = CHUNK_ROWS) -> Iterator[Recording]:
+def iter_chunks(path: Path, rows: int = CHUNK_ROWS) -> Iterator[Batch]:
     """The same rows in order, `rows` at a time (the last chunk may be shorter): memory does not grow with the file.
 
     Raises what `read` raises, when it comes to it.
     """
     manifest = load_manifest(path)
-    kinds = {n: c.role for n, c in manifest.columns.items() if c.role != "ignore"}
+    names = [n for n, c in manifest.columns.items() if c.role != "ignore"]
     settled = canonical(manifest)
-    held: list[dict[str, Any]] = []
-    count = 0
+    held: dict[str, Any] = {}
     for part in _blocks(_folder(path), manifest):
-        held.append(part)
-        count += _length(part)
-        if count < rows:
-            continue
-        frame = pd.DataFrame({n: _join([p[n] for p in held], role) for n, role in kinds.items()}, copy=False)
+        held = {n: _appended(held[n], part[n]) if held else part[n] for n in names}
+        count = _length(held)
         whole = count - count % rows
         for start in range(0, whole, rows):
-            yield Recording(settled, frame.iloc[start : start + rows].reset_index(drop=True))
-        rest = frame.iloc[whole:]
-        held = [{n: _column(rest[n], role) for n, role in kinds.items()}] if len(rest) else []
-        count -= whole
-    if count:
-        frame = pd.DataFrame({n: _join([p[n] for p in held], role) for n, role in kinds.items()}, copy=False)
-        yield Recording(settled, frame)
+            yield Batch(settled, {n: v[start : start + rows] for n, v in held.items()}, rows)
+        held = {n: v[whole:] for n, v in held.items()} if count > whole else {}
+    if held:
+        yield Batch(settled, held, _length(held))
 
 
 def rows_written(folder: Path) -> int:
@@ -262,14 +255,17 @@ def to_parquet(path: Path, out: Path) -> int:
 def _write(manifest: Manifest, chunks: Iterator[Recording], folder: Path) -> int:
     columns = {n: c for n, c in manifest.columns.items() if c.role != "ignore"}
     schema = _tables.parquet_schema({n: c.model_dump(exclude_none=True) for n, c in columns.items()})
-    parts = (
-        pa.table([pa.array(c.frame[n], type=schema.field(n).type, from_pandas=True) for n in columns], schema=schema)
-        for c in chunks
-    )
+    parts = (pa.table([_cells(c, n, schema.field(n).type) for n in columns], schema=schema) for c in chunks)
     rows = _tables.write_parquet(folder / TABLE, schema, parts)
     kept = manifest.model_copy(update={"tables": (TABLE,), "columns": columns})
     jsonfile.write_text(folder / MANIFEST, manifest_text(kept))
     return rows
+
+
+def _cells(rows: Recording, name: str, kind: pa.DataType) -> pa.Array:
+    """A column as it is written."""
+    values = rows.columns[name] if isinstance(rows, Batch) else rows.frame[name]
+    return values.cast(kind) if hasattr(values, "dictionary") else pa.array(values, type=kind, from_pandas=True)
 
 
 # ---------------------------------------------------------------- rows
@@ -353,12 +349,16 @@ class _Order:
         time = next(iter(self.manifest.names("time")), None)
         if time is None:
             return
-        rows = np.flatnonzero(~np.isnan(columns[time]))
+        t, only = columns[time], labels[codes[0]] if codes.size and (codes == codes[0]).all() else ""
+        if only and (np.diff(t, prepend=self.last.get(only, -np.inf)) >= 0.0).all():
+            self.last[only] = float(t[-1])
+            return
+        rows = np.flatnonzero(~np.isnan(t))
         if np.any(np.diff(codes) < 0):
             rows = rows[np.argsort(codes[rows], kind="stable")]
         if not rows.size:
             return
-        values, run_of = columns[time][rows], codes[rows]
+        values, run_of = t[rows], codes[rows]
         same = np.r_[False, run_of[1:] == run_of[:-1]]
         before = np.r_[-np.inf, values[:-1]]
         for i in np.flatnonzero(~same):
@@ -378,9 +378,8 @@ class _Order:
     def _runs(columns: dict[str, Any], run: str | None, block: _tables.Block) -> tuple[list[str], np.ndarray]:
         if run is None:
             return ["1"], np.zeros(block.table.num_rows, dtype=np.int64)
-        encoded = columns[run]
-        labels, codes = encoded.dictionary.to_pylist(), encoded.indices.to_numpy()
-        if "" in labels:
+        labels, codes = columns[run].dictionary.to_pylist(), columns[run].indices.to_numpy()
+        if "" in labels and (codes == labels.index("")).any():
             row = int(np.argmax(codes == labels.index("")))
             raise DataError(f"{block.place(row)}  {run}: is empty (allowed: the label of the row's run)")
         return labels, codes
@@ -396,5 +395,5 @@ def _join(parts: list[Any], role: str) -> Any:
     return pd.Series(pa.chunked_array([p.cast(pa.string()) for p in parts]).to_pandas())
 
 
-def _column(series: pd.Series, role: str) -> Any:
-    return pa.array(series).dictionary_encode() if role in LABELS else series.to_numpy()
+def _appended(before: Any, values: Any) -> Any:
+    return np.concatenate([before, values]) if isinstance(values, np.ndarray) else pa.concat_arrays([before, values])

@@ -252,24 +252,27 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
 
 
 @bare_kernel
-def replay(program, state, columns, fresh, t, run, goes_on, before, deviation, correction, status):
-    """Replay a recording: columns (rows, inputs), t in s, run: an integer per row; states start anew where it changes.
+def replay(program, state, fresh, row, columns, t, run, goes_on, before, begin, end, deviation, correction, status):
+    """Replay rows of a recording: columns (inputs, rows), t in s, run: an integer per row; states start anew where it
+    changes.
 
-    goes_on: the first row goes on from the state, `before` being the time of the row before it; else it starts anew.
-    Fills deviation and correction (rows, outputs) and status (rows,). Time that stands still, runs back or is
-    missing within a run counts as no time.
+    goes_on: the first of these rows goes on from the state, `before` being the time of the row before it; else it
+    starts anew. row: room for the readings of one. Fills deviation and correction (outputs, rows) and status (rows,).
+    Time that stands still, runs back or is missing within a run counts as no time.
     """
-    for k in range(columns.shape[0]):
+    for k in range(begin, end):
         dt = 0.0
         if not goes_on or (k > 0 and run[k] != run[k - 1]):
             reset(program, state)
         elif t[k] > before:
             dt = t[k] - before
         goes_on, before = True, t[k]
-        cycle(program, state, columns[k], fresh, dt, True, ON)
+        for i in range(row.size):
+            row[i] = columns[i, k]
+        cycle(program, state, row, fresh, dt, True, ON)
         for o in range(state.outputs.size):
-            deviation[k, o] = state.outputs[o].deviation
-            correction[k, o] = state.outputs[o].correction
+            deviation[o, k] = state.outputs[o].deviation
+            correction[o, k] = state.outputs[o].correction
         status[k] = state.common[0].status
 
 

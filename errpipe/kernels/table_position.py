@@ -256,8 +256,53 @@ def sum_terms(terms, first, count, sums, nodes, part, total):
             for i in range(total.size):
                 total[i] = total[i] + part[i]
         k = k + 1
+
+
+@bare_kernel
+def bound_block(total):
+    """What is no number that a table may hold counts as 0."""
     for i in range(total.size):
         total[i] = total[i] if total[i] >= -LARGEST and total[i] <= LARGEST else 0.0
+
+
+@bare_kernel
+def profile_blocks(program, plan, inputs, sums, j, f):
+    """All profiles that move, over a block."""
+    for p in range(program.profiles.size):
+        if plan.width[p] > 0:
+            own = program.profiles[p]
+            if not program.same_grid[p]:
+                top, periodic = float(own.count) - 1.0, own.flags & PERIODIC
+                place_block(inputs[own.input], own.start, own.inverse_step, own.inverse_turn, top, periodic, j, f)
+            knots = plan.knots[plan.first[p] : plan.first[p + 1]]
+            row = sums[plan.row[p]]
+            if plan.width[p] == 2:
+                profile_block(knots, j, f, own.scale, plan.factor[p], row)
+            else:
+                other, factor, row2 = program.profiles[p + 1], plan.factor[p + 1], sums[plan.row[p + 1]]
+                two_profiles_block(knots, j, f, own.scale, plan.factor[p], row, other.scale, factor, row2)
+
+
+@bare_kernel
+def fill(program, plan, node_fixed, profile_fixed, buffers):
+    """What stands still over all blocks."""
+    for n in range(program.nodes.size):
+        buffers.nodes[n, :] = node_fixed[n]
+    for p in range(program.profiles.size):
+        buffers.profiles[p, :] = profile_fixed[p]
+    for k in range(program.pairs.size):
+        pair = program.pairs[k]
+        if plan.alone[k] == 2:
+            buffers.sums[pair["component"], :] = 0.0 + profile_fixed[pair["profile"]] * node_fixed[pair["node"]]
+
+
+@kernel
+def room(program, plan):
+    """Buffers for one table."""
+    sums = np.zeros((plan.components + program.profiles.size, BLOCK))
+    inputs, nodes = np.zeros((program.inputs.size, BLOCK)), np.zeros((program.nodes.size, BLOCK))
+    profiles, intervals = sums[plan.components :], np.empty(BLOCK, dtype=np.int32)
+    return Buffers(inputs, nodes, sums, profiles, np.zeros((3, BLOCK)), intervals)
 
 
 @kernel
@@ -268,26 +313,15 @@ def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixe
     moving: numbers of the inputs in `points`; *_fixed: values where nothing below moves; fade: what the fixed
     inputs leave.
     """
-    inputs = np.zeros((program.inputs.size, BLOCK))
-    nodes = np.empty((program.nodes.size, BLOCK))
-    for n in range(program.nodes.size):
-        nodes[n, :] = node_fixed[n]
-    sums = np.zeros((plan.components + program.profiles.size, BLOCK))
-    profiles = sums[plan.components :]
-    for p in range(program.profiles.size):
-        profiles[p, :] = profile_fixed[p]
-    for k in range(program.pairs.size):
-        pair = program.pairs[k]
-        if plan.alone[k] == 2:
-            sums[pair.component, :] = 0.0 + profile_fixed[pair.profile] * node_fixed[pair.node]
-    buffers = Buffers(inputs, nodes, sums, profiles, np.empty((3, BLOCK)), np.empty(BLOCK, dtype=np.int32))
+    buffers = room(program, plan)
+    fill(program, plan, node_fixed, profile_fixed, buffers)
     return run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buffers, out)
 
 
 @bare_kernel
 def run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buffers, out):
     """Block after block of `evaluate`."""
-    rows, missing, j = points.shape[1], 0, buffers.intervals
+    rows, missing = points.shape[1], 0
     inputs, nodes, sums, profiles = buffers.inputs, buffers.nodes, buffers.sums, buffers.profiles
     part, inside, f = buffers.spare[0], buffers.spare[1], buffers.spare[2]
     for begin in range(0, rows, BLOCK):
@@ -306,22 +340,11 @@ def run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buff
             if node_moves[n]:
                 node = program.nodes[n]
                 node_block(node, np.int64(node.first), program.operands, program.lookups, nodes, inputs, nodes[n])
-        for p in range(program.profiles.size):
-            if plan.width[p] > 0:
-                own = program.profiles[p]
-                if not program.same_grid[p]:
-                    top, periodic = float(own.count) - 1.0, own.flags & PERIODIC
-                    place_block(inputs[own.input], own.start, own.inverse_step, own.inverse_turn, top, periodic, j, f)
-                knots = plan.knots[plan.first[p] : plan.first[p + 1]]
-                row = sums[plan.row[p]]
-                if plan.width[p] == 2:
-                    profile_block(knots, j, f, own.scale, plan.factor[p], row)
-                else:
-                    other, factor, row2 = program.profiles[p + 1], plan.factor[p + 1], sums[plan.row[p + 1]]
-                    two_profiles_block(knots, j, f, own.scale, plan.factor[p], row, other.scale, factor, row2)
+        profile_blocks(program, plan, inputs, sums, buffers.intervals, f)
         sum_pairs(program.pairs, plan.opens, plan.alone, profiles, nodes, node_fixed, node_moves, inside, sums)
         for o in range(out.shape[0]):
             own = program.outputs[o]
             total = out[o, begin:end]
             sum_terms(program.terms, np.int64(own.first), np.int64(own.count), sums, nodes, part, total)
+            bound_block(total)
     return missing

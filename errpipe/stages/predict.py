@@ -157,7 +157,7 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
         def values(part: Recording) -> Mapping[str, np.ndarray]:
             nonlocal count
             rows, timed = len(part), part.name("time") is not None
-            columns = {i.name: part.array(i.name) for i in table.inputs if i.name in part.frame.columns}
+            columns = {i.name: part.array(i.name) for i in table.inputs if i.name in part}
             deviations = replay(columns, part.time() if timed else part.time() + count, np.zeros(rows)).deviation
             count += rows
             if model.datum != "run_start":
@@ -175,7 +175,7 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
 
 def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:
     """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
-    columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
+    columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording}
     replay = batch.evaluate(by_component(table), columns, recording.time(), sessions(recording))
     if model.datum == "run_start":
         return {name: from_run_start(recording, values) for name, values in replay.deviation.items()}

@@ -10,19 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from errpipe.domain import table as t
 from errpipe.errors import DataError
-from errpipe.kernels import table_cycle, table_position
+from errpipe.kernels import table_cycle, table_position, table_replay
 from errpipe.kernels.table_codes import KEEP
 from errpipe.tables import pack
 from errpipe.tables.reference import Evaluator
 
 _OUTSIDE = sum(1 << t.STATUS.index(bit) for bit in ("fading", "defaulted", "beyond_profile"))
 SHORT = 4000  # rows: the reference evaluator replays them (0.2 s) before Numba has loaded its twin (0.5 s); 3 inputs
+LONG = 500_000  # rows of a table: then in blocks, a third of the time; these take 0.15 s, compiling blocks 8 s
+FEW = 1024  # rows that are taken one by one where a block does not stand; chosen: a call of a kernel costs 20 us
 _replayed = 0  # rows, by this process
 
 
@@ -47,7 +48,7 @@ class Rows:
 
     def __init__(self, table: t.CompensationTable, compiled: bool = True):
         self.table = table
-        self._program = pack.program(table) if compiled else None
+        self._compiled = _Compiled(table) if compiled else None
         self._begin()
 
     def anew(self) -> Rows:
@@ -58,7 +59,7 @@ class Rows:
 
     def _begin(self) -> None:
         self._before: tuple[int, float] | None = None  # run and time of the last row
-        self._walk = self._plain() if self._program is None else self._compiled(self._program)
+        self._walk = self._plain() if self._compiled is None else self._compiled.walk()
 
     def __call__(self, columns: Mapping[str, np.ndarray], time: np.ndarray, run: np.ndarray) -> Replay:
         """What the table says about the next rows; arguments and refusals as of `evaluate`."""
@@ -67,11 +68,10 @@ class Rows:
         if lacking:
             raise DataError(f"the recording has no column for the table's input {', '.join(lacking)}")
         rows = len(run)
-        readings = np.full((rows, len(table.inputs)), np.nan)
+        readings = np.empty((len(table.inputs), rows))
         for n, i in enumerate(table.inputs):
-            if i.name in columns:
-                readings[:, n] = columns[i.name]
-        deviation = np.empty((rows, len(table.outputs)))
+            readings[n] = columns.get(i.name, np.nan)
+        deviation = np.empty((len(table.outputs), rows))
         correction = np.empty_like(deviation)
         status = np.empty(rows, dtype=np.int64)
         time, run = np.asarray(time, dtype=float), np.asarray(run, dtype=np.int64)
@@ -81,26 +81,14 @@ class Rows:
             self._walk(readings, time, run, goes_on, before, deviation, correction, status)
             self._before = (int(run[-1]), float(time[-1]))
         names = [o.name for o in table.outputs]
-        return Replay(
-            {name: deviation[:, n].copy() for n, name in enumerate(names)},
-            {name: correction[:, n].copy() for n, name in enumerate(names)},
-            status,
-        )
-
-    def _compiled(self, program: table_cycle.Program) -> Callable[..., None]:
-        state, fresh = pack.state(program), np.ones(len(self.table.inputs), dtype=np.uint8)
-
-        def walk(readings: np.ndarray, *rest: Any) -> None:
-            table_cycle.replay(program, state, readings, fresh, *rest)
-
-        return walk
+        return Replay(dict(zip(names, deviation, strict=True)), dict(zip(names, correction, strict=True)), status)
 
     def _plain(self) -> Callable[..., None]:
         evaluator, names = Evaluator(self.table), [i.name for i in self.table.inputs]
 
         def walk(readings, time, run, goes_on, before, deviation, correction, status) -> None:
             times, runs = time.tolist(), run.tolist()
-            for k, row in enumerate(readings.tolist()):
+            for k, row in enumerate(readings.T.tolist()):
                 dt = 0.0
                 if not goes_on or (k > 0 and runs[k] != runs[k - 1]):
                     evaluator.reset()
@@ -108,11 +96,55 @@ class Rows:
                     dt = times[k] - before
                 goes_on, before = True, times[k]
                 cycle = evaluator.cycle(dict(zip(names, row, strict=True)), dt=dt)
-                deviation[k] = list(cycle.deviation.values())
-                correction[k] = list(cycle.correction.values())
+                deviation[:, k] = list(cycle.deviation.values())
+                correction[:, k] = list(cycle.correction.values())
                 status[k] = cycle.status
 
         return walk
+
+
+class _Compiled:
+    """A table as Numba replays it: row by row, and a long recording in blocks."""
+
+    def __init__(self, table: t.CompensationTable):
+        self.program = program = pack.program(table)
+        moves = [not isinstance(node, t.ConstantNode) for node in table.nodes]
+        self.moves = np.array(moves, dtype=np.uint8)
+        self.fixed = np.where(moves, 0.0, program.nodes["a"])
+        self.plan = _plan(table, program, self.fixed, moves, [p.input is not None for p in table.profiles])
+        self.profile_fixed = program.values[program.profiles["first"]] * program.profiles["scale"]
+        self.rows = 0  # replayed so far
+
+    def walk(self) -> Callable[..., None]:
+        """What replays rows from the first one on."""
+        program, plan, state = self.program, self.plan, pack.state(self.program)
+        row, fresh = np.empty(state.inputs.size), np.ones(state.inputs.size, dtype=np.uint8)
+        room = None
+
+        def walk(columns, time, run, goes_on, before, *results) -> None:
+            nonlocal room
+            self.rows += run.size
+            if room is None and self.rows > LONG:
+                room = self._room(state)
+            done, step = 0, run.size if room is None else FEW
+            while done < run.size:
+                if room is not None and goes_on:
+                    done = table_replay.replay(program, plan, room, state, columns, time, run, before, done, *results)
+                    before = float(time[done - 1]) if done else before
+                begin, done = done, min(done + step, run.size)
+                if begin < done:
+                    rows = columns, time, run, goes_on, before, begin, done
+                    table_cycle.replay(program, state, fresh, row, *rows, *results)
+                    goes_on, before = True, float(time[done - 1])
+
+        return walk
+
+    def _room(self, state: table_cycle.State) -> table_replay.Room:
+        # Not compiled: that takes seconds, and this a millisecond.
+        buffers = table_position.room.py_func(self.program, self.plan)
+        table_position.fill.py_func(self.program, self.plan, self.fixed, self.profile_fixed, buffers)
+        decay, dt = np.empty((2, table_position.BLOCK)), np.empty(table_position.BLOCK)
+        return table_replay.Room(buffers, self.fixed, self.moves, decay, dt, state.inputs.copy(), state.nodes.copy())
 
 
 def evaluate(

@@ -69,8 +69,8 @@ class Predictor:
         return self.begin is not None and not any(map(remembers, self.factor90.values()))
 
     def half_width(self, component: str, alone: Recording, value: np.ndarray, far: np.ndarray) -> np.ndarray:
-        """Half width of the 90 % interval per row of one run; NaN where none is known."""
-        half = self.half_width90.get(component, np.nan) * (1.0 + self.growth90.get(component, 0.0) * np.abs(value))
+        """Half width of the 90 % interval per row of one run, for a component that has one."""
+        half = self.half_width90[component] * (1.0 + self.growth90.get(component, 0.0) * np.abs(value))
         if component in self.factor90:
             factor = drive(self.factor90[component], alone)
             half = half * np.where(np.isfinite(factor), factor, 1.0)
@@ -146,8 +146,9 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             kept = held(alone, run.last)
             for component, match in run.evaluate(kept).items():
                 values[component][rows] = match
-                predicted = np.where(np.isfinite(match), match, 0.0)
-                half[component][rows] = source.half_width(component, kept, predicted, far[rows])
+                if component in source.half_width90:
+                    predicted = np.where(np.isfinite(match), match, 0.0)
+                    half[component][rows] = source.half_width(component, kept, predicted, far[rows])
         frame = _frame(source, part, values, half, far)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
         before += len(part)
@@ -155,6 +156,9 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
 
 def _rows_by_run(codes: np.ndarray) -> Iterator[tuple[int, Any]]:
     """Each run's number with its rows: a slice, which copies nothing, where they follow one another."""
+    if codes.size and (codes == codes[0]).all():
+        yield int(codes[0]), slice(0, codes.size)
+        return
     for code in np.flatnonzero(np.bincount(codes + 1)) - 1:
         rows = np.flatnonzero(codes == code)
         together = rows[-1] - rows[0] == rows.size - 1
@@ -177,11 +181,13 @@ def held(recording: Recording, last: dict[str, float] | None = None) -> Recordin
                 last[name] = float(values[-1])
     time = recording.name("time")
     if time is not None:
-        t = pd.Series(_filled(recording.array(time), last.get(time, np.nan))).bfill().to_numpy()
-        t = changes[time] = np.maximum(np.maximum.accumulate(t), last.get(time, -np.inf))
+        t = recording.array(time)
+        if not (t[0] >= last.get(time, -np.inf) and (t[1:] >= t[:-1]).all()):
+            t = pd.Series(_filled(t, last.get(time, np.nan))).bfill().to_numpy()
+            t = changes[time] = np.maximum(np.maximum.accumulate(t), last.get(time, -np.inf))
         if not np.isnan(t[-1]):
             last[time] = float(t[-1])
-    return Recording(recording.manifest, recording.frame.assign(**changes)) if changes else recording
+    return recording.with_values(changes)
 
 
 def _filled(values: np.ndarray, before: float) -> np.ndarray:
@@ -190,7 +196,7 @@ def _filled(values: np.ndarray, before: float) -> np.ndarray:
 
 
 def _all_there(source: Predictor, recording: Recording) -> None:
-    missing = sorted(set(source.validity.ranges) - set(recording.frame.columns))
+    missing = sorted(n for n in source.validity.ranges if n not in recording)
     if missing:
         listed = ", ".join(missing)
         raise DataError(f"predict: the recording has no column {listed}, which the model reads")
@@ -207,10 +213,10 @@ def _frame(
     out: dict[str, Any] = {"run": labels, "time": recording.time()}
     for component in source.components:
         name = recording.name("error", component=component) or component
-        predicted = np.where(np.isfinite(values[component]), values[component], 0.0)
         silent = ~np.isfinite(values[component])
+        predicted = np.where(silent, 0.0, values[component]) if silent.any() else values[component]
         out[f"{name}_predicted"] = predicted
         out[f"{name}_lower"] = predicted - half[component]
         out[f"{name}_upper"] = predicted + half[component]
         out[f"{name}_outside"] = ((far > 0) | silent).astype(int)
-    return pd.DataFrame(out)
+    return pd.DataFrame(out, copy=False)

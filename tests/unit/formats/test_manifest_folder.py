@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from errpipe.domain.batch import joined
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _tables, manifest_folder
@@ -79,7 +80,7 @@ def test_chunks_hold_the_same_rows(tmp_path, rows, monkeypatch):
     whole = manifest_folder.read(folder(tmp_path, lines))
     chunks = list(manifest_folder.iter_chunks(tmp_path, rows))
     assert all(len(c) == rows for c in chunks[:-1])
-    pd.testing.assert_frame_equal(pd.concat([c.frame for c in chunks], ignore_index=True), whole.frame)
+    pd.testing.assert_frame_equal(joined(chunks), whole.frame)
     assert all(c.manifest == whole.manifest for c in chunks)
 
 

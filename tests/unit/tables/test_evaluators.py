@@ -66,9 +66,11 @@ def rows_of(table, seed, rows=300):
     return {i.name: readings[:, n] for n, i in enumerate(table.inputs)}, time, np.arange(rows) // 97
 
 
+@pytest.mark.parametrize("long", [-1, 10**9])
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("seed", range(25, 40))
-def test_replay_is_the_reference_to_the_bit(seed, compiled):
+def test_replay_is_the_reference_to_the_bit(seed, compiled, long, monkeypatch):
+    monkeypatch.setattr(batch, "LONG", long)
     table = everything(seed)
     rows = 300
     columns, time, run = rows_of(table, seed, rows)
@@ -86,11 +88,49 @@ def test_replay_is_the_reference_to_the_bit(seed, compiled):
         assert cycle.status == replay.status[k]
 
 
+def calm_rows(table, seed, rows):
+    """Columns, time and runs of a recording in which nearly every reading is believed: its blocks stand."""
+    rng, columns = np.random.default_rng(seed), {}
+    steady = rng.random() < 0.5
+    time = np.cumsum(np.full(rows, 0.5) if steady else rng.choice([0.0, 0.01, 0.5, 20.0], rows))
+    for i in table.inputs:
+        middle, half = 0.5 * (i.low + i.high), 0.5 * (i.high - i.low)
+        values = middle + rng.choice([0.2, 0.9]) * half * np.sin(rng.uniform(0.001, 0.02) * np.arange(rows))
+        if i.max_rate is not None and rng.random() < 0.7:
+            values = np.full(rows, middle) + 0.4 * (i.noise or 0.0) * rng.uniform(-1, 1, rows)
+        if rng.random() < 0.3:
+            values = np.round(values)  # steps, and stretches that stand still
+        if i.optional and rng.random() < 0.7:
+            values[rng.random(rows) < rng.choice([0.1, 1.0])] = np.nan
+        columns[i.name] = values
+    columns[table.inputs[0].name][rows // 3] = np.nan  # one block does not stand
+    return columns, time, np.arange(rows) // 900
+
+
+@pytest.fixture
+def in_blocks(monkeypatch):
+    """A compiled replay takes blocks of rows from the beginning, as it does in a long recording."""
+    monkeypatch.setattr(batch, "LONG", -1)
+    monkeypatch.setattr(batch, "FEW", 20)
+
+
+@pytest.mark.parametrize("seed", range(200, 240))
+def test_blocks_of_a_calm_recording_are_the_reference_to_the_bit(seed, in_blocks):
+    table = everything(seed, 1 + seed % 2)
+    columns, time, run = calm_rows(table, seed, 1500)
+    one, two = (batch.Rows(table, compiled)(columns, time, run) for compiled in (True, False))
+    assert np.array_equal(one.status, two.status)
+    for name in two.deviation:
+        for said in ("deviation", "correction"):
+            assert getattr(one, said)[name].tobytes() == getattr(two, said)[name].tobytes()
+
+
+@pytest.mark.parametrize("made", [rows_of, calm_rows])
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("rows", [1, 7, 96])
-def test_a_replay_in_parts_is_the_replay_in_one(rows, compiled):
+def test_a_replay_in_parts_is_the_replay_in_one(rows, compiled, made, in_blocks):
     table = everything(26)
-    columns, time, run = rows_of(table, 26)
+    columns, time, run = made(table, 26, 300)
     whole = batch.Rows(table, compiled)(columns, time, run)
     step = batch.Rows(table, compiled)
     cuts = [slice(k, k + rows) for k in range(0, len(run), rows)]
