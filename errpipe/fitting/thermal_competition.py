@@ -112,7 +112,7 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], en
             folds = _batches([tuple(m) for m in members.values()])
             of_folds = tuple(members) if len(folds) == len(members) else ()
             candidates.append(Grouping(quantity, folds, of_folds, environment in (quantity, name)))
-    warmth = _start_warmth(recording, first)
+    warmth = _start_warmth(recording, group, groups)
     order = sorted(groups, key=lambda g: (warmth[g], g))
     half = len(order) // 2
     if half >= FEWEST_RUNS:
@@ -120,11 +120,10 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], en
     return tuple(candidates)
 
 
-def _start_warmth(recording: Recording, first: Mapping[int, int]) -> dict[int, float]:
-    """Mean temperature at the first usable row of each group, degC."""
-    names = recording.names("temperature")
-    level = np.nanmean(np.column_stack([recording.array(n) for n in names]), axis=1)
-    return {g: float(np.nan_to_num(level[row])) for g, row in first.items()}
+def _start_warmth(recording: Recording, group: np.ndarray, groups: Sequence[int]) -> dict[int, float]:
+    """Mean temperature at the first row of each group that all sensors read, degC."""
+    level = np.mean([recording.array(n) for n in recording.names("temperature")], axis=0)
+    return {g: float(level[(group == g) & np.isfinite(level)][0]) for g in groups}
 
 
 def _batches(folds: Sequence[Groups]) -> tuple[Groups, ...]:

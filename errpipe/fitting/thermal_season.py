@@ -221,7 +221,8 @@ class Problem:
 
     def worth(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Start temperature (grid, degC) -> regularised slope of the residual on the correction over held-out runs."""
-        starts = np.array([self.warmth()[self.group == g][0] for g in self.groups])
+        warmth = self.warmth()  # of used rows: a log may begin before the sensors do
+        starts = np.array([warmth[self.rows & (self.group == g)][0] for g in self.groups])
         grid = np.linspace(starts.min(), max(starts.max(), starts.min() + 1e-3), WORTH_STEPS + 1)
         if not self.further:
             return grid, np.zeros(grid.size)

@@ -327,3 +327,14 @@ def test_temperatures_that_are_logged_more_seldom_hold_until_the_next_reading() 
     held = held_readings(whole.with_columns({"T_bed": slow}, {})).array("T_bed")
     assert np.isfinite(held).all()
     assert held[19] == whole.array("T_bed")[10]
+
+
+def test_a_log_that_begins_before_its_sensors_do_is_fitted() -> None:
+    """Nothing is read in the first 2 h of every run (the machine is off), longer than a hole is held for."""
+    whole = machine(6, runs=3)
+    late = np.arange(len(whole)) % ROWS >= 24
+    names = (*whole.names("temperature"), "E_Z")
+    silent = whole.with_columns({n: np.where(late, whole.array(n), np.nan) for n in names}, {})
+    for family in (Season, Network):
+        model = family(component="E_Z").train(silent)
+        assert np.isfinite(model.values(silent)[late]).all()
