@@ -7,7 +7,7 @@ the door that read it has converted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -291,12 +291,14 @@ class Recording:
     a fixed rate has it. `inferred`: temperatures and pressures run straight to the next row, and in the pauses of a
     series of parts the rest (spindle, coolant) is at 0.
     past: for a batch of a longer recording, what the rows before it leave behind.
+    apart: whether slow effects start anew with every run; else they live on through runs that follow in time.
     """
 
     manifest: Manifest
     frame: pd.DataFrame
     between: Literal["held", "inferred"] = "held"
     past: Past | None = None
+    apart: bool = False
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -380,7 +382,11 @@ class Recording:
     def take(self, rows: Any) -> Recording:
         """The recording with only the rows of a boolean mask, an index array or a slice (which copies nothing)."""
         frame = self.frame[rows] if getattr(rows, "dtype", None) == "bool" else self.frame.iloc[rows]
-        return Recording(self.manifest, frame.reset_index(drop=True), self.between)
+        return Recording(self.manifest, frame.reset_index(drop=True), self.between, apart=self.apart)
+
+    def each_run_alone(self) -> Recording:
+        """The same rows, with slow effects that start anew in every run."""
+        return self if self.apart else replace(self, apart=True)
 
     def with_values(self, columns: dict[str, Any]) -> Recording:
         """The rows with other values (arrays) in some columns, each of them held until the next row."""
@@ -389,4 +395,4 @@ class Recording:
     def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:
         """The recording with further columns (arrays) of the given kinds."""
         manifest = self.manifest.model_copy(update={"columns": {**self.manifest.columns, **kinds}})
-        return Recording(manifest, self.frame.assign(**columns), self.between, self.past)
+        return Recording(manifest, self.frame.assign(**columns), self.between, self.past, self.apart)

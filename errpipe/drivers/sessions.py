@@ -13,7 +13,7 @@ def sessions(recording: Recording) -> np.ndarray:
     """Integer per row, shape (rows,): runs that follow in time share one, for heat does not stop between them.
 
     A new session starts where the run changes and time goes back, is missing, or jumps by more than
-    `LONGEST_PAUSE`; without a time column every run is its own.
+    `LONGEST_PAUSE`; without a time column, or where the recording says so, every run is its own.
     """
     if "sessions" not in recording.derived:
         recording.derived["sessions"] = _sessions(recording)
@@ -22,7 +22,7 @@ def sessions(recording: Recording) -> np.ndarray:
 
 def _sessions(recording: Recording) -> np.ndarray:
     run = recording.run_codes()
-    if len(run) == 0 or recording.name("time") is None:
+    if len(run) == 0 or recording.apart or recording.name("time") is None:
         return run
     step = np.diff(recording.time())
     goes_on = (step >= 0) & (step <= LONGEST_PAUSE)

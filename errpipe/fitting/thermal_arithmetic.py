@@ -33,12 +33,13 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
 
 
 def held_readings(recording: Recording) -> Recording:
-    """The recording with short holes of its temperatures filled as a controller does: the reading before holds.
+    """The recording as a prediction reads it: every run by itself, short holes of temperatures hold the reading before.
 
-    Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate
-    at which the sensor is logged, stay empty.
+    Where runs follow each other within minutes, heat of the run before must not act on a fit: `predict` begins each run
+    anew, and a fit that knew more was worse there than it had been judged. Readings missing at the start of a run take
+    its first one. Holes of more than LONGEST_HELD readings, at the rate at which the sensor is logged, stay empty.
     """
-    held = {}
+    recording, held = recording.each_run_alone(), {}
     for name in recording.names("temperature"):
         values = recording.frame[name]
         known = np.flatnonzero(values.notna())

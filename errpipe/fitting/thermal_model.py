@@ -56,12 +56,13 @@ class ThermalModel:
     report: dict[str, Any] = field(default_factory=dict)
 
     def values(self, recording: Recording) -> np.ndarray:
-        """Deviation since the start of the run, um, shape (rows,); causal."""
+        """Deviation since the start of the run, um, shape (rows,); causal, every run by itself."""
         gains = np.array([gain for gain, _ in self.terms])
-        return drive_all([node for _, node in self.terms], recording) @ gains
+        return drive_all([node for _, node in self.terms], recording.each_run_alone()) @ gains
 
     def predict(self, recording: Recording) -> Prediction:
         """Deviation since the start of each run with its interval, um; row k uses rows up to k of its run."""
+        recording = recording.each_run_alone()
         value = self.values(recording)
         away = distance(self.validity, recording)
         half = self.intervals.half_width(value, drive(self.factor, recording), away)

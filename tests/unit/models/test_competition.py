@@ -203,7 +203,7 @@ def test_empty_cells_hold_the_reading_before_and_a_start_takes_the_first() -> No
     before, left = left_in(Rises(component="E_Z").train(patchy), whole)
     assert left < 0.25 * before
     filled = held_readings(patchy)
-    assert held_readings(whole) is whole and not np.isnan(filled.array("T_spindle")).any()
+    assert held_readings(whole).frame is whole.frame and not np.isnan(filled.array("T_spindle")).any()
     assert filled.array("T_spindle")[0] == whole.array("T_spindle")[1]
     silent = whole.with_columns({"T_bed": np.full(len(whole), np.nan)}, {})
     with pytest.raises(DataError, match="emptiest: T_bed, no reading in 648 of 648 rows"):
@@ -327,6 +327,17 @@ def test_temperatures_that_are_logged_more_seldom_hold_until_the_next_reading() 
     held = held_readings(whole.with_columns({"T_bed": slow}, {})).array("T_bed")
     assert np.isfinite(held).all()
     assert held[19] == whole.array("T_bed")[10]
+
+
+@pytest.mark.parametrize("family", [Lagged, Season])
+def test_runs_that_follow_each_other_are_fitted_as_they_are_predicted_each_by_itself(family) -> None:
+    """A log cut into runs: what a prediction of one run does not know of the run before must not be learnt either."""
+    apart = machine(5, runs=2)
+    t = apart.array("t") + apart.run_codes() * (ROWS + 1) * STEP
+    at_once = apart.with_columns({"t": t}, {})
+    expected = family(component="E_Z").train(apart).values(apart)
+    assert np.abs(expected).max() > 5.0
+    assert_allclose(family(component="E_Z").train(at_once).values(at_once), expected, atol=1e-9)
 
 
 def test_a_log_that_begins_before_its_sensors_do_is_fitted() -> None:
