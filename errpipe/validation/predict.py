@@ -1,7 +1,8 @@
 """What a controller would predict, row by row, with an interval and whether the model may speak there at all.
 
 Causal: row k uses rows up to k of its own run only, so every run is evaluated by itself. A sensor that drops out
-keeps its last value, as it does on a controller; before its first value nothing is predicted (deviation 0).
+keeps its last value, as it does on a controller; before its first value nothing is predicted (deviation 0, without an
+interval).
 """
 
 from __future__ import annotations
@@ -101,9 +102,9 @@ def of_evaluator(evaluator: Evaluate, model: ErrorModel, begin: Begin | None = N
 def predict(model: ErrorModel | Predictor, recording: Recording) -> pd.DataFrame:
     """One row per row of the recording, in order: run, time, and four columns per response.
 
-    NAME_predicted, NAME_lower, NAME_upper (90 %), in the response's unit, and NAME_outside (1 outside the validity
-    box). NAME is the response's column, or the component where the recording has no such response. Raises DataError
-    where the recording lacks a column that the model reads.
+    NAME_predicted, NAME_lower, NAME_upper (90 %, empty where nothing is predicted), in the response's unit, and
+    NAME_outside (1 outside the validity box). NAME is the response's column, or the component where the recording has
+    no such response. Raises DataError where the recording lacks a column that the model reads.
     """
     source = of_model(model) if isinstance(model, ErrorModel) else model
     (frame,) = _frames(source, [recording], lambda _: source.evaluate)
@@ -144,11 +145,14 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             alone = part.take(rows)
             far[rows] = distance(source.validity, alone)
             kept = held(alone, run.last)
+            known = np.isfinite(sum((kept.array(n) for n in source.validity.ranges), np.zeros(len(kept))))
             for component, match in run.evaluate(kept).items():
                 values[component][rows] = match
                 if component in source.half_width90:
                     predicted = np.where(np.isfinite(match), match, 0.0)
-                    half[component][rows] = source.half_width(component, kept, predicted, far[rows])
+                    width = source.half_width(component, kept, predicted, far[rows])
+                    # a table gives 0 where an input was never there, which is no prediction
+                    half[component][rows] = np.where(known & np.isfinite(match), width, np.nan)
         frame = _frame(source, part, values, half, far)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
         before += len(part)

@@ -85,3 +85,12 @@ def test_before_a_sensors_first_value_nothing_is_predicted(drift, model):
 def test_a_column_that_is_missing_is_named(drift, model):
     with pytest.raises(DataError, match="no column T_room, which the model reads"):
         predict(model, Recording(drift.manifest, drift.frame.drop(columns="T_room")))
+
+
+def test_nothing_predicted_has_no_interval(drift, model):
+    """A sensor that has not shown a value since its run began: 0 stands for no prediction, not for no deviation."""
+    first = drift.run_codes() == 0
+    dead = predict(model, Recording(drift.manifest, drift.frame.assign(T_front=drift.frame["T_front"].mask(first))))
+    assert (dead.loc[first, "E_Z_predicted"] == 0).all() and (dead.loc[first, "E_Z_outside"] == 1).all()
+    assert dead.loc[first, ["E_Z_lower", "E_Z_upper"]].isna().all(axis=None)
+    assert dead.loc[~first, ["E_Z_lower", "E_Z_upper"]].notna().all(axis=None)
