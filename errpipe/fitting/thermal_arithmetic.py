@@ -19,6 +19,7 @@ BLOCKS = 5  # inner groups where there are fewer than three runs
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
 LONGEST_HELD = 3  # readings of a sensor, at its usual rate: an empty cell or two; silent for longer it is not known
+MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit says so (from taste)
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 
@@ -53,11 +54,24 @@ def held_readings(recording: Recording) -> Recording:
 
 def no_usable_row(recording: Recording, component: str) -> DataError:
     """What to raise where no row can be fitted: names the emptiest temperature."""
-    empty = recording.frame[list(recording.names("temperature"))].isna().sum()
     return DataError(
         f"thermal model of {component}: no row has a deviation and all temperatures, these without a long hole since "
-        f"the start of its run (emptiest: {empty.idxmax()}, no reading in {empty.max()} of {len(recording)} rows)"
+        f"the start of its run ({_emptiest(recording)})"
     )
+
+
+def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
+    """A few words where many measured rows lack a temperature and take no part; else ''."""
+    measured = int(np.isfinite(recording.array(response_name(recording, component))).sum())
+    if fitted > MOST_FITTED * measured:
+        return ""
+    return f"; fitted to {fitted} of {measured} rows, the others lack a temperature ({_emptiest(recording)})"
+
+
+def _emptiest(recording: Recording) -> str:
+    empty = recording.frame[list(recording.names("temperature"))].isna().sum()
+    name = empty.idxmax()
+    return f"emptiest: {name}, no reading in {empty.max()} of {len(recording)} rows; with `role: ignore` it is not used"
 
 
 def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.ndarray:

@@ -67,6 +67,8 @@ class ThermalFamily(Family):
 
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row. Raises DataError without a temperature or with one run only."""
+        from errpipe.fitting.thermal_arithmetic import few_rows_fitted, held_readings
+
         fitted, outcome = self._compete(recording, None)
         model = fitted.error_model(recording)
         document = {
@@ -78,7 +80,8 @@ class ThermalFamily(Family):
             "chance": dict(outcome.chance),
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
-        return Fitted(model, {COMPETITION: document}, {self.component: _said(outcome)})
+        said = _said(outcome) + few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
+        return Fitted(model, {COMPETITION: document}, {self.component: said})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Compete and fit on one side of a fold, judge on the other.

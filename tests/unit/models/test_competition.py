@@ -349,3 +349,12 @@ def test_a_log_that_begins_before_its_sensors_do_is_fitted() -> None:
     for family in (Season, Network):
         model = family(component="E_Z").train(silent)
         assert np.isfinite(model.values(silent)[late]).all()
+
+
+def test_rows_that_lack_a_sensor_take_no_part_and_the_fit_says_so() -> None:
+    """A sensor that was mounted after the first six of nine runs."""
+    whole = machine(7, runs=3)
+    later = np.where(whole.run_codes() < 6, np.nan, whole.array("T_bed"))
+    said = Rises(component="E_Z").fit(whole.with_columns({"T_bed": later}, {})).summary["E_Z"]
+    assert "fitted to 216 of 648 rows" in said and "emptiest: T_bed, no reading in 432 of 648 rows" in said
+    assert "fitted to" not in Rises(component="E_Z").fit(whole).summary["E_Z"]
