@@ -59,15 +59,21 @@ def fit(
     temperatures = np.array([warmth[g] for g in groups])
     count = int(np.clip(np.ceil((temperatures.max() - temperatures.min()) / width) + 1, 2, MOST_KNOTS))
     knots = np.linspace(temperatures.min(), max(temperatures.max(), temperatures.min() + 1e-3), count)
+    left = {g: _left_by(core, parts[g]) for g in groups}
     gains = []
     for knot in knots:
         weight = np.exp(-0.5 * ((temperatures - knot) / max(width, knots[1] - knots[0])) ** 2)
-        near = {g: np.sqrt(w) * parts[g] for g, w in zip(groups, weight, strict=True) if w > 1e-9}
+        near = {g: np.sqrt(w) * left[g] for g, w in zip(groups, weight, strict=True) if w > 1e-9}
         if not near:  # no run with a similar start temperature: gains stay zero
-            gains.append(np.zeros(next(iter(parts.values())).shape[1] - 1 - core.size))
+            gains.append(np.zeros(next(iter(left.values())).shape[1] - 1))
             continue
         triangle = thermal_network.stack(near, sorted(near))
-        residual = triangle[:, -1] - triangle[:, : core.size] @ core
         effective = sum(float(w) * rows[g] for g, w in zip(groups, weight, strict=True))
-        gains.append(ridge_gains(triangle[:, core.size : -1], residual, effective, strength))
+        gains.append(ridge_gains(triangle[:, :-1], triangle[:, -1], effective, strength))
     return Local(knots, np.array(gains))
+
+
+def _left_by(core: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Triangle of the further columns and of what the core leaves of the response: a few of hundreds of columns."""
+    residual = part[:, -1] - part[:, : core.size] @ core
+    return thermal_network.stack({0: np.column_stack([part[:, core.size : -1], residual])}, [0])

@@ -110,6 +110,8 @@ class Problem:
         self.count = {g: int(np.count_nonzero(good & (self.group == g))) for g in self.groups}
         design = np.column_stack([core, extra])[good]
         self.triangles = thermal_network.triangles(design, self.response[good], self.group[good])
+        of_core = [*range(len(self.causes)), -1]
+        self.core_triangles = {g: thermal_network.stack({0: t[:, of_core]}, [0]) for g, t in self.triangles.items()}
         self.signs = np.array([c.sign for c in self.causes])
         self.rounds = 0  # while gain signs are chosen the weights stay uniform
         self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
@@ -153,11 +155,9 @@ class Problem:
 
     def _core(self, weight: dict[int, float]) -> np.ndarray:
         """Gains of the core from some groups with their weights."""
-        parts = {g: w * self.triangles[g] for g, w in weight.items()}
-        triangle = thermal_network.stack(parts, list(parts))
-        core_part = np.column_stack([triangle[:, : len(self.causes)], triangle[:, -1]])
-        rows = sum(self.count[g] for g in parts)
-        return thermal_network.signed_gains(core_part, rows, self.members, self.signs, self.options.penalty)
+        triangle = thermal_network.stack({g: w * self.core_triangles[g] for g, w in weight.items()}, list(weight))
+        rows = sum(self.count[g] for g in weight)
+        return thermal_network.signed_gains(triangle, rows, self.members, self.signs, self.options.penalty)
 
     def _local(self, groups: Sequence[int], core: np.ndarray) -> thermal_local.Local:
         warmth = self.warmth()
