@@ -60,7 +60,7 @@ def refuse(line: int, source: str, why: str) -> DataError:
 
 
 def parse(line: int, source: str) -> Block:
-    """Read one line. Raises DataError for expressions, parameters, O-words, ragged words and unclosed comments."""
+    """Read one line. Raises DataError for expressions, parameters, ragged words and unclosed comments."""
     if len(source) > MAX_LINE:
         raise refuse(line, source, f"a line of {len(source)} characters (at most {MAX_LINE})")
     if _CONTROL.search(source):
@@ -77,8 +77,6 @@ def parse(line: int, source: str) -> Block:
     rest = _WORD.sub(" ", text).strip(" \t")
     if rest:
         raise refuse(line, source, f"{rest[:40]!r} is not a word")
-    if any(w.letter == "O" for w in words):
-        raise refuse(line, source, "a subroutine or loop (O word) is not understood")
     number = next((w.text for w in words if w.letter == "N"), "")
     letters = [w.letter for w in words if w.letter not in "GM"]
     if len(set(letters)) != len(letters):

@@ -2,7 +2,8 @@
 
 For each wanted tool point p the command c solves c + deviation(c) = p. Lines and arcs are split so that
 the straight segments stay within a stated chord error of the wanted path and of the corrected curve.
-Directions, units, planes, absolute and incremental, offsets, tool lengths, comments and line numbers stay.
+Directions, units, planes, absolute and incremental, offsets, tool lengths, comments and line numbers stay. A rapid move
+while an axis stands at an unknown place (at the start, behind a tool change) stays too: nothing can be said of its end.
 
 The program streams through: tool points are collected over many blocks, the deviation is asked for all of them at
 once, and memory does not grow with the program. Most blocks of a long program are plain motions; these are read in
@@ -166,6 +167,9 @@ class _Reader:
         if motion is None:
             self.writer.line(source)
             return
+        if motion.mode == "G0" and None in motion.end[:3]:
+            self.writer.uncorrected(block)
+            return
         points, error = segments(block, motion, *self.limits)
         self.chord_error = max(self.chord_error, error)
         self._refuse_unknown(block, points)
@@ -176,7 +180,10 @@ class _Reader:
     def _refuse_unknown(block: Block, points: np.ndarray) -> None:
         missing = [LINEAR[n] for n in range(3) if np.isnan(points[:, n]).any()]
         if missing:
-            where = f"where {' and '.join(missing)} stands is not known yet (say --start x,y,z)"
+            where = (
+                f"where {' and '.join(missing)} stands is not known yet, at the start or behind a tool change or "
+                "reference point (move it with G0 first, or say --start x,y,z)"
+            )
             raise refuse(block.line, block.source, where)
 
 

@@ -19,6 +19,9 @@ MOTIONS = ("G0", "G1", "G2", "G3")
 HARMLESS_G = {"G4", "G40", "G61", "G61.1", "G64", "G80", "G94", "G95", "G96", "G97", "G98", "G99", "G69", "G50"}
 # Spindle, coolant, stop, override and end: none moves an axis.
 HARMLESS_M = {f"M{n}" for n in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 30, 48, 49, 50, 51, 52, 53, 60)}
+# The control moves the axes to a place of its own: to change the tool or the pallet; to a reference point.
+LEAVING_M = {"M6", "M60"}
+LEAVING_G = {"G28", "G30", "G53"}
 KNOWN_LETTERS = set("GMFSTPDQHXYZABCIJKR")
 # Of each of these groups one block may hold one code (LinuxCNC's modal groups).
 GROUPS = (
@@ -31,6 +34,7 @@ GROUPS = (
     {"G43", "G43.1", "G49"},
     {"G94", "G95"},
     {"G61", "G61.1", "G64"},
+    LEAVING_G | {"G4"},
 )
 LARGEST_COORDINATE = 1e5  # mm or deg: 100 m is longer than any machine, and 277 turns of a table
 LARGEST_RADIUS = 1e7  # mm; also of a centre's distance
@@ -79,8 +83,9 @@ class Motion:
 
 def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | None]:
     """The state after a block and the motion it makes, if any. Raises DataError for what is not understood."""
+    _program_number(block, state)
     for word in block.words:
-        if word.letter not in KNOWN_LETTERS:
+        if word.letter not in KNOWN_LETTERS | {"O"}:
             raise refuse(block.line, block.source, f"the word {word.text} is not understood")
         largest = LARGEST_COORDINATE if word.letter in LINEAR + ROTARY else LARGEST_RADIUS
         if word.letter in "XYZABCIJKR" and abs(word.value) > largest:
@@ -94,11 +99,14 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
     state = _modes(block, state, setup)
     if {"M2", "M30"} & set(block.codes("M")):
         state = replace(state, ended=True)
-    if not block.has(LINEAR + ROTARY) or "G43.1" in block.codes("G"):
+    state = _leaving(block, state)
+    leaves = bool(LEAVING_G & set(block.codes("G")))
+    if leaves or not block.has(LINEAR + ROTARY) or "G43.1" in block.codes("G"):
         _no_idle_words(block)
         return state, None
-    if "G4" in block.codes("G"):
-        raise refuse(block.line, block.source, "axis words beside a dwell (G4) are not understood")
+    for code, what in (("G4", "a dwell (G4)"), ("G50", "G50 (a lathe's: the zero of the part)")):
+        if code in block.codes("G"):
+            raise refuse(block.line, block.source, f"axis words beside {what} are not understood")
     if state.motion not in MOTIONS:
         raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
     if state.motion in ("G0", "G1"):
@@ -109,6 +117,27 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
     centre = _arc(block, state, end) if state.motion in ("G2", "G3") else None
     motion = Motion(state.motion, state.position, end, state.plane, centre, _turns(block))
     return replace(state, position=end), motion
+
+
+def _program_number(block: Block, state: State) -> None:
+    """Raises DataError for an O word that is more than the number of the program, above its first motion."""
+    if block.has("O") and (len(block.words) > 1 or state.motion):
+        raise refuse(block.line, block.source, "a subroutine or loop (O word) is not understood")
+
+
+def _leaving(block: Block, state: State) -> State:
+    """The state with the places forgotten to which the control sends axes by itself: they are not in the program.
+
+    Without this a move in X and Y behind a tool change would bring Z back down with the new tool.
+    """
+    codes = LEAVING_G & set(block.codes("G"))
+    if "G53" in codes and (state.motion != "G0" or not block.has(LINEAR + ROTARY)):
+        raise refuse(block.line, block.source, "G53 is understood with G0 and axis words")
+    away = LINEAR if LEAVING_M & set(block.codes("M")) else ""
+    if codes:
+        away += "".join(n for n in LINEAR + ROTARY if block.has(n)) or LINEAR + ROTARY
+    places = zip(LINEAR + ROTARY, state.position, strict=True)
+    return replace(state, position=tuple(None if letter in away else place for letter, place in places))
 
 
 def _one_of_each_group(block: Block) -> None:
@@ -124,7 +153,7 @@ def _no_idle_words(block: Block) -> None:
     codes = block.codes("G")
     if "G4" in codes and block.value("P") is None:
         raise refuse(block.line, block.source, "a dwell (G4) without its time (P)")
-    meant = {"P": ("G4", "G64"), "Q": ("G64",), "H": ("G43",), "D": ()}
+    meant = {"P": ("G4", "G64", "G30"), "Q": ("G64",), "H": ("G43",), "D": ()}
     for word in block.words:
         if word.letter in "IJKR":
             raise refuse(block.line, block.source, f"{word.text} without the axis words of its end is not understood")
@@ -160,7 +189,7 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
             state = _change_tool(block, state, setup, code)
         elif code == "G80":
             state = replace(state, motion="")
-        elif code in HARMLESS_G:
+        elif code in HARMLESS_G | LEAVING_G:
             state = replace(state, feed_mode=code) if code in ("G94", "G95") else state
         else:
             raise refuse(block.line, block.source, f"{code} is not understood")

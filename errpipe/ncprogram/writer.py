@@ -51,7 +51,8 @@ class Writer:
         if self.emitted is None:
             self.emitted = list(state.position)
         old = self.state
-        if (state.offset, state.tool_length, state.inch, state.absolute) != (
+        forgotten = [n for n, place in enumerate(state.position) if place is None and self.emitted[n] is not None]
+        if forgotten or (state.offset, state.tool_length, state.inch, state.absolute) != (
             old.offset,
             old.tool_length,
             old.inch,
@@ -59,11 +60,23 @@ class Writer:
         ):
             self.flush()
             self.emitted = _moved(self.emitted, old, state, self.setup)
+            for n in forgotten:
+                self.emitted[n] = None
         self.state = state
 
     def line(self, source: str) -> None:
         """A line that stays as it is."""
         self.lines.append((self.used, source.encode() + b"\n"))
+
+    def uncorrected(self, block: Block) -> None:
+        """A rapid move to a place of which only some coordinates are known: it stays as it is."""
+        self.flush()
+        self.line(block.source)
+        assert self.emitted is not None
+        for n, letter in enumerate(_AXES):
+            given, before = block.value(letter), self.emitted[n]
+            if given is not None:
+                self.emitted[n] = given if self.state.absolute or before is None else before + given
 
     def path(self, block: Block, points: np.ndarray, prefix: str) -> None:
         """The tool points of a block, shape (n, 6), NaN for a rotary axis that is not known."""

@@ -131,12 +131,15 @@ def test_arc_segments_stay_within_the_chord_error(chord):
         ("#1=3", "a parameter"),
         ("O100 SUB", "is not a word"),
         ("O100", "a subroutine"),
+        ("G50 X100 Z200", "axis words beside G50"),
         ("G41 D1", "G41 is not understood"),
         ("G81 X1 Y1 Z-5 R2", "G81 is not understood"),
-        ("G28", "G28 is not understood"),
         ("G92 X0", "G92 is not understood"),
         ("G93", "G93 is not understood"),
-        ("G53 G0 Z0", "G53 is not understood"),
+        ("G53 G1 Z0", "G53 is understood with G0"),
+        ("G4 P1 G28 Z0", "G4 and G28 in one block contradict"),
+        ("M6\nG1 X5 Y5", "where Z stands is not known yet, at the start or behind a tool change"),
+        ("G28 Z0\nG91 G0 Z5", "an increment in Z, but where Z stands is not known"),
         ("G56 G0 X0", "the work offset G56 was not given"),
         ("G43 H7", "the tool length of H7 was not given"),
         ("G1 X1 X2", "a word occurs twice"),
@@ -152,14 +155,40 @@ def test_arc_segments_stay_within_the_chord_error(chord):
     ],
 )
 def test_what_is_not_understood_is_refused_with_its_line(line, why):
-    with pytest.raises(DataError, match="line 2") as caught:
+    with pytest.raises(DataError, match=f"line {2 + line.count(chr(10))}") as caught:
         correct("G90 G21 G54 G0 X0 Y0 Z0\n" + line + "\n", no_deviation, SETUP)
     assert why in str(caught.value)
 
 
 def test_unknown_place_is_refused_not_guessed():
     with pytest.raises(DataError, match="where X and Y stands is not known"):
-        correct("G90 G21 G54\nG0 Z10\n", no_deviation, Setup(offsets=SETUP.offsets))
+        correct("G90 G21 G54\nG1 Z10\n", no_deviation, Setup(offsets=SETUP.offsets))
+
+
+@pytest.mark.parametrize("away", ["T2 M6", "G91 G28 Z0\nG90", "G53 G0 Z0", "G30 P2 Z0", "M60"])
+def test_no_move_brings_z_back_down_from_where_the_control_sent_it(away):
+    """Behind a tool change a move in X and Y says nothing of Z, whose correction varies with X: nor may the output."""
+    text, _ = correct(f"O0007 (bracket)\nG90 G21 G54\nG0 X0 Y0 Z5\n{away}\nG0 X300 Y200\nG43 H1 Z50\n", bent, SETUP)
+    *_, across, down, end = text.split("\n")
+    assert across == "G0 X300 Y200" and end == ""
+    assert down.startswith("G43 H1 X") and numbers(down, "X")[0] == pytest.approx(
+        300 - bent_at(300, 200, 50)[0], abs=1e-4
+    )
+
+
+def test_rapid_moves_at_the_start_stay_until_every_axis_is_known():
+    text, _ = correct(
+        "G90 G21 G54\nG0 Y10 X400\nG43 H1 Z50 (down)\nG1 Z-5 F100\n", bent, Setup(SETUP.offsets, {1: 80.0})
+    )
+    across, down = text.splitlines()[1:3]
+    assert across == "G0 Y10 X400"
+    wanted = np.array([400.0, 10.0, 50.0]) - bent_at(400, 10, 50)
+    assert [numbers(down, letter)[-1] for letter in "XYZ"] == pytest.approx(wanted, abs=1.01e-4)
+
+
+def bent_at(x, y, z):
+    """Deviation of `bent` at a place of the part in G54 with tool H1."""
+    return bent(np.array([[x + 100.0, y + 50.0, z - 200.0 + 80.0]]), 80.0)[0]
 
 
 def test_outside_the_table_is_refused():
