@@ -27,7 +27,11 @@ from errpipe.yamlfile import Options as YamlOptions
 
 name = "renishaw_rtl"
 MAX_BYTES = 64 << 20  # a test of 10,000 targets and 100 runs
-_SECTION = re.compile(r"^([A-Z][A-Z _-]*)::\s*$")
+# What the first lines call data of another kind, whose numbers are no positioning deviations in um.
+_OTHER_KINDS = re.compile(
+    r"angul|winkel|straight|gerad|rectitud|square|rechtw|perpend|flat|ebenh|rotar|dreh|dynam", re.IGNORECASE
+)
+_SECTION = re.compile(r"^([A-Z][A-Z _-]*)::\s*$", re.IGNORECASE)
 _Line = tuple[int, str]
 
 
@@ -41,23 +45,27 @@ class Options(YamlOptions):
 
 
 def sniff(path: Path) -> bool:
-    """True for a text file that begins with HEADER:: and names the file type rtl or ends in .rtl."""
+    """True for a text file that begins with HEADER:: and names a file type such as rtl, or ends in .rtl.
+
+    Those of other kinds (rta: angular, rts: straightness) too: `read` refuses them by name.
+    """
     path = Path(path)
     if not path.is_file():
         return False
     with open(path, "rb") as stream:
         head = stream.read(4096)
-    begins = head.lstrip(b"\xef\xbb\xbf \r\n").startswith(b"HEADER::")
-    return begins and (path.suffix.lower() == ".rtl" or re.search(rb"File type\s*:\s*rtl", head, re.I) is not None)
+    begins = head.lstrip(b"\xef\xbb\xbf \r\n").upper().startswith(b"HEADER::")
+    return begins and (path.suffix.lower() == ".rtl" or re.search(rb"File type\s*:\s*rt\w\b", head, re.I) is not None)
 
 
 def read(path: Path, options: Options | None = None) -> Recording:
     """One row a reading, in file order; deviation = measured - target, um. Raises DataError naming file and line."""
     path, options = Path(path), options or Options()
     sections = _sections(path)
+    _refuse_other_kinds(path, sections.get("HEADER", []))
     targets = _targets(path, sections.get("TARGET DATA", []))
     facts = dict(_facts(sections.get("USER-TEXT", [])))
-    axis = options.axis or facts.get("axis", "").upper()
+    axis = options.axis or re.sub(r"[ -]?(AXIS|ACHSE|AXE)$", "", facts.get("axis", "").upper())
     if not re.fullmatch(r"[XYZUVWPQR]\d?", axis):
         raise DataError(f"{path}: the file's axis is {axis!r}, not a linear ISO 841 axis (say which: `axis: X`)")
     runs, numbers, deviation = _deviations(path, sections.get("DEVIATIONS", []), len(targets))
@@ -97,9 +105,10 @@ def _sections(path: Path) -> dict[str, list[_Line]]:
     current: list[_Line] = []
     for number, line in enumerate(text.splitlines(), 1):
         if match := _SECTION.match(line.strip()):
-            if match[1] in out and match[1] in ("TARGET DATA", "DEVIATIONS"):
-                raise DataError(f"{path}:{number}  section {match[1]}:: stands in the file twice")
-            current = out.setdefault(match[1], [])
+            name = match[1].upper()
+            if name in out and name in ("TARGET DATA", "DEVIATIONS"):
+                raise DataError(f"{path}:{number}  section {name}:: stands in the file twice")
+            current = out.setdefault(name, [])
         elif line.strip():
             current.append((number, line.strip()))
     for wanted in ("TARGET DATA", "DEVIATIONS"):
@@ -108,6 +117,18 @@ def _sections(path: Path) -> dict[str, list[_Line]]:
     if "EOF" not in out:
         raise DataError(f"{path}: the file does not end with EOF:: (it is cut short)")
     return out
+
+
+def _refuse_other_kinds(path: Path, lines: list[_Line]) -> None:
+    """Raise DataError for angular, straightness or dynamic data, which would be read as um of positioning."""
+    for number, text in lines:
+        key, _, value = (part.strip() for part in text.partition(":"))
+        kind = key.lower() in ("file type", "owner") and value
+        if kind and (_OTHER_KINDS.search(kind) or (key.lower() == "file type" and kind.lower() != "rtl")):
+            raise DataError(
+                f"{path}:{number}  {text[:60]!r}: not linear positioning, which alone is read here (allowed: File type "
+                "rtl of an owner such as Linear); export the deviations as CSV and say --component, such as EBX"
+            )
 
 
 def _facts(lines: list[_Line]) -> list[tuple[str, str]]:

@@ -43,12 +43,15 @@ KIND_OF_UNIT = {
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "nothing in its name, unit or values says what it is"
 NO_PLACES = ("temperature", "current", "torque", "spindle_speed", "feed", "pressure", "humidity", "time")
+# Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
+_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _AXIS = re.compile(
-    r"(?:^|[\s_.\-(/])(?:[dΔ](?=[XYZ]))?([XYZABCUVW])(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)",
-    re.IGNORECASE,
+    rf"(?:^|[\s_.\-(/])(?:[dΔ](?=[XYZ]))?{_LETTER}(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE
 )
+_CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
 _AXIS_ABOVE = re.compile(
-    r"\b(?:axis|achse)\b\s*[:=;]?\s*([XYZABCUVW])\b|\b([XYZABCUVW])[- ]?(?:axis|achse)\b", re.IGNORECASE
+    rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{_LETTER}1?\b|\b{_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
+    re.IGNORECASE,
 )
 _FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
 COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines

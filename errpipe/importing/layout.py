@@ -12,6 +12,7 @@ import numpy as np
 from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
+from errpipe.importing.words import way_of
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
@@ -179,6 +180,13 @@ def _blocks(
     starts = [r for r in range(start + 1, len(rows) - 1) if _starts_table(rows[r], numbers[r], numbers[r + 1 : r + 3])]
     again = [r for r in starts if _filled(rows[r]) == _filled(rows[start - 1])]
     other = next((r for r in starts if r not in again and r - 1 not in again), None)
+    if other is not None and not again and _is_way_back(rows[start - 1], rows[other]):
+        width, below = len(names), rows[other]
+        notes.append(
+            f"a second table below ({' '.join(map(str, _filled(below)))[:60]!r}): the way back to these targets"
+        )
+        back = [[row[0], *[None] * (width - 1), *row[1:]] for row in rows[other + 1 :] if row]
+        return [*names, *map(label, below[1:])], [*rows[start:other], *back]
     if other is not None and not any(r > other for r in again):
         text = " ".join(map(str, _filled(rows[other])))[:60]
         notes.append(f"a second table below ({text!r}) was left out with its {len(rows) - other - 1} rows")
@@ -194,6 +202,12 @@ def _blocks(
         if r not in again:
             numbered.append([*row, *[None] * (len(names) - len(row)), titles[block] if titled else float(block + 1)])
     return [*names, "run"], numbered
+
+
+def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
+    """Whether two tables have one first column, and readings of one direction each: `Forward 1`, below `Reverse 1`."""
+    ways = [{way_of(label(c)) for c in _filled(row[1:])} for row in (header, other) if row]
+    return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
 
 
 def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:

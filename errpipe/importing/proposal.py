@@ -201,10 +201,7 @@ def _wide_readings(
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
     unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
-    values, unit, why = plain_unit(values, unit, why)
-    if unit is None:
-        unit = settle.unit_by_size(values) if components.unit(component) == "um" else components.unit(component)
-        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+    values, unit, why = settle.unit_of_readings(values, unit, component, why)
     p.put(
         component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis, _headers=headers
     )
@@ -385,9 +382,5 @@ def _response(
     if component is None:
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
-    standard = components.unit(component)
-    values, unit, why = plain_unit(c.values, _known_unit(c, unit), why)
-    if unit is None:
-        unit = standard if standard != "um" else settle.unit_by_size(values)
-        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+    values, unit, why = settle.unit_of_readings(c.values, _known_unit(c, unit), component, why)
     p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis, _headers=(c.header,))

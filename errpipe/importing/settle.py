@@ -45,6 +45,25 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             pass  # all three are recorded
 
 
+def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
+    """Readings in a unit that the manifest has, that unit, and the reason; of lengths without one, by their size.
+
+    Raises DataError for angles without a unit: arcsec taken as urad would be compensated by a fifth.
+    """
+    standard = components.unit(component)
+    if standard == "urad" and unit == "inch":  # both are written as "
+        unit, why = "arcsec", f'{why}; " are arcsec at an angle'
+    values, unit, why = plain_unit(values, unit, why)
+    if unit is None and standard == "urad":
+        raise DataError(
+            f"no unit is stated for the angles of {component}: say it with --unit (arcsec, urad, mrad, mdeg, deg)"
+        )
+    if unit is None:
+        unit = unit_by_size(values) if standard == "um" else standard
+        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+    return values, unit, why
+
+
 def unit_by_size(values: np.ndarray) -> str:
     """um or mm: readings that are all below 0.1 are mm (0.1 um are no error of an axis), those that reach 1 are um.
 

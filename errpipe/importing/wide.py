@@ -133,10 +133,10 @@ def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]
     order, run, side, value = [], [], [], []
     for name in dict.fromkeys(names[i] for i in rows):
         block = np.array([i for i in rows if names[i] == name])
-        rising = target[block[-1]] > target[block[0]]
         for c, number_of_run, way in layout.readings:
-            own = block if way is None or rising == (way > 0) else block[::-1]
-            own = own[np.isfinite(c.values[own])]
+            own = block[np.isfinite(c.values[block])]
+            rising = own.size > 1 and target[own[-1]] > target[own[0]]
+            own = own if way is None or rising == (way > 0) else own[::-1]
             order.append(own)
             run += [name or number_of_run] * own.size
             side += [np.nan if way is None else way] * own.size

@@ -85,7 +85,8 @@ WORDS: tuple[tuple[str, str], ...] = (
         "actual",
     ),
     (
-        r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|posizione|posicion|\bquota\b|\bcota\b|位置)",
+        r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b|posizione"
+        r"|posicion|\bquota\b|\bcota\b|位置)",
         "position",
     ),
 )
@@ -102,11 +103,13 @@ DOWN = re.compile(
 )
 
 _COMMANDED = (
-    r"(soll\w*|nominal|nennwert|target|command\w*|cmd|consigne|theorique|cible|teoric\w*|objetivo"
-    r"|指令\w*|目標\w*|目标\w*)"
+    r"(soll\w*|nominal|nennwert|target|command\w*|cmd|set ?point|demand\w*|programmed|consigne|theorique|cible"
+    r"|teoric\w*|objetivo|指令\w*|目標\w*|目标\w*)"
 )
-_MEASURED = r"(ist\w*|actual|measured|mess\w*|reading|mesure\w*|releve\w*|misurat\w*|medid\w*|実測\w*|实测\w*|实际\w*)"
-_LESS = r"\s*(?:-|minus|less|moins|meno|menos)\s*"
+_MEASURED = (
+    r"(ist\w*|actual|feedback|measured|mess\w*|reading|mesure\w*|releve\w*|misurat\w*|medid\w*|実測\w*|实测\w*|实际\w*)"
+)
+_LESS = r"(?: (?:pos(?:ition)?|value|wert|reading)s?)?\s*(?:-|minus|less|moins|meno|menos)\s*(?:(?:the|position) )?"
 COMMANDED_LESS_MEASURED = re.compile(_COMMANDED + _LESS + _MEASURED)
 MEASURED_LESS_COMMANDED = re.compile(_MEASURED + _LESS + _COMMANDED)
 # A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
@@ -132,6 +135,16 @@ def kind_by_name(header: str) -> str | None:
     """What a header says its column holds, or None."""
     text = plain(header)
     return next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+
+
+def way_of(header: str) -> float | None:
+    """+1 or -1 where one word of a header, and no other, is a direction: `Forward 1 (um)`; else None."""
+    ways = {way for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) for way in _ways_of(word)}
+    return ways.pop() if len(ways) == 1 else None
+
+
+def _ways_of(word: str) -> list[float]:
+    return [way for way, pattern in ((1.0, UP), (-1.0, DOWN)) if pattern.fullmatch(word)]
 
 
 def is_correction(header: str) -> bool:

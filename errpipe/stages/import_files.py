@@ -42,7 +42,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     _refuse_twice(files)
     _refuse_several_axes(files, options)
     for file in map(Path, files):
-        proposal, source = _of_known_format(file), "a format with a door of its own"
+        proposal, source = _of_known_format(file, door, options), "a format with a door of its own"
         if proposal is None:
             proposal, source = _of_any_sheet(file, door, options, may_be_log=len(files) > 1)
         parts[file] = proposal
@@ -139,22 +139,50 @@ def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Seque
     }
 
 
-def _of_known_format(file: Path) -> Proposal | None:
-    """A file of a vendor's own format (`errpipe formats`), as its door reads it."""
+def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> Proposal | None:
+    """A file of a vendor's own format (`errpipe formats`), as its door reads it.
+
+    Raises UsageError for an option that says what such a file states itself: it would be ignored.
+    """
     if not file.exists():
         raise DataError(f"{file}: no such file")
-    if file.is_dir() or not any(f.sniff(file) for f in formats.FORMATS):
-        if file.is_dir():
-            raise DataError(f"{file}: a folder (allowed: files)")
+    if file.is_dir():
+        raise DataError(f"{file}: a folder (allowed: files)")
+    if not any(f.sniff(file) for f in formats.FORMATS):
         return None
-    recording = formats.read(file)
-    proposal = Proposal(notes=[f"{file.name} is of the format {formats.detect(file).name}: nothing is guessed"])
+    reader = formats.detect(file)
+    _refuse_idle_options(file, reader.name, {**asdict(door), **asdict(options)})
+    recording = formats.read(file, reader.name, {} if options.axis is None else {"axis": options.axis})
+    proposal = Proposal(notes=[f"{file.name} is of the format {reader.name}: nothing is guessed"])
+    taken = getattr(reader.Options(), "axis", None)
+    if taken is not None and options.axis is None:
+        proposal.notes[0] = (
+            f"{file.name} is of the format {reader.name}, which names no axis: taken as {taken} (--axis)"
+        )
+    if recording.manifest.machine:
+        proposal.facts["machine"] = recording.manifest.machine
     for name, column in recording.manifest.columns.items():
         if name in recording.frame:
             text = column.role in ("run", "group")
             values: Any = recording.frame[name].astype(str).tolist() if text else np.asarray(recording.array(name))
             proposal.put(name, values, **column.model_dump(exclude_none=True))
     return proposal
+
+
+def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:
+    """Raise UsageError for an option that a format with a door of its own does not take."""
+    idle = [
+        key
+        for key in ("component", "unit", "sign", "resolution", "torque_constant", "names", "period", "sheet")
+        if given[key]
+    ]
+    idle += [f"set {column}.{key}" for column, keys in given["sets"].items() for key in keys if key in ("role", "unit")]
+    if idle:
+        raise UsageError(
+            f"{file}: of the format {name}, whose columns, units and sign are known: --{idle[0].replace('_', '-')} "
+            "would be ignored (allowed: --axis, --title, --machine). Where the file is wrong, mend the recording.yaml "
+            "that is written"
+        )
 
 
 def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path]) -> Any:

@@ -145,7 +145,7 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             alone = part.take(rows)
             far[rows] = distance(source.validity, alone)
             kept = held(alone, run.last)
-            known = np.isfinite(sum((kept.array(n) for n in source.validity.ranges), np.zeros(len(kept))))
+            known = _inputs_known(source, kept)
             for component, match in run.evaluate(kept).items():
                 values[component][rows] = match
                 if component in source.half_width90:
@@ -156,6 +156,13 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
         frame = _frame(source, part, values, half, far)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
         before += len(part)
+
+
+def _inputs_known(source: Predictor, kept: Recording) -> np.ndarray | bool:
+    """Rows on which every input of the validity box has a value, (rows,); of interest to an interval alone."""
+    if not source.half_width90:
+        return True
+    return np.isfinite(sum((kept.array(n) for n in source.validity.ranges), np.zeros(len(kept))))
 
 
 def _rows_by_run(codes: np.ndarray) -> Iterator[tuple[int, Any]]:

@@ -108,6 +108,8 @@ WRONG_RTL = {
         "DEVIATION::",
     ): ": no section DEVIATIONS:: (found: HEADER, TARGET DATA, USER-TEXT, RUNS, DEVIATION",
     ("Axis:Y", "Axis:vertical"): ": the file's axis is 'VERTICAL', not a linear ISO 841 axis (say which: `axis: X`)",
+    ("File type  : rtl", "File type  : rta"): ":2  'File type  : rta': not linear positioning",
+    ("Owner      : Linear", "Owner      : Winkel"): ":3  'Owner      : Winkel': not linear positioning",
     ("1   2     -1.200", "1   6     -1.200"): ": run 1 visits its targets neither upwards nor downwards",
 }
 
@@ -119,6 +121,14 @@ def test_a_wrong_laser_file_is_refused(tmp_path, change):
     with pytest.raises(DataError) as refusal:
         formats.read(path, "renishaw_rtl")
     assert str(refusal.value).startswith(f"{path}{WRONG_RTL[change]}")
+
+
+def test_an_angular_file_by_its_own_name_is_recognised_so_that_it_is_refused(tmp_path):
+    """Else the importer of any table would read arcsec as um."""
+    path = tmp_path / "x.rta"
+    path.write_bytes(RTL.read_bytes().replace(b"File type  : rtl", b"File type  : rta"))
+    with pytest.raises(DataError, match="not linear positioning"):
+        formats.read(path)
 
 
 def test_a_laser_file_in_an_old_code_page(tmp_path):

@@ -130,7 +130,15 @@ def test_readings_in_other_units(tmp_path: Path, unit: str, scale: float) -> Non
     holds_the_truth(imported(tmp_path, tmp_path / "w.csv"))
 
 
-@pytest.mark.parametrize("words", ["Abw. (Soll-Ist) [um]", "nominal minus actual [um]", "target - measured [um]"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "Abw. (Soll-Ist) [um]",
+        "nominal minus actual [um]",
+        "target - measured [um]",
+        "set point value less actual value [um]",
+    ],
+)
 def test_a_file_that_says_commanded_minus_actual_is_turned(tmp_path: Path, words: str) -> None:
     lines = [f"Run;Target [mm];Dir;{words}"] + [f"{r};{x};{s:+.0f};{-d}" for r, x, s, d in long_rows()]
     (tmp_path / "s.csv").write_text("\n".join(lines), encoding="utf-8")
@@ -372,3 +380,76 @@ def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
                 import_files.prepare([file], DoorOptions(), import_files.options_of(sets=[]))
             except ErrpipeError:
                 continue
+
+
+FORMATS = Path(__file__).parents[2] / "data" / "formats"
+
+
+def test_the_axis_of_a_vendor_file_is_the_stated_one(tmp_path: Path) -> None:
+    """A file that names no axis was imported as X whatever --axis said."""
+    assert imported(tmp_path, FORMATS / "ecmc_dat.dat", axis="Y").components() == ("EYY",)
+    proposal, _ = import_files.prepare([FORMATS / "ecmc_dat.dat"], DoorOptions(), import_files.options_of(sets=[]))
+    assert any("names no axis: taken as X" in note for note in proposal.notes)
+
+
+@pytest.mark.parametrize(
+    "said", [{"sign": "commanded-minus-actual"}, {"unit": "mm"}, {"component": "EYX"}, {"sets": ["EXX.unit=mm"]}]
+)
+def test_what_a_vendor_file_states_itself_is_not_said_in_vain(tmp_path: Path, said: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="would be ignored"):
+        imported(tmp_path, FORMATS / "renishaw_rtl.rtl", **said)
+
+
+def test_a_remark_above_that_says_commanded_minus_measured_turns_the_sign(tmp_path: Path) -> None:
+    lines = ["Axis X", "# error = commanded position minus measured position", "Run;Target [mm];Dir;Error [um]"]
+    lines += [f"{r};{x};{s:+g};{-d}" for r, x, s, d in long_rows()]
+    (tmp_path / "s.csv").write_text("\n".join(lines))
+    holds_the_truth(imported(tmp_path, tmp_path / "s.csv"))
+
+
+@pytest.mark.parametrize("falling", [False, True])
+def test_the_way_back_in_a_table_below_belongs_to_the_test(tmp_path: Path, falling: bool) -> None:
+    """It was left out, and with it the lost motion."""
+    lines = ["Axis: X"]
+    for side, word in ((1.0, "Forward"), (-1.0, "Reverse")):
+        lines.append(",".join(["Target (mm)", *(f"{word} {run} (um)" for run in range(1, 4))]))
+        order = range(12, -1, -1) if falling and side < 0 else range(13)
+        lines += [",".join([f"{TARGETS[i]}", *(f"{deviation(run, side)[i]}" for run in range(1, 4))]) for i in order]
+        lines.append("")
+    file = tmp_path / "blocks.csv"
+    file.write_text("\n".join(lines))
+    recording = imported(tmp_path, file)
+    holds_the_truth(recording)
+    assert len(recording.frame) == 2 * 3 * 13
+
+
+@pytest.mark.parametrize(
+    ("above", "header", "axis"),
+    [
+        ("Axis: C2", "Target (deg),Dir,Error (arcsec)", "C2"),
+        ("", 'Winkel C (°),Dir,Abweichung (")', "C"),
+        ("C轴", "目标位置(°),方向,偏差(arcsec)", "C"),
+        ("", "X2 target (mm),dir,X2 error (um)", "X2"),
+        ("Asse Z1", "Target (mm),dir,error (um)", "Z"),
+    ],
+)
+def test_an_axis_with_a_number_and_angles_in_seconds(tmp_path: Path, above: str, header: str, axis: str) -> None:
+    """X2 was imported as X; a quotation mark behind angles was taken for inches."""
+    rows = [f"{x},{side},{d}" for x, side, d in ((0, "+", 1.5), (90, "+", 2.5), (180, "+", -3.5), (270, "+", 4.25))]
+    file = tmp_path / "angles.csv"
+    file.write_text("\n".join([above, header, *rows, *(row.replace("+", "-") for row in reversed(rows))]))
+    recording = imported(tmp_path, file)
+    (component,) = recording.components()
+    assert component == f"E{axis[0]}{axis}"
+    expected = np.array([1.5, 2.5, -3.5, 4.25]) * (np.pi / 648000e-6 if axis[0] == "C" else 1.0)
+    (error,) = recording.names("error")
+    np.testing.assert_allclose(recording.array(error)[:4], expected, rtol=1e-9)
+    assert recording.manifest.columns[recording.names("position")[0]].axis == axis
+
+
+def test_angles_without_a_unit_are_not_taken_as_urad(tmp_path: Path) -> None:
+    file = tmp_path / "angles.csv"
+    file.write_text("Axis C\nTarget (deg),Error\n" + "".join(f"{x},{x / 40:.2f}\n" for x in range(0, 361, 30)))
+    with pytest.raises(DataError, match=r"no unit is stated for the angles of ECC: say it with --unit \(arcsec"):
+        imported(tmp_path, file)
+    assert imported(tmp_path, file, unit="arcsec").components() == ("ECC",)
