@@ -323,7 +323,7 @@ def _unit(largest: float) -> float:
 def outputs_of(
     components: Sequence[ComponentSource], acts_on: Mapping[str, tuple[str, float]] | None = None
 ) -> list[OutputSource]:
-    """One output per component; those along a direction are corrected in mm along it, a rotary axis' own in deg.
+    """One output per component: positioning moves the axis that is wrong, in mm or deg; all else the axis along it.
 
     acts_on: component -> (axis that corrects it, deviation of that axis per deviation of the component), for those
     that have no axis of their own, such as a diameter. Raises GateError for an angle, which moves no linear axis.
@@ -333,10 +333,11 @@ def outputs_of(
         parsed = iso.parse(c.name)
         turns = parsed.kind == "angular positioning"
         along = turns or (c.unit == "um" and parsed.direction not in "RD")
-        axis, factor = parsed.direction if along else "", 1.0
+        own = str(parsed.axis) if turns or parsed.kind == "positioning" else parsed.direction  # EXU moves U, not X
+        axis, factor = own if along else "", 1.0
         if acts_on and c.name in acts_on:
             axis, factor = acts_on[c.name]
-            if c.unit != "um" and not (turns and axis == parsed.direction):
+            if c.unit != "um" and not (turns and axis == own):
                 raise GateError(f"{c.name} is in {c.unit}: it cannot act on axis {axis} in mm")
         unit = "mm" if c.unit == "um" else "deg" if turns else "urad"
         out.append(OutputSource(c.name, (MonomialSource(factor, c.name),), axis, c.unit, unit))

@@ -14,7 +14,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Line, ReadBack, Target, expect
 
 FILE = "temp_comp.lis"
-_ROW = re.compile(r"# (\w) (.+) T0=(\S+) offset_per_K=(\S+) coefficient_per_K=(\S+) position_0=(\S+)")
+_ROW = re.compile(r"# (\w+) (.+) T0=(\S+) offset_per_K=(\S+) coefficient_per_K=(\S+) position_0=(\S+)")
 
 
 class BeckhoffTemperature(Target):

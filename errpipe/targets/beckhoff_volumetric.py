@@ -59,7 +59,7 @@ class BeckhoffVolumetric(Target):
             expect(bool(np.all(np.diff(rows[:, 0]) > 0)), FILE, f"{names[0]} is not ascending")
             for column, component in enumerate(names[1:], 1):
                 parsed = iso.parse(component)
-                if parsed.direction == names[0]:
+                if parsed.kind in ("positioning", "angular positioning"):
                     value = -rows[:, column] * _sample.MACHINE_UNITS["rad" if parsed.unit == "urad" else "mm"]
                     curves.append(Curve(names[0], names[0], rows[:, 0], value, value))
         return ReadBack(curves=tuple(curves))

@@ -47,7 +47,7 @@ class Mach4ScrewMap(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        axis, sides, facts = name.split("_")[1][0], {}, {}
+        axis, sides, facts = name.split(".")[0].split("_")[1], {}, {}
         for part in text.split("[")[1:]:
             head, body = part.split("]\n", 1)
             facts = dict(line.split("=") for line in body.splitlines())

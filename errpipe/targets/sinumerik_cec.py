@@ -136,7 +136,7 @@ class SinumerikCec(Target):
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         text = files[FILE]
         expect(text.rstrip().endswith("M17"), FILE, "does not end with M17")
-        letters = dict(re.findall(r"; (AX\d+) = (\w)", text))
+        letters = dict(re.findall(r"; (AX\d+) = (\w+)", text))
         numbers = sorted({int(n) for n in re.findall(r"\$AN_CEC\[(\d+),", text)})
         errors = {n: _read(text, n, letters) for n in numbers}
         links = {int(n): int(m) - 1 for n, m in re.findall(r"\$AN_CEC_MULT_BY_TABLE\[(\d+)\]=(\d+)", text) if int(m)}

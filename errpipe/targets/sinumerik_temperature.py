@@ -15,7 +15,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Line, ReadBack, Target, expect
 
 FILE = "TEMP_COMP.SPF"
-_ROW = re.compile(r"; (\w)\[(\w+)\] sensor=(.+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)")
+_ROW = re.compile(r"; (\w+)\[(\w+)\] sensor=(.+) T0=(\S+) K0_PER_K=(\S+) TAN_BETA_PER_K=(\S+) P0=(\S+)")
 
 
 class SinumerikTemperature(Target):

@@ -92,3 +92,27 @@ def test_every_target_and_every_runtime_moves_a_machine_that_goes_too_far_back(t
     rounding = {t.name: t.rounding_um for t in TARGETS}
     for name, _, moved in rows:
         assert moved == pytest.approx(-10.0, abs=rounding.get(name, 0.1)), name
+
+
+@pytest.mark.parametrize("axis", ["U", "X2"])
+def test_the_positioning_of_a_second_axis_along_x_moves_that_axis_and_not_x(axis):
+    """EXU and EXX2 are deviations along X of the axes U and X2: X was told to go back by them."""
+    from errpipe import tables
+    from errpipe.domain import components
+    from errpipe.domain.table import TableInput
+    from errpipe.drivers.lowered import Lowered
+
+    pairs = (Lowered(d.ONE, axis, lambda x: 10.0 * x / 500.0),)
+    table = tables.compile_table(
+        [tables.ComponentSource(components.positioning(axis), "um", pairs)],
+        inputs=[TableInput(name="p", kind="position", axis=axis, low=-50, high=550, default=0)],
+        travel={axis: (0.0, 500.0)},
+        error_bound=0.002,
+        machine="test",
+    )
+    assert [o.axis for o in table.outputs] == [axis]
+    for target in (t for t in TARGETS if "screw" in t.holds):
+        read = target.read_back(target.write(table))
+        assert read.axes() == (axis,), target.name
+        moved = np.diff(read.correction(axis, {axis: np.array([0.0, 500.0])}, np.ones(2), {}))
+        assert 1e3 * moved == pytest.approx(-10.0, abs=target.rounding_um), target.name
