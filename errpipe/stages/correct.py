@@ -14,6 +14,7 @@ from errpipe.ncprogram.correct import rewrite
 from errpipe.ncprogram.modal import OFFSETS, Setup
 from errpipe.stages import _artefacts
 from errpipe.tables import batch
+from errpipe.targets import _sample
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
@@ -24,6 +25,7 @@ MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
 MOVED = ("X", "Y", "Z")
 CHUNK = 1_000_000  # bytes of the program read at a time
 MAX_PRINTED_BYTES = 8_000_000  # of a program that goes to standard output
+BEYOND = 1.0  # mm; a program may overrun the ends of what was measured by so much without a remark
 MAX_LENGTH = 1e5  # mm; of an offset, a tool, a start
 
 
@@ -42,7 +44,8 @@ def correct(
     """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
     compensation_table = _artefacts.read_table(table)
     readings = readings_of(compensation_table, at)
-    deviation = deviation_of(compensation_table, readings)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    deviation = _watched(deviation_of(compensation_table, readings), low, high)
     setup = setup_of(offsets, tools, start)
 
     def rewritten(write: Callable[[bytes], object]) -> Summary:
@@ -68,8 +71,11 @@ def correct(
     }
     if knows_direction(compensation_table):
         result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
-    if fading := outside_validity(compensation_table, readings):
-        result["outside_what_was_measured"] = fading
+    if not offsets:
+        result["offsets"] = "no --offset was given: G54 is taken as 0,0,0, machine coordinates"
+    beyond = [outside_validity(compensation_table, readings), outside_travel(compensation_table, low, high)]
+    if any(beyond):
+        result["outside_what_was_measured"] = "; ".join(filter(None, beyond))
     if out is None:
         corrected = b"".join(parts).decode()
         return {**result, "program": corrected, "says": corrected.rstrip("\n")}
@@ -142,6 +148,33 @@ def outside_validity(table: CompensationTable, at: Mapping[str, float]) -> str:
                     f"{channel.name}={at[channel.name]:g} lies outside {low:g} to {high:g}: the correction fades"
                 )
     return "; ".join(outside)
+
+
+def outside_travel(table: CompensationTable, low: np.ndarray, high: np.ndarray) -> str:
+    """Places of a program beyond the table's curves, where their ends hold, in words; '' where there are none.
+
+    low, high: (3,) of the commands, machine coordinates, mm. A wrong offset shows here, and inches or least increments.
+    """
+    outside = []
+    for axis in (a for a in MOVED if a in _sample.positions_of(table)):
+        n, (first, last) = MOVED.index(axis), _sample.span(table, axis)
+        if low[n] < first - BEYOND or high[n] > last + BEYOND:
+            outside.append(
+                f"{axis} goes from {round(low[n], 1):g} to {round(high[n], 1):g} mm of the machine, the table from {first:g} to {last:g}: "
+                "beyond, its ends hold"
+            )
+    return "; ".join(outside)
+
+
+def _watched(deviation: Deviation, low: np.ndarray, high: np.ndarray) -> Deviation:
+    """The deviation, which keeps the lowest and highest place that it was asked for."""
+
+    def watched(points: np.ndarray, length: float) -> np.ndarray:
+        np.fmin(low, points.min(axis=0), out=low)
+        np.fmax(high, points.max(axis=0), out=high)
+        return deviation(points, length)
+
+    return watched
 
 
 def knows_direction(table: CompensationTable) -> bool:

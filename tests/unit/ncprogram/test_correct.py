@@ -210,3 +210,20 @@ def test_two_outputs_of_an_axis_and_both_directions_are_counted():
     mean = 10.0 + 12.0 * math.sin(500 / 60.0)
     assert knows_direction(wavy) and not knows_direction(machines.two_outputs())
     assert deviation_of(wavy, {})(at_500, 0.0)[0, 0] == pytest.approx(1e-3 * mean, abs=1e-5)
+
+
+def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_path):
+    """Where the ends of a table hold, a wrong offset, inches or least increments would pass unseen."""
+    from errpipe.stages.correct import correct as correct_file
+    from errpipe.tables import ect
+    from tests.unit.targets import machines
+
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")  # measured from X = 0 to 500
+    (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\nG1 X800 F500\n")
+    done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
+    assert "G54 is taken as 0,0,0" in done["offsets"]
+    assert "X goes from 100 to 800 mm of the machine, the table from 0 to 500" in done["outside_what_was_measured"]
+    done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G54=-350,0,0"])
+    assert "X goes from -250 to 450 mm" in done["outside_what_was_measured"] and "offsets" not in done
+    (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\nG1 X400 F500\n")
+    assert "outside_what_was_measured" not in correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
