@@ -56,11 +56,21 @@ class Curve:
 TURN = 360.0  # deg
 
 
+TURNS_READ = 5  # of a curve that a controller repeats: two to either side of its own
+
+
 def every_turn(curve: Curve) -> Curve:
-    """A curve over one turn as a controller has it that repeats it: two turns to either side of its own."""
+    """A curve over one turn as a controller has it that repeats it."""
     x, up, down = (v[:-1] for v in (curve.positions, curve.up, curve.down))
-    positions = np.concatenate([x + TURN * n for n in range(-2, 3)])
-    return Curve(curve.axis, curve.over, positions, np.tile(up, 5), np.tile(down, 5))
+    positions = np.concatenate([x + TURN * (n - TURNS_READ // 2) for n in range(TURNS_READ)])
+    return Curve(curve.axis, curve.over, positions, np.tile(up, TURNS_READ), np.tile(down, TURNS_READ))
+
+
+def points_in_file(curve: Curve) -> int:
+    """Points that a file holds of a curve that was read back: of one that repeats with every turn, those of one."""
+    count, turns = curve.positions.size, (curve.positions[-1] - curve.positions[0]) / TURN
+    repeated = curve.over[0] in "ABC" and TURNS_READ - 1 < turns < TURNS_READ
+    return count // TURNS_READ + 1 if repeated else count
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect, points_in_file
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -49,7 +49,7 @@ class FagorLscrw(ScrewMap):
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         return tuple(
-            ByHand(f"{c.axis}: NPOINTS (P16) = {c.positions.size}, BACKLASH (P14) = 0, and each line of the file")
+            ByHand(f"{c.axis}: NPOINTS (P16) = {points_in_file(c)}, BACKLASH (P14) = 0, and each line of the file")
             for c in read.curves
         )
 

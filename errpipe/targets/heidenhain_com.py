@@ -12,14 +12,14 @@ Limits    256 rows (TNC 407, iTNC); one line of config.CMA is ACTIVE.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, Points, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, ByHand, Curve, Points, ReadBack, Target, expect
 
 MOST = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
@@ -61,6 +61,13 @@ class HeidenhainCom(Target):
             raise GateError("heidenhain_com: no axis of the table is corrected over a position")
         files["CONFIG.CMA"] = _cma(axes, files)
         return {name: MARK + text for name, text in files.items()}
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        own = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over)
+        return tuple(
+            ByHand(f"{axis}: the control's own backlash (iTNC: MP710) = 0, else lost motion acts twice") for axis in own
+        )
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

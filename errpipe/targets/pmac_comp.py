@@ -14,13 +14,13 @@ Limits    10000 counts per mm (deg) are taken: for another resolution multiply l
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, Curve, ReadBack, expect, too_many
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 COUNTS = 10_000  # per mm (deg)
@@ -64,6 +64,13 @@ class PmacComp(ScrewMap):
                 raise too_many(cls.name, at.size, 2 * cls.most, error)
             blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))
         return {FILE: "\n".join([f"; {CAUTION}", "CLOSE", *blocks[::-1], "I51=1", ""])}
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        return tuple(
+            ByHand(f"{axis}: leave I{number}86, the motor's backlash, as the file sets it: its tables count from there")
+            for number, axis in cls.own_axes(table)
+        )
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

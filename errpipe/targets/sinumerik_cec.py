@@ -38,6 +38,7 @@ from errpipe.targets._base import (
     Target,
     every_turn,
     expect,
+    points_in_file,
 )
 
 MOST, TABLES = 200, 8  # points of a table; tables
@@ -123,8 +124,10 @@ class SinumerikCec(Target):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        most = max(c.positions.size for c in read.curves)
+        most = max([points_in_file(c) for c in read.curves] + [x.size for p in read.products for x in p.positions])
         out = [ByHand(f"MD18342 MM_CEC_MAX_POINTS of each table = {most} or more")]
+        both = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over and not np.array_equal(c.up, c.down))
+        out += [ByHand(f"{axis}: MD32450 BACKLASH = 0 (the tables hold both directions)") for axis in both]
         for axis in read.axes():
             own = [np.abs([c.up, c.down]).max() for c in read.curves if c.axis == axis]
             out.append(

@@ -214,3 +214,30 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
             "sinumerik_lec": "$AA_ENC_COMP[0,0,AX2]",
         }
         assert called[target.name] in text
+
+
+@pytest.mark.parametrize(
+    ("name", "point"),
+    [("fagor_lscrw", r"(?m)^P\d+ "), ("sinumerik_lec", r"\$AA_ENC_COMP\[0,\d"), ("sinumerik_cec", r"\$AN_CEC\[0,\d")],
+)
+def test_the_number_of_points_to_enter_is_that_of_the_file_on_an_axis_that_turns_on_too(name, point):
+    """The reader repeats the curve to either side; a control asks for the points of one turn."""
+    (target,) = (t for t in TARGETS if t.name == name)
+    table = turning(0.0, 360.0)
+    files = target.write(table)
+    says = " ".join(number.says for number in target.by_hand(table, target.read_back(files), ()))
+    count = len(re.findall(point, "".join(files.values())))
+    assert count > 2 and re.search(rf"(NPOINTS \(P16\)|MAX_POINTS( of each table)?) = {count}\b", says), says
+
+
+def test_no_backlash_of_the_control_stands_beside_a_file_of_both_directions():
+    """PMAC's is in the file: set to 0 by hand, half of its tables would be lost."""
+    table = table_of("reversal grows over the travel")
+    says = {
+        t.name: " ".join(number.says for number in t.by_hand(table, t.read_back(t.write(table)), ()))
+        for t in TARGETS
+        if "both directions" in t.holds
+    }
+    assert "leave I186" in says["pmac_comp"] and "backlash value = 0" not in says["pmac_comp"]
+    for name in set(says) - {"pmac_comp"}:
+        assert re.search(r"(?i)backlash.*? 0\b|no BACKLASH", says[name]), (name, says[name])
