@@ -159,10 +159,8 @@ def outside_travel(table: CompensationTable, low: np.ndarray, high: np.ndarray) 
     for axis in (a for a in MOVED if a in _sample.positions_of(table)):
         n, (first, last) = MOVED.index(axis), _sample.span(table, axis)
         if low[n] < first - BEYOND or high[n] > last + BEYOND:
-            outside.append(
-                f"{axis} goes from {round(low[n], 1):g} to {round(high[n], 1):g} mm of the machine, the table from {first:g} to {last:g}: "
-                "beyond, its ends hold"
-            )
+            way = f"from {round(low[n], 1):g} to {round(high[n], 1):g} mm of the machine"
+            outside.append(f"{axis} goes {way}, the table from {first:g} to {last:g}: beyond, its ends hold")
     return "; ".join(outside)
 
 

@@ -13,7 +13,7 @@ Traps     an unconnected pin reads 1e31, which is a missing reading, not 0; a th
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
 
@@ -21,7 +21,7 @@ from errpipe.domain import table as t
 from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import Target, expect
+from errpipe.targets._base import ByHand, ReadBack, Target, expect
 from errpipe.targets._text import filled, plain
 from errpipe.targets._whole import WholeTable
 
@@ -77,6 +77,13 @@ class LinuxcncHal(Target):
             JOINTS: filled("errpipe-joints.hal.j2", facts),
             SHIFT: filled("errpipe-origin-shift.hal.j2", facts),
         }
+
+    @classmethod
+    def by_hand(cls, table: t.CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        return tuple(
+            ByHand(f"[JOINT_n] of {axis}: no BACKLASH (the table holds both directions)")
+            for axis in _sample.lost_motion(table)
+        )
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> WholeTable:
