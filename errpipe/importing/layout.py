@@ -26,7 +26,7 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|(?-i:(?:^| )([XYZ])$)|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b",
     re.IGNORECASE,
 )
-_MOMENT = re.compile(r"(?=.*\d[.:/-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
+_MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -244,7 +244,7 @@ def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[
     filled = [len(_filled(row)) for row in rows]
     words = [any(map(is_word, row)) for row in rows]
     counts = [
-        sum(v is not None or (not word and _is_moment(c)) for c, v in zip(row, of_row, strict=True))
+        sum(v is not None or (not word and is_moment(c)) for c, v in zip(row, of_row, strict=True))
         for row, of_row, word in zip(rows, numbers, words, strict=True)
     ]
     bare = [c > 0 and not word for c, word in zip(counts, words, strict=True)]
@@ -253,7 +253,7 @@ def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[
     return [filled[j] for j in widest], [counts[j] for j in widest]
 
 
-def _is_moment(cell: Cell) -> bool:
+def is_moment(cell: Cell) -> bool:
     """Whether a cell is a date or a clock time in figures."""
     return isinstance(cell, str) and _MOMENT.fullmatch(cell.strip()) is not None
 

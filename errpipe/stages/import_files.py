@@ -20,6 +20,7 @@ from errpipe.importing import together
 from errpipe.importing.across import upright
 from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
+from errpipe.importing.long_form import unstacked
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import unit_of
@@ -93,7 +94,7 @@ def _of_any_sheet(
         if len(out) > MOST_NAMED:
             break
         try:
-            out.append((propose(lay_out(upright(sheet), door.names), options, may_be_log), sheet.name))
+            out.append((propose(lay_out(upright(unstacked(sheet)), door.names), options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
     if not out:

@@ -1,0 +1,83 @@
+"""Logs with a row per value (signal, time, value), as historians and databases export them: a column per signal."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.importing.dates import seconds
+from errpipe.importing.layout import RawColumn, is_moment, is_word
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
+from errpipe.importing.words import plain
+
+MOST_SIGNALS = 60  # names in one column; more are remarks, not signals
+MOST_COLUMNS = 12  # signal, time, value, unit, quality, and what a database adds
+FEWEST_VALUES = 3  # of each signal
+_SIGNAL = re.compile(
+    r"(signal|tag|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path)( ?(name|id))?"
+)
+_VALUE = re.compile(r"(value|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?")
+_UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
+
+
+def unstacked(sheet: Sheet) -> Sheet:
+    """The sheet with a row per time and a column per signal; any other sheet as it is.
+
+    A sheet is of this form where one column names signals, one holds dates and one numbers, or where its header says
+    so. Values of one time stand in one row; signals of other times leave empty cells in it.
+    """
+    rows = [row for row in sheet.rows if any(c not in (None, "") for c in row)]
+    header = [plain(label(c)).strip() for c in (sheet.header or (rows[0] if rows else []))]
+    body = rows if sheet.header is not None or not _is_header(rows) else rows[1:]
+    header = header if sheet.header is not None or len(body) < len(rows) else []
+    widths = {len(row) for row in body} | ({len(header)} if header else set())
+    if len(body) < 2 * FEWEST_VALUES or len(widths) > 1 or not 3 <= len(body[0]) <= MOST_COLUMNS:
+        return sheet
+    at = _columns(header, body)
+    if at is None:
+        return sheet
+    name, time, value, unit = at
+    counts: dict[str, int] = {}
+    table: dict[str, dict[str, Cell]] = {}
+    for row in body:
+        signal = label(row[name]) + (f" [{label(row[unit])}]" if unit is not None and row[unit] else "")
+        counts[signal] = counts.get(signal, 0) + 1
+        table.setdefault(label(row[time]), {}).setdefault(signal, row[value])
+    if not 2 <= len(counts) <= MOST_SIGNALS or min(counts.values()) < FEWEST_VALUES:
+        return sheet
+    note = f"a row per value: {len(counts)} signals became columns"
+    out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
+    return Sheet(sheet.name, _by_time(out), ["time", *counts], [*sheet.notes, note])
+
+
+def _by_time(rows: list[list[Cell]]) -> list[list[Cell]]:
+    """Rows in the order of their dates: an export may hold one signal after the other."""
+    since = seconds(RawColumn("time", None, [row[0] for row in rows], np.full(len(rows), np.nan)))
+    return rows if since is None else [rows[i] for i in np.argsort(since[0], kind="stable")]
+
+
+def _is_header(rows: list[list[Cell]]) -> bool:
+    figures = re.compile(r"[\d.,:]")
+    return len(rows) > 1 and not any(figures.search(label(c)) for c in rows[0]) and not all(map(is_word, rows[1]))
+
+
+def _columns(header: list[str], body: list[list[Cell]]) -> tuple[int, int, int, int | None] | None:
+    """Where signals, times, values and units (or None) stand; None where the sheet is of another form."""
+    comma = decimal_comma(body)
+    columns = range(len(body[0]))
+    sample = body[:200]
+    moments = [i for i in columns if all(is_moment(row[i]) for row in sample)]
+    numbers = [i for i in columns if i not in moments and all(number(row[i], comma) is not None for row in sample)]
+    others = [i for i in columns if i not in moments and i not in numbers]
+    words = [i for i in others if len({row[i] for row in sample}) > 1]
+    units = next((i for i, text in enumerate(header) if _UNIT.fullmatch(text)), None)
+    named = next((i for i in words if header and _SIGNAL.fullmatch(header[i])), None)
+    value = next((i for i in numbers if header and _VALUE.fullmatch(header[i])), None)
+    times = [*moments, *(i for i in numbers if i != value)]
+    if named is not None and value is not None and len(times) == 1:
+        return named, times[0], value, units
+    signals = [i for i in words if i != units]
+    if header or len(moments) != 1 or len(numbers) != 1 or not signals:
+        return None
+    return signals[0], moments[0], numbers[0], units
