@@ -21,9 +21,14 @@ from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 # Failures of the system that name no file: no errors of errpipe.
 _OUTSIDE_CAUSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE, errno.ENFILE)
 
+# New objects between two collections (Python: 700). Most objects are modules and models that stay; chosen on the demo,
+# where collections took 0.58 of 5.6 s and take 0.18, with the same peak of memory.
+NEW_OBJECTS = 30_000
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code. The one place where errors become messages."""
+    gc.set_threshold(NEW_OBJECTS)
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
