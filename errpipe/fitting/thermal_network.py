@@ -20,14 +20,18 @@ from errpipe.fitting.solve import one_thread
 LEAST_MISFIT = 0.3  # um: below it a run fits as well as it is measured
 
 
-def triangles(design: np.ndarray, response: np.ndarray, groups: np.ndarray) -> dict[int, np.ndarray]:
+def triangles(
+    design: np.ndarray, response: np.ndarray, groups: np.ndarray, share: float = 0.0
+) -> dict[int, np.ndarray]:
     """R of the QR of [design, response] per group, rows scaled so that every group counts by its rows.
 
-    design: (n, p) in K; response: (n,) in um; groups: (n,) integers. -> group -> (<= p+1, p+1).
+    design: (n, p) in K; response: (n,) in um; groups: (n,) integers; share: of its mean that is taken off each group,
+    0 to 1 (quasi-demeaning, Fuller and Battese 1974). -> group -> (<= p+1, p+1).
     """
     both = np.column_stack([design, response])
+    parts = ((g, both[groups == g]) for g in np.unique(groups))
     with one_thread():
-        return {int(g): _triangle(both[groups == g]) for g in np.unique(groups)}
+        return {int(g): _triangle(own - share * own.mean(axis=0)) for g, own in parts}
 
 
 def stack(parts: Mapping[int, np.ndarray], keep: Sequence[int]) -> np.ndarray:

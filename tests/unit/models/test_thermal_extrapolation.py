@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.fitting import thermal_competition
+from errpipe.fitting import thermal_competition, thermal_linear
 from errpipe.fitting.thermal_arithmetic import limits, since_start
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
@@ -166,3 +166,22 @@ def test_what_was_proved_on_warming_is_predicted_of_cooling() -> None:
     whole, rows = recording(pd.DataFrame(frame)), np.arange(t.size) < 200
     left = whole.array("E_Z") - Rises(component="E_Z").train(whole, rows).values(whole)
     assert rms(left[~rows]) < 2.0
+
+
+def test_the_error_of_a_runs_zero_moves_the_gain_less_than_it_would_in_plain_least_squares(monkeypatch) -> None:
+    """Eight runs that are exact but for their first reading, from which all others count; 20 draws."""
+    errors: dict[float, list[float]] = {}
+    for share in (0.0, thermal_linear.ZERO_SHARE):
+        monkeypatch.setattr(thermal_linear, "ZERO_SHARE", share)
+        errors[share] = []
+        for seed in range(20):
+            rng, frames = np.random.default_rng(seed), []
+            for k in range(8):
+                warm = rng.uniform(2, 10) * (1 - np.exp(-STEP * np.arange(60) / rng.uniform(1000, 6000)))
+                y = 2 * warm + rng.normal(0, 1.0) * (np.arange(60) == 0)
+                frames.append(pd.DataFrame({"run": str(k), "t": STEP * np.arange(60), "T_1": 20 + warm, "E_Z": y}))
+            problem = thermal_linear.problem(recording(pd.concat(frames, ignore_index=True)), "E_Z", None, 1)
+            gain = thermal_linear.ridge(*problem.stacked(problem.groups, 1), 0.0)
+            errors[share].append(float(gain[0]) - 2.0)
+    plain, shared = (rms(np.array(e)) for e in errors.values())
+    assert plain > 0.02 and shared < 0.8 * plain
