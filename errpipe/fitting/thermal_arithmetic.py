@@ -14,7 +14,8 @@ from errpipe.fitting.solve import one_thread
 # judged from either. Half-way is best: 3.5 um on runs of a turning centre left out, by both ways of counting;
 # 3.3 and 4.0 or 4.3 and 3.3 at the ends.
 DATUM_SHARE = 0.5
-BLOCKS = 5  # inner groups where there are fewer than three runs
+BLOCKS = 5  # inner groups of a run where there are fewer than `FEWEST_RUNS`
+FEWEST_RUNS = 3  # that can be left out one by one
 # Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
@@ -127,7 +128,7 @@ def predicted_since_start(values: np.ndarray, run: np.ndarray, rows: int, measur
 
 def inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Runs, or blocks of time inside them where there are fewer than three."""
-    if np.unique(run[rows]).size >= 3:
+    if np.unique(run[rows]).size >= FEWEST_RUNS:
         return run.copy()
     group = run * BLOCKS
     for code in np.unique(run[rows]):

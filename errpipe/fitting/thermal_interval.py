@@ -19,9 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain import driver as d
+from errpipe.domain.recording import Recording
 from errpipe.fitting.thermal_arithmetic import conformal_half_width
 
 GROWTH = 1.0 / 50.0  # 1/um
+DAY = 86400.0  # s: of one day's warmth the next one knows what it starts with; neighbouring hours know nearly all
 DOUBLED = 1.2  # ranges summed over the sensors (2 K on each of six): this far outside the interval is twice as wide
 
 
@@ -66,6 +68,12 @@ class LeftOut:
         wider = np.broadcast_to(factor, self.error.shape)[finite]
         scaled = np.abs(self.error[finite]) / (1.0 + GROWTH * np.abs(self.predicted[finite])) / wider
         return conformal_half_width(scaled, group[finite], level, runs, raised)
+
+
+def independent_runs(recording: Recording, rows: np.ndarray) -> int:
+    """How many independent runs the rows of a mask are: a log of several days in one run counts as its days."""
+    t, run = recording.time()[rows], recording.run_codes()[rows]
+    return sum(max(int(np.ptp(t[run == code]) // DAY), 1) for code in np.unique(run))
 
 
 def calibrate(near: LeftOut, afar: LeftOut, group: np.ndarray, level: float, runs: int) -> Intervals:

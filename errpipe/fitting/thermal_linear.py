@@ -22,8 +22,9 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_arithmetic import centred, inner_groups, no_usable_row, since_start
+from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
 from errpipe.fitting.thermal_causes import columns
+from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.fitting.thermal_network import stack, triangles
 
 SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over before the next reading
@@ -74,6 +75,11 @@ class LinearProblem:
     def one_run(self) -> bool:
         """Whether the groups are neighbouring blocks of runs too few to be left out."""
         return np.unique(self.recording.run_codes()[self.rows]).size < len(self.triangle)
+
+    @property
+    def one_day(self) -> bool:
+        """Whether these blocks do not even hold different days."""
+        return self.one_run and independent_runs(self.recording, self.rows) < FEWEST_RUNS
 
     def stacked(self, groups: Sequence[int], width: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Triangle of the first `width` drivers, of the response, and the number of rows of some groups."""

@@ -304,7 +304,7 @@ class Problem:
 
     def _intervals(self, near: np.ndarray, afar: np.ndarray) -> Intervals:
         """From predictions of rows left out with their run, and with their environment; um."""
-        runs = np.unique(self.recording.run_codes()[self.rows]).size
+        runs = thermal_interval.independent_runs(self.recording, self.rows)
         left, far = (LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar))
         return thermal_interval.calibrate(left, far, self.group[self.rows], self.options.coverage, runs)
 

@@ -301,7 +301,7 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     from errpipe.fitting.thermal_competition import RUN, WARMTH
 
     y, rows = problem.response, problem.rows
-    runs = np.unique(problem.recording.run_codes()[rows]).size
+    runs = thermal_interval.independent_runs(problem.recording, rows)
     only_one = family.one_environment(problem)
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [

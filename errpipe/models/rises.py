@@ -27,7 +27,7 @@ class Rises(ThermalFamily):
     family: Literal["rises"] = Field("rises", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every strength of the ridge, and every freedom of the runs; of one run the mean of sensors taken alone."""
+        """Every strength of the ridge, and every freedom of the runs; of one day the mean of sensors taken alone."""
         from errpipe.fitting import thermal_linear as t
 
         family, width = self.family_name(), problem.plain
@@ -48,5 +48,5 @@ class Rises(ThermalFamily):
             return t.mean_of_sensors(*problem.stacked(groups, width)[:2])
 
         name = f"{family}, mean of sensors"
-        alone = [replace(linear(name, name, problem, mean), plain=True)] if problem.one_run else []
+        alone = [replace(linear(name, name, problem, mean), plain=True)] if problem.one_day else []
         return [*map(ridge, STRENGTHS), *map(common, FREEDOMS), *alone]

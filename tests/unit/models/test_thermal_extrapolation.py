@@ -8,6 +8,7 @@ import pandas as pd
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting import thermal_competition, thermal_linear
 from errpipe.fitting.thermal_arithmetic import limits, since_start
+from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
 from errpipe.models.rises import Rises
@@ -185,3 +186,21 @@ def test_the_error_of_a_runs_zero_moves_the_gain_less_than_it_would_in_plain_lea
             errors[share].append(float(gain[0]) - 2.0)
     plain, shared = (rms(np.array(e)) for e in errors.values())
     assert plain > 0.02 and shared < 0.8 * plain
+
+
+def test_a_log_of_days_in_one_run_counts_as_its_days() -> None:
+    """Two sensors that move alike, six and three days long: as sure of itself as days that are runs of their own."""
+    rng, frames = np.random.default_rng(11), []
+    for run, days in (("a", 6), ("b", 3)):
+        t = 600.0 * np.arange(days * 144)
+        warm = 5 * np.repeat(rng.uniform(0, 1, days), 144) * np.sin(np.pi * (t % 86400) / 86400)
+        frame = {"run": run, "t": t, "T_1": 20 + warm, "T_2": 20 + warm + rng.normal(0, 0.1, t.size)}
+        frames.append(pd.DataFrame(frame | {"E_Z": 3 * warm + rng.normal(0, 0.5, t.size)}))
+    log = recording(pd.concat(frames, ignore_index=True))
+    everything = np.ones(len(log), dtype=bool)
+    assert independent_runs(log, everything) == 5 + 2  # whole days between the first and the last reading
+    problem = thermal_linear.problem(log, "E_Z", None, 3)
+    assert problem.one_run and not problem.one_day
+    told = Auto(component="E_Z", among=("rises",)).train(log).predict(log)
+    left = since_start(log.array("E_Z"), log.run_codes(), 3)[0] - told.predicted
+    assert np.mean(0.5 * (told.upper - told.lower)) < 1.7 * np.quantile(np.abs(left), 0.9)
