@@ -172,12 +172,27 @@ ANGLES = {
 
 def is_straightness(text: str) -> bool:
     """Whether a header names a straightness: its letter is the axis across the one that moves."""
-    return re.search(r"straight|gerad", plain(text)) is not None
+    return re.search(_STRAIGHT, plain(text)) is not None
+
+
+# Quantities that are no positioning deviation of the axis along which they were measured.
+_DIAMETER = r"\b(diamet(er|re|ro)|durchmesser)|直[径徑]|(?i:^ø)"
+_SHAPES = (
+    r"flatness|ebenheit|planeit|squareness|perpendicular|rechtwinkl|parallel(ism|itaet)|roundness|rundheit|run-?out|rundlauf"
+    r"|planlauf|cylindric|zylinderform|平面度|垂直度|直角度|平行度|圆度|真円度"
+)
 
 
 def other_component(text: str, moved: str) -> str | None:
-    """EYX of 'straightness Y' along X, ECX of 'yaw'; None where a header names neither. Raises DataError for half."""
+    """EYX of 'straightness Y' along X, ECX of 'yaw', E_D of 'diameter'; None where a header names none of them.
+
+    Raises DataError for half of it, and for a shape (flatness, squareness), which is no component of the axis alone.
+    """
     word = plain(text)
+    if re.search(_DIAMETER, word):
+        return "E_D"
+    if re.search(_SHAPES, word):
+        raise DataError(f"column {text!r}: of what component is this? Say it with --component, such as EZX or C0Y")
     if is_straightness(text):
         across = axis_in(text)
         if across is None or across == moved:
@@ -194,6 +209,15 @@ def other_component(text: str, moved: str) -> str | None:
                 raise DataError(f"column {text!r}: about which axis? Say it with --component, such as EBZ")
             return f"E{about}{moved}"
     return None
+
+
+_STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"
+
+
+def titles_another(line: str) -> bool:
+    """Whether a line above a table names a straightness, a turn or a shape as measured: not `Squareness: off`."""
+    said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
+    return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None
 
 
 def axis_above(lines: list[str]) -> str | None:

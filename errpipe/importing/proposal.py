@@ -53,7 +53,22 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:
         _long(layout, guesses, axis, options, proposal, may_be_log)
+    _refuse_another_title(proposal, layout, options)
     return proposal
+
+
+def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
+    title = next((line for line in layout.above if guessing.titles_another(line)), None)
+    place = p.first("position") or p.first("command")
+    if title is None or place is None or options.component is not None:
+        return
+    own = components.positioning(p.entries[place]["axis"])
+    if any(e["role"] == "error" and e["component"] == own and "derived" not in e for e in p.entries.values()):
+        raise DataError(
+            f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
+            f"EYX (or {own}, the positioning)"
+        )
 
 
 FACTS = {

@@ -129,7 +129,8 @@ def _facts(folder: Path) -> dict[str, Any]:
     component = next(
         (c for c in recorded if components.parse(c).kind in ("positioning", "angular positioning")), recorded[0]
     )
-    axis = components.parse(component).axis or "X"
+    places = [c.axis for c in recording.manifest.columns.values() if c.role in ("command", "position") and c.axis]
+    axis = components.parse(component).axis or next(iter(places), "X")
     place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     targets = np.unique(np.round(recording.array(place), 3)).size if place is not None else 3
     side = recording.name("direction", axis=axis)

@@ -453,3 +453,35 @@ def test_angles_without_a_unit_are_not_taken_as_urad(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no unit is stated for the angles of ECC: say it with --unit \(arcsec"):
         imported(tmp_path, file)
     assert imported(tmp_path, file, unit="arcsec").components() == ("ECC",)
+
+
+def table_of(tmp_path: Path, above: str, header: str) -> Path:
+    file = tmp_path / "other.csv"
+    file.write_text("\n".join([above, header, *(f"{r},{x},{d}" for r, x, _, d in long_rows())]))
+    return file
+
+
+def test_a_diameter_along_z_is_no_positioning_of_z(tmp_path: Path) -> None:
+    """It became EZZ, and Z was to be moved by it."""
+    file = table_of(tmp_path, "", "Run,Z position (mm),diameter deviation (um)")
+    assert imported(tmp_path, file).components() == ("E_D",)
+
+
+@pytest.mark.parametrize(
+    ("above", "header"),
+    [
+        ("Test: Geradheit Y, Achse X", "Run,Target (mm),Deviation (um)"),
+        ("Straightness in the vertical plane", "Run,X (mm),Deviation (um)"),
+        ("", "Run,X (mm),flatness deviation (um)"),
+        ("", "Run,X (mm),Rundlauf Abw. (um)"),
+    ],
+)
+def test_another_quantity_is_not_taken_for_positioning(tmp_path: Path, above: str, header: str) -> None:
+    file = table_of(tmp_path, above, header)
+    with pytest.raises(DataError, match="--component"):
+        imported(tmp_path, file)
+    assert imported(tmp_path, file, component="EYX").components() == ("EYX",)
+    straight = table_of(
+        tmp_path, "Squareness compensation: off\nStraightness: not measured", "Run,X (mm),Deviation (um)"
+    )
+    assert imported(tmp_path, straight).components() == ("EXX",)
