@@ -17,6 +17,7 @@ from errpipe.terms._fields import Axis
 from errpipe.yamlfile import quantity
 
 SAME_TARGET = 1e-3  # of the span: positions closer than this are readings of one target (0.5 mm on 500 mm)
+WIDEST = 2.0  # of that distance: readings of one target; more are several, each near the next
 MOST_TARGETS = 400  # more places than any list of targets has: a log; `smooth_curve` fits one
 
 
@@ -96,8 +97,16 @@ def _targets(x: np.ndarray, axis: str) -> tuple[float, ...]:
     sorted_x = np.sort(x[np.isfinite(x)])
     if sorted_x.size == 0 or sorted_x[-1] == sorted_x[0]:
         raise DataError(f"measured_points: the readings stand at one place of {axis} (at least two targets are needed)")
-    starts = np.flatnonzero(np.r_[True, np.diff(sorted_x) > SAME_TARGET * (sorted_x[-1] - sorted_x[0])])
+    near = SAME_TARGET * (sorted_x[-1] - sorted_x[0])
+    starts = np.flatnonzero(np.r_[True, np.diff(sorted_x) > near])
     groups = np.split(sorted_x, starts[1:])
+    wide = next((g for g in groups if g[-1] - g[0] > WIDEST * near), None)
+    if wide is not None:
+        raise DataError(
+            f"measured_points: readings from {wide[0]:g} to {wide[-1]:g} of {axis} follow each other within {near:g} "
+            f"(a thousandth of the span): no list of targets (at most {MOST_TARGETS}); smooth_curve fits a curve "
+            "through them"
+        )
     if len(groups) > MOST_TARGETS or 2 * len(groups) > sorted_x.size:
         raise DataError(
             f"measured_points: {sorted_x.size} readings at {len(groups)} places of {axis} are no list of targets (at "

@@ -54,6 +54,13 @@ def test_readings_near_a_target_are_readings_of_it() -> None:
     assert MeasuredPoints(axis="X").settled(scattered).targets == pytest.approx((0.0, 7.5, 130.0, 300.0), abs=0.01)
 
 
+def test_targets_too_near_each_other_are_refused_not_averaged() -> None:
+    """Each within a thousandth of the span of the next, all became one target: a constant was exported."""
+    for targets in (np.linspace(0.0, 600.0, 2001), np.r_[0.0, 100.0 + 0.5 * np.arange(20), 600.0]):
+        with pytest.raises(DataError, match=r"follow each other within 0.6 \(a thousandth of the span\): no list"):
+            MeasuredPoints(axis="X").settled(recording(targets))
+
+
 def test_a_target_measured_in_one_direction_takes_its_lost_motion_from_the_neighbours() -> None:
     data = recording(np.linspace(0, 600, 7))
     data = data.take(~((data.array("x") == 600) & (data.array("d") < 0)))
