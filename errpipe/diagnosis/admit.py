@@ -26,7 +26,6 @@ class Remainder:
     shapes: tuple[tuple[Shape, float], ...]
     rms: float
     share: float
-    alone: float
     active: Active  # nuisances, hypotheses, shapes, in this order
     taken: tuple[int, ...]
 
@@ -53,14 +52,12 @@ def remainder(
         sd = 2.0 * max(size[k], 1.0) * search.sigma * shapes[k].freedom
         active = active.plus(index[k], sd)
         scene = type(named)(search.data, active, search.noise)
-    alone = base.scores(listed)[0]
     everything = max(base.rms() ** 2 - scene.rms() ** 2, 1e-12)
     share = (named.rms() ** 2 - scene.rms() ** 2) / everything
     return Remainder(
         tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)),
         scene.rms(),
         float(np.clip(share, 0, 1)),
-        float(max(alone, default=0.0)),
         active,
         tuple(taken),
     )

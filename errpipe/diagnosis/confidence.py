@@ -19,7 +19,7 @@ class Indicators:
     leftover: rms after over the noise seen between neighbours; share: of the structured variance, what only
     shapes reach; shapes: log Bayes factor of those shapes; others: number of other findings; core: share of the
     textbook form in the contribution; agreement: of the folds, how many chose the same effect first;
-    rank: 0 for the strongest finding; rows: judged rows; unreached: of the structured variance, what neither names
+    rank: 0 for the strongest finding; unreached: of the structured variance, what neither names
     nor the noise between neighbours account for; fast: 1 for traces of an axis under way, where neighbours tell less;
     beside: log Bayes factor of the best shape over an input beside the findings; instead: gain less that of the best
     one in the finding's place, both where held-out rows prove no shape; wandering: as `shapes`, of those over time or
@@ -35,7 +35,6 @@ class Indicators:
     core: float
     agreement: float
     rank: int
-    rows: int
     unreached: float = 0.0
     fast: int = 0
     beside: float = 0.0

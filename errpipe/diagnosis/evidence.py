@@ -247,12 +247,10 @@ class Listed:
 
 @dataclass(frozen=True)
 class Scored:
-    """A hypothesis' log Bayes factor against the active columns alone, the size that fits best, and at that size the
-    textbook form's share in what it explains."""
+    """A hypothesis' log Bayes factor against the active columns alone, and the size that fits best."""
 
     gain: float
     size: float
-    core: float = 1.0
 
 
 class Scene:
@@ -314,18 +312,10 @@ class Scene:
         price = 0.5 * np.log1p(S * sd**2 / self.sigma**2)
         return -price - 0.5 * (rows or self.n) * np.log(np.maximum(Q, 1e-9 * self.Q) / self.Q)
 
-    def score(
-        self,
-        slices: list[slice] | list[np.ndarray],
-        freedom: list[np.ndarray],
-        rows: float | None = None,
-        cores: list[int] | None = None,
-    ) -> list[Scored]:
-        """Score hypotheses: columns of each (slice or indices into the table), their relative freedoms, and how many
-        of the columns are the textbook form (None: all)."""
-        index = [np.arange(s.start, s.stop) if isinstance(s, slice) else np.asarray(s) for s in slices]
-        listed = Listed(index, freedom, [i.size for i in index] if cores is None else cores)
-        return [Scored(float(g), float(a), float(c)) for g, a, c in zip(*self.scores(listed, rows=rows), strict=True)]
+    def score(self, index: list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None) -> list[Scored]:
+        """Score hypotheses, textbook forms all of them: columns of each (indices into the table), their freedoms."""
+        listed = Listed(index, freedom, [i.size for i in index])
+        return [Scored(float(gain), float(size)) for gain, size, _ in zip(*self.scores(listed, rows=rows), strict=True)]
 
     def scores(
         self, listed: Listed, which: np.ndarray | None = None, rows: float | None = None
@@ -350,23 +340,23 @@ class Scene:
             SIZES,
         )
 
-    def _log_bf(self, S: np.ndarray, s: np.ndarray, rows: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Batched: S (m, k, k), s (m, k); log Bayes factors averaged over sizes, the best size of each and the
-        coefficients (m, k) at that size."""
-        lam, U = np.linalg.eigh(S)
-        lam = np.maximum(lam, 0.0)
-        turned = np.einsum("mij,mi->mj", U, s)
-        z = turned**2
-        a2 = SIZES[None, :, None] ** 2
-        explained = (z[:, None, :] * a2 / (1.0 + a2 * lam[:, None, :])).sum(axis=2)
-        residual_squares = np.maximum(self.Q - explained, 1e-9 * self.Q)
-        log_bf = -0.5 * np.log1p(a2 * lam[:, None, :]).sum(axis=2) - 0.5 * rows * np.log(residual_squares / self.Q)
-        top = log_bf.argmax(axis=1)
-        peak = log_bf.max(axis=1)
-        mean = peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
-        at = SIZES[top][:, None] ** 2
-        b = np.einsum("mij,mj->mi", U, at / (1.0 + at * lam) * turned)
-        return mean, SIZES[top], b
+
+def averaged(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) -> np.ndarray:
+    """Log Bayes factors averaged over sizes, of m hypotheses on c signals, shape (m, c).
+
+    S (m, k, k): products of a hypothesis' columns, active ones taken away; s (m, k, c): with the signals; spare (c,):
+    sums of squares without them.
+    """
+    lam, U = np.linalg.eigh(S)
+    lam = np.maximum(lam, 0.0)
+    z = (U.transpose(0, 2, 1) @ s) ** 2
+    weight = SIZES[:, None] ** 2 / (1.0 + SIZES[:, None] ** 2 * lam[:, None, :])  # (m, sizes, k)
+    explained = weight @ z  # (m, sizes, c)
+    residual_share = np.maximum(1.0 - explained / spare, 1e-9)
+    price = np.log1p(SIZES[:, None] ** 2 * lam[:, None, :]).sum(axis=2)
+    log_bf = -0.5 * price[:, :, None] - 0.5 * rows * np.log(residual_share)
+    peak = log_bf.max(axis=1)
+    return peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
 
 
 def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndarray:

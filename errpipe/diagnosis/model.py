@@ -9,7 +9,7 @@ import numpy as np
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import Scene, textbook_share
+from errpipe.diagnosis.evidence import Scene, averaged, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
@@ -144,8 +144,8 @@ def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
         return -np.inf
     S, s = _projected(scene, block)
     rows = case.search.rows or scene.n  # effective number of rows where they are correlated
-    gain, _, _ = scene._log_bf((S * freedom[:, None] * freedom)[None], (freedom * s)[None], rows)
-    return float(gain[0])
+    own = (S * freedom[:, None] * freedom)[None]
+    return float(averaged(own, (freedom * s)[None, :, None], np.array([scene.Q]), rows)[0, 0])
 
 
 def _fit(scene: Scene, block, freedom, size: float, case: Case) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from errpipe.diagnosis.evidence import averaged
 from errpipe.diagnosis.hypotheses import Hypothesis, Library, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
@@ -186,8 +187,7 @@ def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float,
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
     sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
-    gain, _, _ = scene._log_bf(Sc, sc, scene.n)
-    gain = gain - price
+    gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
     best = int(np.argmax(gain))
     return float(gain[best]), choices[best]
 

@@ -164,7 +164,6 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         core=model.core_share(case, k),
         agreement=held.agreement[k],
         rank=k,
-        rows=int(case.y.size),
         unreached=unreached(case, case.sigma) if proved else 0.0,
         fast=int(is_fast(case)),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,

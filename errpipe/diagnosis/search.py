@@ -40,11 +40,10 @@ class Scores(NamedTuple):
 
 @dataclass(frozen=True)
 class Explanation:
-    """Accepted hypotheses, strongest first; every hypothesis' gain alone, shape (hypotheses,); the total gain."""
+    """Accepted hypotheses, strongest first; every hypothesis' gain alone, shape (hypotheses,)."""
 
     accepted: tuple[Accepted, ...]
     alone: np.ndarray
-    total: float
 
 
 class Search:
@@ -72,7 +71,7 @@ class Search:
         scored = self.score([])
         alone = scored.gain + self.prior
         if not alone.size or alone.max() < self.threshold:
-            return Explanation((), alone, 0.0)
+            return Explanation((), alone)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
         firsts = [k for k in self.best_of_each_key(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
         self.data.table.know(np.concatenate([self.library.indices(k) for k in firsts]))
@@ -85,7 +84,7 @@ class Search:
         best_total = ranked[0][0]
         best = max((self.tune(c) for total, c in ranked[:FINALISTS] if total > best_total - MAX_LOSS), key=self.joint)
         best = self.exchanged(best)
-        return Explanation(self.accepted(best), alone, float(best_total))
+        return Explanation(self.accepted(best), alone)
 
     def exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
         """Exchange step: each finding is replaced by another effect while the joint evidence grows."""

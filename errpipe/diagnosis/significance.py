@@ -18,7 +18,7 @@ import numpy as np
 
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import correlation_time
-from errpipe.diagnosis.evidence import SIZES, Scene
+from errpipe.diagnosis.evidence import Scene, averaged
 
 SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
 ENOUGH_RUNS = 10  # fewer runs give too few combinations of signs
@@ -111,23 +111,9 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
         else:
             freedom = np.stack([library.freedoms[i] for i in members])
             S = S * freedom[:, :, None] * freedom[:, None, :]
-            gain = _over_sizes(S, s * freedom[:, :, None], spare, case.search.rows or scene.n)
+            gain = averaged(S, s * freedom[:, :, None], spare, case.search.rows or scene.n)
         best = np.maximum(best, (gain + prior).max(axis=0))
     return best
-
-
-def _over_sizes(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) -> np.ndarray:
-    """As Scene._log_bf for many signals: S (m, k, k), s (m, k, c), spare (c,); gains (m, c)."""
-    lam, U = np.linalg.eigh(S)
-    lam = np.maximum(lam, 0.0)
-    z = (U.transpose(0, 2, 1) @ s) ** 2
-    weight = SIZES[:, None] ** 2 / (1.0 + SIZES[:, None] ** 2 * lam[:, None, :])  # (m, sizes, k)
-    explained = weight @ z  # (m, sizes, c)
-    residual_share = np.maximum(1.0 - explained / spare, 1e-9)
-    price = np.log1p(SIZES[:, None] ** 2 * lam[:, None, :]).sum(axis=2)
-    log_bf = -0.5 * price[:, :, None] - 0.5 * rows * np.log(residual_share)
-    peak = log_bf.max(axis=1)
-    return peak + np.log(np.mean(np.exp(log_bf - peak[:, None]), axis=1))
 
 
 def _with_known_size(S, s, unit, sd, spare, scene: Scene, rows: float | None) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from errpipe.diagnosis.coloured import Colour, correlation_time, whiten
-from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, textbook_share
+from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, averaged, textbook_share
 
 
 def table(rng, n=400, k=6):
@@ -23,7 +23,7 @@ def test_the_true_column_wins_and_noise_pays():
     rng = np.random.default_rng(0)
     columns, made = table(rng)
     y = 0.6 * columns[:, 2] + rng.standard_normal(400)
-    gains = [s.gain for s in scene(made, y).score([slice(i, i + 1) for i in range(6)], [np.ones(1)] * 6)]
+    gains = [s.gain for s in scene(made, y).score([np.array([i]) for i in range(6)], [np.ones(1)] * 6)]
     assert np.argmax(gains) == 2
     assert gains[2] > 30
     assert max(g for i, g in enumerate(gains) if i != 2) < 3
@@ -42,9 +42,10 @@ def test_hypotheses_of_all_widths_at_once_have_the_evidence_of_each():
     for k, i in enumerate(index):
         half = np.linalg.solve(beside.chol, beside.with_active(i))
         S, s = made.W[:, i].T @ made.W[:, i] - half.T @ half, beside.Zy_all[i] - half.T @ beside.half
-        told, at, b = beside._log_bf((S * freedom[k][:, None] * freedom[k])[None], (freedom[k] * s)[None], 300.0)
-        assert_allclose([gain[k], size[k]], [told[0], at[0]], rtol=1e-6)
-        assert_allclose(core[k], textbook_share(freedom[k] * b[0], [1, 1, 2, 4, 20][k]), rtol=1e-6)
+        S, s = S * freedom[k][:, None] * freedom[k], freedom[k] * s
+        assert_allclose(gain[k], averaged(S[None], s[None, :, None], np.array([beside.Q]), 300.0)[0, 0], rtol=1e-6)
+        b = np.linalg.solve(S + np.eye(i.size) / size[k] ** 2, s)
+        assert_allclose(core[k], textbook_share(freedom[k] * b, [1, 1, 2, 4, 20][k]), rtol=1e-6)
 
 
 def test_columns_added_later_have_the_same_products():
@@ -82,7 +83,7 @@ def test_on_noise_alone_no_column_gains():
     best = []
     for _ in range(60):
         _, made = table(rng)
-        scored = scene(made, rng.standard_normal(400)).score([slice(i, i + 1) for i in range(6)], [np.ones(1)] * 6)
+        scored = scene(made, rng.standard_normal(400)).score([np.array([i]) for i in range(6)], [np.ones(1)] * 6)
         best.append(max(s.gain for s in scored))
     assert np.mean(np.array(best) > 5) < 0.05
 

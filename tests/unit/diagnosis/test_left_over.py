@@ -23,7 +23,7 @@ def with_mismatch(case: judge.Case, y: np.ndarray) -> judge.Case:
     """The same response and library, another mismatch, and nothing named."""
     search = case.search
     search.data, search.rows = Data(case.library.table, y), None
-    return replace(case, y=y, search=search, explanation=Explanation((), np.zeros(0), 0.0))
+    return replace(case, y=y, search=search, explanation=Explanation((), np.zeros(0)))
 
 
 def noise(rng, run: np.ndarray, share: float, memory: float) -> np.ndarray:

@@ -25,10 +25,10 @@ def held(bare: float, textbook: float, named: float) -> HeldOut:
 def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, departs):
     """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well."""
 
-    explained = SimpleNamespace(explanation=Explanation((SimpleNamespace(),), np.zeros(1), 1.0))  # type: ignore[arg-type]
+    explained = SimpleNamespace(explanation=Explanation((SimpleNamespace(),), np.zeros(1)))  # type: ignore[arg-type]
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
     assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
-    assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0), 0.0)), held(3.0, textbook, 1.0))
+    assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0))), held(3.0, textbook, 1.0))
 
 
 def test_the_weakest_of_several_impossible_findings_is_ruled_out_first(monkeypatch):
