@@ -65,6 +65,13 @@ def resolved_lengths(recording: Recording, axis: str) -> tuple[float, float]:
     return float(np.median(moves)) if moves.size else span, span
 
 
+def of_encoder(recording: Recording, axis: str, period: float) -> bool:
+    """Is a wave as long as the stated signal period of the axis' encoder, to a turn over the positions covered?"""
+    known = recording.manifest.axis(axis)
+    own = known.encoder_period if known is not None else None
+    return own is not None and abs(1.0 / period - 1.0 / own) * resolved_lengths(recording, axis)[1] < 1.0
+
+
 @dataclass(frozen=True)
 class Listed:
     """Values listed by the term, of a parameter without a scale (a power); refined by factors of up to exp(reach)."""
@@ -165,7 +172,8 @@ class Waves(Listed):
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         x = position(recording, term.axis)
-        return periods(x[signals.rows], signals.values)
+        found = periods(x[signals.rows], signals.values)
+        return tuple(p for p in found if not of_encoder(recording, term.axis, p))
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         _, span = resolved_lengths(recording, term.axis)

@@ -15,7 +15,7 @@ from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, drive_periods, is_radial
-from errpipe.terms._search import Signals, Waves
+from errpipe.terms._search import Signals, Waves, of_encoder
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 
 
@@ -68,7 +68,8 @@ class PitchCyclic(Term):
             for period in waves.turn(recording, axis):  # a disc off centre and oval
                 yield cls(axis=axis, orders=(1.0, 2.0), fixed={"period": period}), (period,)
             for period, orders, known in waves.seen(recording, axis, signals, stated):
-                yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
+                if not of_encoder(recording, axis, period):
+                    yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (period,) = nonlinear

@@ -17,6 +17,7 @@ from errpipe.kernels import responses
 from errpipe.terms import Signals
 from errpipe.terms._lines import combs, lines, periods
 from errpipe.terms._place import drive_periods, pole_periods
+from errpipe.terms._search import Waves
 from errpipe.terms.dead_time import DeadTime
 from errpipe.terms.flexible_mode import FlexibleMode
 from errpipe.terms.following_error import FollowingError
@@ -284,3 +285,17 @@ def test_a_profile_of_chance_is_no_wave():
 def visited_signal(rng: np.random.Generator) -> tuple[np.ndarray, tuple[np.ndarray]]:
     x, y = visited(rng.normal(size=PLACES.size))
     return x, (y,)
+
+
+# ---------------------------------------------------------------- whose wave it is
+@pytest.mark.parametrize(("stated", "offered"), [(None, True), (0.04, False), (0.02, True)])
+def test_a_wave_as_long_as_the_encoders_signal_is_the_encoders(stated, offered):
+    """Its harmonics may be those of any wave: a free one has columns for more of them, and would be likelier."""
+    x = np.linspace(0, 20, 8001) + 5e-4 * np.sin(np.arange(8001.0))
+    wave = sum(np.sin(2 * np.pi * k * x / 0.04 + k) / k for k in (1, 2, 3))
+    known = Constant(role="axis", kind="linear", unit="mm", encoder_period=stated)
+    log = recording({"x": x}, {"x": {"role": "position", "axis": "X", "unit": "mm"}}, X=known)
+    near = lambda periods: any(abs(p - 0.04) < 5e-5 for p in periods)  # noqa: E731
+    free = next(t for t in PitchCyclic.bind(log, "EXX") if not t.fixed)
+    assert near(Waves().values(free, "period", log, signals(wave))) == offered
+    assert near(p for _, (p,) in PitchCyclic.located(log, "EXX", signals(wave))) == offered
