@@ -53,6 +53,17 @@ def test_a_wave_has_an_amplitude_whatever_its_phase(turn):
     assert told.ci95[0] <= 1.5 <= told.ci95[1] and told.ci95[1] - told.ci95[0] < 0.6
 
 
+@pytest.mark.parametrize("uneven", [0.0, 0.3])
+def test_the_interval_of_a_size_that_varies_is_as_wide_as_it_varies(uneven):
+    """Lost motion of 6 um that grows by a third with the day: many rows do not make its mean any surer."""
+    day = lambda c: 1 + uneven * (2 * c["t"] / c["t"][-1] - 1)  # noqa: E731
+    first = diagnose(axis(3, hidden=lambda c: -3.0 * c["dir"] * day(c), noise=0.2))[0].responses[0].findings[0]
+    (told,) = (p for p in first.parameters if p.unit == "um")
+    low, high = sorted(map(abs, told.ci95))
+    assert first.effect == "backlash" and low <= 6.0 <= high
+    assert (high - low > 0.9) == (uneven > 0)
+
+
 def test_the_depth_of_a_worn_stretch_is_that_of_its_deepest_place():
     """A trough with steep sides, unlike the bell that is fitted to it: 6 um deep all the same."""
     made = axis(9, hidden=lambda c: -6.0 / (1 + ((c["x"] - 330.0) / 45.0) ** 6))
