@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
+from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell
@@ -43,6 +44,14 @@ _USUAL = (
 # Slashes and dashes may put the month first or the day: both are tried, and the shorter time that never falls is taken.
 _OTHER_ORDER = _forms("%d/%m/%Y", "%d/%m/%y", "%m-%d-%Y")
 
+# Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
+EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
+# Days of the years 2000 to 2099: of a spreadsheet (or modified Julian), of MATLAB's datenum, Julian.
+SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
+
+
+FILE_TIME = 1e-7  # s: such ticks do not count from 1970
+
 
 def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     """Dates, clocks or elapsed times as s since the first, that date by ISO 8601, and how it is written; or None."""
@@ -55,6 +64,29 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     if not candidates:
         return _elapsed(texts)
     return min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
+
+
+def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str, str | None]:
+    """Times that are numbers, their unit, the reason and when they were 0.
+
+    Raises DataError for what may be days or seconds.
+    """
+    first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
+    tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
+    if unit == "us":
+        return (c.values - first) * 1e-6, "s", f"{why}; us written as s", None
+    if unit not in ROLE_UNITS["time"] and tick is not None:
+        epoch = None if tick == FILE_TIME else datetime.fromtimestamp(first * tick, UTC).isoformat()
+        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
+    days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
+    if unit is None and days and last - first < len(c.values):
+        raise DataError(
+            f"column {c.header!r} starts at {first:g}: days since a date, or seconds? (--set '{c.header}.unit=d', or s)"
+        )
+    if unit not in ROLE_UNITS["time"]:
+        unit, why = "s", f"{why}; no unit is stated, taken as s".strip("; ")
+    late = first > 1e8 or (first > SERIAL_DAYS[0][0] and unit == "d")
+    return c.values - first if late else c.values, unit, why, None
 
 
 def order_of(form: str) -> str:

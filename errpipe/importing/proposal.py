@@ -6,7 +6,6 @@ Everything computed here is stated in the manifest or in a note.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -337,41 +336,10 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
         why += f"; dates written as s since the first row{dates.order_of(form)}"
         p.put("t", since, why, role="time", unit="s", epoch=epoch)
     elif c.numeric:
-        values, unit, why, epoch = _numbered_time(c, unit, why)
+        values, unit, why, epoch = dates.numbered(c, unit, why)
         p.put(c.header, values, why, role="time", unit=unit, epoch=epoch)
     else:
         p.put(c.header, [label(x) for x in c.cells], dates.NOT_UNDERSTOOD, role="ignore")
-
-
-# Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
-EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
-# Days of the years 2000 to 2099: of a spreadsheet (or modified Julian), of MATLAB's datenum, Julian.
-SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
-
-
-FILE_TIME = 1e-7  # s: such ticks do not count from 1970
-
-
-def _numbered_time(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str, str | None]:
-    """Times that are numbers, their unit, the reason and when they were 0.
-
-    Raises DataError for what may be days or seconds.
-    """
-    first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
-    tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
-    if unit == "us":
-        return (c.values - first) * 1e-6, "s", f"{why}; us written as s", None
-    if unit not in ROLE_UNITS["time"] and tick is not None:
-        epoch = None if tick == FILE_TIME else datetime.fromtimestamp(first * tick, UTC).isoformat()
-        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
-    days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
-    if unit is None and days and last - first < len(c.values):
-        raise DataError(
-            f"column {c.header!r} starts at {first:g}: days since a date, or seconds? (--set '{c.header}.unit=d', or s)"
-        )
-    unit, why = _unit_or(unit if unit in ROLE_UNITS["time"] else None, "s", why)
-    late = first > 1e8 or (first > SERIAL_DAYS[0][0] and unit == "d")
-    return c.values - first if late else c.values, unit, why, None
 
 
 def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Proposal) -> None:
