@@ -167,8 +167,7 @@ class _Work:
     def holding(self, d: Decomposition, i: int) -> list[Decomposition]:
         """The likeliest ways in which the signal may hold a hypothesis, at any of its parameters.
 
-        It stands beside the parts of a decomposition, or in the place of one of them; none where its share is nothing,
-        or where the signal is as likely without it: doubts about such a part would play whatever is missing.
+        It stands beside the parts of a decomposition, or in the place of one of them; none where its share is nothing.
         """
         own = self.library.family(i)
         ways = []
@@ -179,8 +178,7 @@ class _Work:
                 ways.append(max(((self._worth(state), state) for state in states), key=lambda w: w[0]))
         matches = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
         least = LEAST_PART * self.spread
-        holds = lambda p: p.index in own and np.std(p.core) > least and p.certainty > 0.0  # noqa: E731
-        return [f for f in matches if any(map(holds, f.parts))]
+        return [f for f in matches if any(p.index in own and np.std(p.core) > least for p in f.parts)]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""

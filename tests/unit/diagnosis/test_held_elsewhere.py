@@ -10,7 +10,7 @@ import pytest
 from errpipe.diagnosis import decompose, hypotheses, unnamed
 from errpipe.diagnosis.prepare import condition
 
-from .machines import axis, spindle
+from .machines import spindle
 
 
 def test_an_effect_takes_the_place_of_the_part_that_stands_in_for_it():
@@ -27,21 +27,6 @@ def test_an_effect_takes_the_place_of_the_part_that_stands_in_for_it():
     ]
     assert holding(first, growth) == []
     assert decompose.decompose(np.zeros(rows.size), library, case, rows, 0.3)[1] is None
-
-
-def test_a_simulation_holds_no_effect_that_it_is_as_likely_without():
-    """An expansion from a reference temperature of its own: a lead error beside it may take any share of the slope.
-
-    Doubts about that share would play a lead error that is missing, and nothing would be named.
-    """
-    case = condition(axis())
-    rows = np.arange(len(case))
-    library = hypotheses.build(case, "EXX", rows)
-    simulated = -16e-3 * case.array("x") * (case.array("T_bed") - 20.9)
-    (first, *_), holding = decompose.decompose(simulated, library, case, rows, 0.5)
-    lead = next(i for i, h in enumerate(library.hypotheses) if h.effect == "scale_error")
-    assert [p.hypothesis.effect for p in first.parts] == ["scale_expansion"]
-    assert all(p.certainty > 0 for d in holding(first, lead) for p in d.parts)
 
 
 @pytest.mark.parametrize(("after", "noise", "stands"), [(1.0, 1.0, True), (1.0, 0.2, False), (1.3, 1.0, False)])
