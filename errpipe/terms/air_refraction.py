@@ -34,7 +34,6 @@ class AirRefraction(Term):
     reports_as = "air_refraction"
     family = "measurement"
     rowwise = True
-    form = "any start"
     compensable = False
     of_nature = True
     artefact = "it is the air in the beam of the measuring laser, not the machine: correct the reading"

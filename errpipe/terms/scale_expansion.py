@@ -36,7 +36,6 @@ class ScaleExpansion(Term):
     reports_as = "scale_expansion"
     family = "thermal"
     rowwise = True
-    form = "any start"
     gains = (Parameter("coefficient", "um/m/K", (5.0, 20.0), (-100.0, 100.0), "growth per metre and kelvin"),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:

@@ -85,14 +85,3 @@ def test_states_at_the_start_and_shapes_of_a_guideway_are_no_departures():
     assert own == core + library.starts < every
     core, own, every = forms["backlash"]
     assert own == core < every
-
-
-def test_the_temperature_from_which_a_growth_is_counted_is_no_departure():
-    """Scales and lasers are set right in some state, 20 degC or another: a slope beside the textbook form."""
-    made = axis()
-    library = hypotheses.build(made, "EXX", np.arange(len(made)))
-    for effect in ("scale_expansion", "air_refraction"):
-        i = next(i for i, h in enumerate(library.hypotheses) if h.effect == effect)
-        assert library.textbook(i) == library.cores[i] + 1
-        slope = library.block(i, made, np.arange(len(made)))[:, library.cores[i]]
-        assert np.corrcoef(slope, made.array("x"))[0, 1] > 0.999
