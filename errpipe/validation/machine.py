@@ -126,10 +126,10 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     """The linear axes that a table of an identification may move.
 
     Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
-    out. Of an axis whose identified error is below the noise of a reading, or whose error would hardly change (`TIE`),
-    the posterior alone is asked; where it doubts, or expects a tie, the axis is left alone. Raises GateError where no
-    validation judged it, or where an axis or the machine may get worse: axes are compensated together or not at all, as
-    one that is corrected without the others turns the whole part.
+    out. Of an axis whose identified error is below the noise of a reading the posterior alone is asked; where it
+    doubts, the axis is left alone. Raises GateError where no validation judged it, or where an axis or the machine may
+    get worse: axes are compensated together or not at all, as one that is corrected without the others turns the whole
+    part.
     """
     if not validations:
         raise GateError(
@@ -138,9 +138,8 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
         )
     volumetric = document["volumetric"]
     axes = volumetric["axes"]
-    gains = {n: a for n, a in axes.items() if a["left_rms_um"] < (1.0 - TIE) * a["before_rms_um"]}
-    kept = {n: a for n, a in gains.items() if a["effect_rms_um"] > document["noise_um"]}
-    wrong = [] if kept else ["no axis has an identified error above the noise of a reading that would get better"]
+    kept = {n: a for n, a in axes.items() if a["effect_rms_um"] > document["noise_um"]}
+    wrong = [] if kept else ["no axis has an identified error above the noise of a reading"]
     for name, figures in ({"the machine": volumetric} | kept).items():
         wrong += [] if figures["probability_worse"] <= MOST_HARM else [_harmful(name, figures)]
     for test, figures in (item for validation in validations for item in validation.items()):
@@ -148,7 +147,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
         wrong += [_not_better(name, part) for name, part in parts.items() if _not_improved(part)]
     if wrong:
         raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}")
-    return tuple(n for n, a in gains.items() if n in kept or a["probability_worse"] <= MOST_HARM)
+    return tuple(n for n, a in axes.items() if n in kept or a["probability_worse"] <= MOST_HARM)
 
 
 def _not_improved(figures: Mapping[str, float]) -> bool:

@@ -28,7 +28,7 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
     """Monte Carlo of a weak test, all of it compensated and only a part, less the workpiece's pose."""
     solved, _ = played("vertical-centre", "diagonal", 2)
     chain = solved.model.chain
-    judged, q = remaining.expected(solved), remaining.places(chain, remaining.JUDGED)
+    judged, q = remaining.expected(solved), remaining.places(chain, remaining.JUDGED, remaining.JUDGED_SEED)
     rng = np.random.default_rng(0)
     jac = remaining.synthesis.jacobian(chain, q, None)[:, :3]
     rows = (jac[:, :, solved.model.prior.component] * solved.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
@@ -61,7 +61,7 @@ def test_what_no_reading_knows_of_counts_at_its_prior_spread():
     weak = remaining.expected(identify.identify(identify.Parametrisation.of(chain), obs))
     rest = tuple(c for c in chain.components if c != "EXX")
     sure = remaining.expected(identify.identify(identify.Parametrisation.of(chain, without=rest), obs))
-    assert weak.axes["X"].harm > 0.01 > 1e-6 > sure.axes["X"].harm
+    assert weak.axes["X"].harm > 1e-4 > 1e-6 > sure.axes["X"].harm
 
 
 @pytest.mark.parametrize("machine", ["five-axis-table-table", "five-axis-head-head"])
