@@ -28,7 +28,7 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
     """Monte Carlo of a weak test, all of it compensated and only a part, less the workpiece's pose."""
     solved, _ = played("vertical-centre", "diagonal", 2)
     chain = solved.model.chain
-    judged, q = remaining.expected(solved), remaining.places(chain, remaining.JUDGED, remaining.JUDGED_SEED)
+    judged, q = remaining.expected(solved), remaining.mirrored_places(chain, remaining.JUDGED, remaining.JUDGED_SEED)
     rng = np.random.default_rng(0)
     jac = remaining.synthesis.jacobian(chain, q, None)[:, :3]
     rows = (jac[:, :, solved.model.prior.component] * solved.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
@@ -52,9 +52,9 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
 
 
 def test_what_no_reading_knows_of_counts_at_its_prior_spread():
-    """One line read at the tool: the angles that it cannot tell may outweigh what is corrected."""
+    """One line read at the tool in a corner: the angles that it cannot tell may outweigh what is corrected."""
     chain = ready("vertical-centre")
-    q = np.tile(chain.travel.mean(axis=1), (17, 1))
+    q = np.tile(chain.travel[:, 0], (17, 1))
     q[:, 0] = np.linspace(*chain.travel[0], 17)
     line = remaining.synthesis.ideal_pose(chain, q)[:, 0] - remaining.synthesis.ideal_pose(chain, q)[8, 0]
     obs = protocols.o.along(chain, q, chain.tip(), (1.0, 0.0, 0.0), line[:, 0] * 0.02)
