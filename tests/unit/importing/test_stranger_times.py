@@ -72,17 +72,10 @@ def test_times_that_are_asked_about(tmp_path: Path, header: str, written: Callab
         imported(tmp_path, drift(tmp_path, header, written))
 
 
-@pytest.mark.parametrize("header", ["T_K", "T [K]", "T1 K", "temperature K"])
-def test_absolute_temperatures_in_kelvin(tmp_path: Path, header: str) -> None:
-    rows = [f"{t},{a + 273.15:.2f},{z}" for t, a, z in zip(TIMES, TEMPERATURES, DRIFTS, strict=True)]
-    (tmp_path / "log.csv").write_text("\n".join([f"time s,{header},Z drift um", *rows, ""]), encoding="utf-8")
-    recording = imported(tmp_path, tmp_path / "log.csv")
-    assert recording.array(recording.name("temperature")) == pytest.approx(TEMPERATURES, abs=0.006)
-
-
-@pytest.mark.parametrize("header", ["temp_F", "T_amb F", "T1 [°F]"])
-def test_fahrenheit(tmp_path: Path, header: str) -> None:
-    rows = [f"{t},{32 + 1.8 * a:.3f},{z}" for t, a, z in zip(TIMES, TEMPERATURES, DRIFTS, strict=True)]
+@pytest.mark.parametrize("header", ["T_K", "T [K]", "T1 K", "temperature K", "temp_F", "T_amb F", "T1 [°F]"])
+def test_temperatures_become_degrees_celsius(tmp_path: Path, header: str) -> None:
+    written = 32.0 + 1.8 * TEMPERATURES if "F" in header else TEMPERATURES + 273.15
+    rows = [f"{t},{a:.3f},{z}" for t, a, z in zip(TIMES, written, DRIFTS, strict=True)]
     (tmp_path / "log.csv").write_text("\n".join([f"time s,{header},Z drift um", *rows, ""]), encoding="utf-8")
     recording = imported(tmp_path, tmp_path / "log.csv")
     assert recording.array(recording.name("temperature")) == pytest.approx(TEMPERATURES, abs=0.006)
