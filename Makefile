@@ -82,6 +82,9 @@ trials-thermal: $(SETUP) ## thermal model families on simulated machines, judged
 trials-volumetric: $(SETUP) ## every measuring protocol on simulated machines: is anything exported worse than nothing?
 	@$(BIN)/python -m trials.volumetric $(ARGS)
 
+trials-examples: $(SETUP) ## the examples on machines drawn by seed: is anything exported worse than nothing?
+	@$(BIN)/python -m trials.examples $(ARGS)
+
 retrain-demo: $(SETUP) ## a simulated year of nightly retraining
 	@$(BIN)/python examples/retraining/year.py out/retraining --seed $(SEED) $(ARGS)
 

@@ -146,7 +146,7 @@ def figures() -> list[Figure]:
         ]
         bare, ours, numpy = (sorted(times) for times in zip(*taken, strict=True))
         whole, peak = stage(folder)
-    lacks = {"lacks": "runs that sit out, missing values, memory that does not grow"}
+    lacks = {"lacks": "held-out runs, missing values, memory that does not grow"}
     return [
         Figure("linear fit from disk over bare reading of its columns", ours[0] / bare[0], "x", 0.0, AIM),
         Figure(f"linear fit of {ROWS} rows from disk", ours[0], "s", spread(ours), None, False, "numpy, all in memory",

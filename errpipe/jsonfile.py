@@ -54,8 +54,13 @@ def write(path: Path, value: Any) -> bool:
 
 def read(path: Path) -> Any:
     """Read a JSON file. Raises VerifyError naming line and column where it is not JSON."""
+    return loads(files.read(Path(path), files.MAX_JSON_BYTES, VerifyError), path)
+
+
+def loads(data: bytes, path: Path | str) -> Any:
+    """What the bytes of a JSON file hold; path: its name in messages. Raises VerifyError as `read` does."""
     try:
-        return json.loads(files.read(Path(path), files.MAX_JSON_BYTES, VerifyError).decode())
+        return json.loads(data.decode())
     except json.JSONDecodeError as err:
         raise VerifyError(f"{path}:{err.lineno}:{err.colno}  not JSON: {err.msg}") from None
     except UnicodeDecodeError as err:

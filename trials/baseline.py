@@ -28,7 +28,7 @@ PROTOCOL_BY_TITLE = {
     "grid": "volumetric grid",
     "Boring": "cutting series",
 }
-PAYS, LEAST_GAIN, SURE_GAIN = 12.0, 0.07, 0.3  # log evidence at a quarter of the rows; shares of the rest
+PAYS, MIN_GAIN, SURE_GAIN = 12.0, 0.07, 0.3  # log evidence at a quarter of the rows; shares of the rest
 
 
 def _filled(values: Array) -> Array:
@@ -89,7 +89,7 @@ def _response(bench: Bench, component: str, error: Array, simulated: Array, libr
         able = [f for f in library if possible(f.effect, component, f.drivers)]
         left = [n * target.explained(f.design[rows])[1] ** 2 + f.design.shape[1] * 8 * rest / n for f in able]
         k = int(np.argmin(left))
-        if n / 4 * np.log(rest / left[k]) < PAYS or left[k] > (1 - LEAST_GAIN) * rest:
+        if n / 4 * np.log(rest / left[k]) < PAYS or left[k] > (1 - MIN_GAIN) * rest:
             break
         sure = 0.8 if left[k] < (1 - SURE_GAIN) * rest else 0.6
         findings.append({"effect": able[k].effect, "confidence": sure, "drivers": list(able[k].drivers)})

@@ -2,7 +2,7 @@
 
 python -m trials.volumetric [--seeds 20] [--first 1] [--machines vertical-centre,...] [--protocols diagonal,...]
 
-Each machine is measured, identified, judged on the measurements that sat out, and passed through the gate of
+Each machine is measured, identified, judged on the held-out measurements, and passed through the gate of
 `export_volumetric`. What passes is compared with the true machine over the whole travel, in all and axis by axis. Ends
 with 1 where something that passed is worse than nothing.
 """

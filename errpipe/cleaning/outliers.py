@@ -17,12 +17,13 @@ from errpipe.domain.recording import Recording
 from errpipe.yamlfile import quantity
 
 SIDE = 4  # readings on either side: the median of 8 shrugs off 3 other outliers
-FEWEST = 3 * SIDE  # readings of a run; fewer give no scatter
+MIN_READINGS = 3 * SIDE  # readings of a run; fewer give no scatter
 BLOCK = 50  # readings over which a local scatter is taken, so that a rough stretch is judged by its own roughness
-LONGEST = 2  # readings side by side that can be outliers; three are an event
+MAX_CONSECUTIVE = 2  # readings side by side that can be outliers; three are an event
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change, and ends a part
 DRAW_ON = 1.25  # from the middle of one side's readings to the middle of the other's, in sides
 DRAWN = 0.3  # a neighbour that goes along by this share of the departure makes it an event
+END_STEPS = 2.7  # times the largest step elsewhere: e, as of a body whose time constant is that between two readings
 NORMAL = 1.4826  # from median absolute deviation to the standard deviation of a normal distribution
 REVERSAL = 3  # readings on either side of a reversal that are not judged
 RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals tell nothing
@@ -69,7 +70,7 @@ def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: floa
     far_off = []
     for run_rows in rows_of_runs(run):
         rows = run_rows[np.isfinite(values[run_rows])]
-        if rows.size >= FEWEST:
+        if rows.size >= MIN_READINGS:
             far_off.append(rows[_in_run(values[rows], _parts(t[rows]), threshold, step)])
     return np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
 
@@ -89,6 +90,8 @@ def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> n
         _median(_windows(y, part, rows, reach)) for reach in ((-2 * SIDE, -SIDE - 1), (SIDE + 1, 2 * SIDE))
     )
     left, right = _side(before), _side(after)
+    at_end = np.zeros(y.size, dtype=bool)
+    at_end[rows] = np.isnan(left) | np.isnan(right)
     # At either end of a part the missing side is the other side, drawn on as a line.
     left = np.where(np.isnan(left), right + DRAW_ON * (right - far_after), left)
     right = np.where(np.isnan(right), left + DRAW_ON * (left - far_before), right)
@@ -98,7 +101,8 @@ def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> n
     off[rows] = (here > np.maximum(left, right) + far) | (here < np.minimum(left, right) - far)
     base[rows] = np.where(residual[rows] > 0, np.maximum(left, right), np.minimum(left, right))
     for start, end in zip(*stretches(off), strict=True):
-        if end - start > LONGEST or _drawn_along(y, base, start, end):
+        at_a_step = at_end[start:end].any() and _steps_as_far_elsewhere(y, base, part, start, end)
+        if end - start > MAX_CONSECUTIVE or at_a_step or _drawn_along(y, base, start, end):
             off[start:end] = False
     return np.flatnonzero(off)
 
@@ -141,6 +145,16 @@ def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
     local = np.repeat(blocks, BLOCK)
     local = np.r_[local, np.full(max(residual.size - local.size, 0), local[-1])][: residual.size]
     return np.maximum(np.maximum(whole, local), max(step / 2, 1e-12))
+
+
+def _steps_as_far_elsewhere(y: np.ndarray, base: np.ndarray, part: np.ndarray, start: int, end: int) -> bool:
+    """True where readings at the end of a part may be the start of something, such as a machine that is switched on.
+
+    Nothing beyond the end tells whether they come back, so they must stand off further than what moves elsewhere.
+    """
+    step = np.where(part[1:] == part[:-1], np.abs(np.diff(y)), 0.0)
+    step[max(start - 1, 0) : end] = 0.0  # their own
+    return bool(np.abs(y[start:end] - base[start:end]).min() < END_STEPS * step.max())
 
 
 def _drawn_along(y: np.ndarray, base: np.ndarray, start: int, end: int) -> bool:

@@ -10,7 +10,7 @@ from errpipe.cleaning._base import SENSORS, Action, Rule, resolution
 from errpipe.domain.recording import Recording
 from errpipe.yamlfile import quantity
 
-FEWEST = 20  # values; fewer say nothing about a lattice
+MIN_VALUES = 20  # values; fewer say nothing about a lattice
 
 
 class Quantisation(Rule):
@@ -28,7 +28,7 @@ class Quantisation(Rule):
             for name in recording.names(role):
                 values = recording.array(name)
                 step = resolution(values)
-                if step == 0.0 or np.count_nonzero(np.isfinite(values)) < FEWEST:
+                if step == 0.0 or np.count_nonzero(np.isfinite(values)) < MIN_VALUES:
                     continue
                 change = np.abs(np.diff(values[np.isfinite(values)]))
                 if np.median(change) <= self.coarse * step:

@@ -19,8 +19,8 @@ SIDE = 4  # readings on either side whose median is a level
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change
 STAYS = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
 SLOWER = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
-LEAST_STEP = 2.0  # K: a smaller step is not worth a run
-MOST_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
+MIN_STEP = 2.0  # K: a smaller step is not worth a run
+MAX_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
 DEAD_SHARE = 0.3  # of a sensor's cells after a jump: the rest is not worth the risk
 
 
@@ -55,10 +55,10 @@ class SensorJumps(Rule):
         if before.size < 4 * SIDE:
             return []
         change = values[after] - values[before]
-        order = np.argsort(-np.abs(change), kind="stable")[: MOST_JUMPS + 1]
+        order = np.argsort(-np.abs(change), kind="stable")[: MAX_JUMPS + 1]
         size = np.abs(change[order])
-        for count in range(min(MOST_JUMPS, size.size - 1), 0, -1):
-            usual = max(size[count], resolution(values), LEAST_STEP / self.threshold)
+        for count in range(min(MAX_JUMPS, size.size - 1), 0, -1):
+            usual = max(size[count], resolution(values), MIN_STEP / self.threshold)
             found = sorted(after[order[:count]])
             if size[count - 1] > self.threshold * usual and all(_stays(values, recording, row, usual) for row in found):
                 return [int(row) for row in found]

@@ -17,11 +17,11 @@ from errpipe.yamlfile import quantity
 
 SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  # what loggers and converters write
 # for a broken sensor: 0, "no value" marks, a 1-wire chip's 85 and -127, a platinum resistor's open and short ends
-FAR = 5.0  # K, hPa or %: a sentinel stands at least this far off the readings around it
+MIN_SENTINEL_OFFSET = 5.0  # K, hPa or %: a sentinel stands at least this far off the readings around it
 LONGER = 4.0  # a stuck stretch is this many times as long as the longest that is not
-SHORTEST = 20  # rows: a shorter stretch is not judged
+MIN_STUCK_ROWS = 20  # rows: a shorter stretch is not judged
 ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can tell, only an extreme stretch counts
-MOST_STRETCHES = 5  # of one sensor; more standing still than that is its nature
+MAX_STRETCHES = 5  # of one sensor; more standing still than that is its nature
 MOVED = 4.0  # display steps, or scatters of the estimate, by which the others say that it should have moved
 RELATED = 0.5  # share of a sensor's variance that the others must explain to be compared with it
 MAX_NAMED = 5  # sensors in a message
@@ -67,7 +67,7 @@ class StuckSensors(Rule):
             return "holds no value"
         if finite.size < (1 - self.empty) * values.size:
             return f"empty in {values.size - finite.size} of {values.size} rows"
-        if finite.size >= SHORTEST and np.ptp(finite) == 0.0:
+        if finite.size >= MIN_STUCK_ROWS and np.ptp(finite) == 0.0:
             return f"shows {finite[0]:g} in every row"
         return ""
 
@@ -77,7 +77,11 @@ def _sentinels(values: np.ndarray) -> tuple[np.ndarray, str]:
     for mark in SENTINELS:
         rows = np.flatnonzero(values == mark)
         rest = values[np.isfinite(values) & (values != mark)]
-        if rows.size and rest.size and (mark < rest.min() - FAR or mark > rest.max() + FAR):
+        if (
+            rows.size
+            and rest.size
+            and (mark < rest.min() - MIN_SENTINEL_OFFSET or mark > rest.max() + MIN_SENTINEL_OFFSET)
+        ):
             return rows, f"shows {mark:g}, a broken sensor's mark"
     return np.zeros(0, dtype=np.int64), ""
 
@@ -86,15 +90,15 @@ def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, st
     """Rows of stretches in which the sensor stands still although it should move."""
     rows = np.flatnonzero(np.isfinite(values))
     y = values[rows]
-    if y.size < 2 * SHORTEST:
+    if y.size < 2 * MIN_STUCK_ROWS:
         return rows[:0], ""
     starts, ends = _constant(y)
     lengths = ends - starts
     order = np.argsort(-lengths, kind="stable")
     ranked = np.r_[lengths[order], 1.0]  # every other row stands alone
-    for count in range(1, min(MOST_STRETCHES, ranked.size - 1) + 1):
+    for count in range(1, min(MAX_STRETCHES, ranked.size - 1) + 1):
         ratio = ranked[count - 1] / ranked[count]
-        if ranked[count - 1] < SHORTEST:
+        if ranked[count - 1] < MIN_STUCK_ROWS:
             break
         if ratio < LONGER:
             continue

@@ -1,6 +1,6 @@
 """Columns whose numbers speak another unit than their manifest: named with the evidence, never converted.
 
-A sensor is set aside until its manifest is mended. A response, a position or a speed that carries such a slip
+A sensor is set aside until its manifest is corrected. A response, a position or a speed that carries such a slip
 makes the whole recording worthless, and is refused.
 """
 
@@ -18,7 +18,7 @@ from errpipe.errors import DataError
 
 ROOM = (5.0, 45.0)  # degC: a sensor of a machine at rest reads room temperature, and no machine hall is outside this
 NEAR = 6.0  # K: at the cold start of a run the sensors of a machine agree so far
-APART = 20.0  # K: and a slip sets one apart by more than that
+MIN_SLIP = 20.0  # K: and a slip sets one apart by more than that
 AIR = {"hPa": (650.0, 1100.0)}  # pressure of the air from sea level to 3500 m
 # Of a slip to the right value: what the wrong unit was.
 RATIOS = {25.4: "inch", 1 / 25.4: "mm in an inch column", 1000.0: "m", 0.001: "um"}
@@ -26,7 +26,7 @@ RATIOS = {25.4: "inch", 1 / 25.4: "mm in an inch column", 1000.0: "m", 0.001: "u
 PRESSURES = {1000.0: "bar", 0.01: "Pa", 10.0: "kPa", 1.333224: "mmHg", 33.86389: "inHg"}
 SPEEDS = {60.0: "per minute and per second mixed", 1 / 60.0: "per minute and per second mixed"}  # of feeds
 EXACT = 0.02  # a ratio of two columns of the same quantity within 2 % of such a factor is that factor
-FEWEST = 20  # rows
+MIN_ROWS = 20  # rows
 
 
 class UnitSlips(Rule):
@@ -72,7 +72,7 @@ def _temperature(recording: Recording, name: str, starts: Mapping[str, float]) -
     """Why a temperature is not in degC, or ''. starts: sensor -> median of the first readings of its runs."""
     values = recording.array(name)
     finite = values[np.isfinite(values)]
-    if finite.size < FEWEST:
+    if finite.size < MIN_ROWS:
         return ""
     low, high = np.percentile(finite, [1, 99])
     if ROOM[0] < low - 273.15 and high - 273.15 < 200.0:
@@ -82,7 +82,7 @@ def _temperature(recording: Recording, name: str, starts: Mapping[str, float]) -
         return ""
     room, cold = float(np.median([starts[n] for n in fellows])), starts[name]
     converted = (cold - 32.0) / 1.8
-    if abs(cold - room) > APART and abs(converted - room) < NEAR and ROOM[0] < room < ROOM[1]:
+    if abs(cold - room) > MIN_SLIP and abs(converted - room) < NEAR and ROOM[0] < room < ROOM[1]:
         gain = _gain(values, [recording.array(n) for n in fellows])
         return (
             f"starts its runs at {cold:.4g} where the other sensors start at {room:.4g}; taken as degF that is"
@@ -96,7 +96,7 @@ def _gain(values: np.ndarray, fellows: list[np.ndarray]) -> str:
     best, gain = 0.0, 0.0
     for other in fellows:
         both = np.isfinite(values) & np.isfinite(other)
-        if both.sum() >= FEWEST and np.ptp(other[both]) > 0:
+        if both.sum() >= MIN_ROWS and np.ptp(other[both]) > 0:
             r = abs(float(np.corrcoef(values[both], other[both])[0, 1]))
             if r > best:
                 best, gain = r, float(np.std(values[both]) / np.std(other[both]))
@@ -116,7 +116,7 @@ def _pressure(values: np.ndarray) -> str:
 
 def _humidity(values: np.ndarray) -> str:
     finite = values[np.isfinite(values)]
-    if finite.size >= FEWEST and finite.max() <= 1.0 and finite.max() > 0:
+    if finite.size >= MIN_ROWS and finite.max() <= 1.0 and finite.max() > 0:
         return f"never exceeds {finite.max():.3g} %: a fraction, not per cent"
     return ""
 
@@ -150,7 +150,7 @@ def _ratio(reference: np.ndarray, values: np.ndarray, what: str, factors: dict[f
     """Slope of `reference` over `values`, where it is one of the factors and the two agree otherwise."""
     both = np.isfinite(reference) & np.isfinite(values)
     x, y = values[both], reference[both]
-    if x.size < FEWEST or np.ptp(x) == 0 or np.ptp(y) == 0 or abs(np.corrcoef(x, y)[0, 1]) < 0.99:
+    if x.size < MIN_ROWS or np.ptp(x) == 0 or np.ptp(y) == 0 or abs(np.corrcoef(x, y)[0, 1]) < 0.99:
         return ""
     slope = float(np.std(y) / np.std(x))
     for factor, unit in factors.items():
@@ -162,7 +162,7 @@ def _ratio(reference: np.ndarray, values: np.ndarray, what: str, factors: dict[f
 def _travel(recording: Recording, axis: str, values: np.ndarray) -> str:
     facts = recording.manifest.axis(axis)
     finite = values[np.isfinite(values)]
-    if facts is None or facts.travel is None or finite.size < FEWEST:
+    if facts is None or facts.travel is None or finite.size < MIN_ROWS:
         return ""
     length = facts.travel[1] - facts.travel[0]
     span = float(np.ptp(finite))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import typer
 
 from errpipe.cli._arguments import At, Json, input_values
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import folded, print_answer, short_value, stage_module
 
 
 def command(
@@ -48,4 +49,8 @@ def command(
         chord_error=chord_error,
         longest=longest,
     )
-    print_answer("correct", done, as_json=json)
+    if json or "program" not in done:
+        print_answer("correct", done, as_json=json)
+    else:  # to the byte as with --out: a folded block would be two motions
+        sys.stdout.write(done.pop("program"))
+        print("\n".join(folded(f"{key}: {short_value(value)}" for key, value in done.items())), file=sys.stderr)

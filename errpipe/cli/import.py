@@ -81,5 +81,5 @@ def _confirm(lines: list[str], asked: bool) -> None:
     sys.stderr.write("\n".join(lines) + "\n")
     if not (asked and sys.stdin.isatty() and typer.confirm("Write this recording?", err=True)):
         raise UsageError(
-            "nothing was written: judge the guesses, then give --yes (or mend them with --set, --sign, ...)"
+            "nothing was written: judge the guesses, then give --yes (or correct them with --set, --sign, ...)"
         )

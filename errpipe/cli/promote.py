@@ -18,15 +18,21 @@ def command(
     key: Path = SecretKey,
     public_key: Path = PublicKey,
     time: str | None = Time,
+    other_outputs: bool = typer.Option(
+        False,
+        "--other-outputs",
+        help="It may correct other axes than the table before, or be made for another machine.",
+    ),
     json: bool = Json,
 ) -> None:
     """Put a table on record as the one that is on a machine.
 
+    It replaces the table before whole: one that corrects other axes is refused (exit 4) without --other-outputs.
     Of two who promote at once one wins, and the other is told (exit 4).
 
     \b
     Example:
       errpipe promote registry 7 table.ect --why "new spindle" --key keys/errpipe.key --public-key keys/errpipe.pub
     """
-    done = stage_module("signing").promote(registry, machine, table, why, key, public_key, time)
+    done = stage_module("signing").promote(registry, machine, table, why, key, public_key, time, other_outputs)
     print_answer("promote", done, as_json=json)

@@ -212,7 +212,7 @@ def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
     if f.sure() < least:
         return f"its confidence of {f.sure():.2f} is below {least:.2f}"
     if f.effect != GAIN and r.holdout.rms_after_um >= r.holdout.rms_before_um:
-        return "rows that sat out are no better explained with it"
+        return "held-out rows are no better explained with it"
     return ""
 
 

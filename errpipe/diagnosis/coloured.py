@@ -6,9 +6,11 @@ is an ARMA(1,1) process, which a filter makes white. Share 1 and a memory of man
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import fdtrc
 
 from errpipe.kernels import noise
 
@@ -37,6 +39,7 @@ EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which they come i
 JUMP_ROWS, LEAST_JUMPS = (2, 4, 8, 16), 50  # rows of a mean; increments, below which their kurtosis is chance
 BUMP = 40.0  # power of half an octave over the least of slower ones from which a rhythm stands in it: of wandering gaps
 # of real repetitions 7 of 8 stay below both, of 72 novel mechanisms (both generators and the third, seeds 771 to 773) 8
+BY_CHANCE = 1e-4  # p of levels of runs: white, coloured and 1/f noise and random walks are below it in 0 of 300 each
 LEAST_ROWS = 8  # of a spectrum with two half octaves: fewer rows show neither events nor a rhythm
 HEAVY = 4.0  # robust standard deviations at which whitened rows are clipped: outliers must not decide the colour
 
@@ -138,6 +141,24 @@ def jumps(left: np.ndarray, run: np.ndarray) -> bool:
         if _heavy_tails(np.concatenate([np.diff(m) for m in means]), LEAST_JUMPS):
             return True
     return False
+
+
+def levels_jump(left: np.ndarray, run: np.ndarray, t: np.ndarray) -> bool:
+    """Do the levels of runs differ by more than what wanders within them would bring about in the time between?
+
+    F test of squared differences over the time in between (of a random walk equal), of neighbouring runs and of the
+    halves of each.
+    """
+    runs = [np.flatnonzero(run == r) for r in dict.fromkeys(run.tolist())]
+    halves = [np.array_split(rows, 2) for rows in runs if rows.size >= LEAST_ROWS]
+    if len(halves) < 3:
+        return False
+    pairs = [(np.concatenate(a), np.concatenate(b)) for a, b in itertools.pairwise(halves)]
+    far, near = (
+        np.mean([(left[b].mean() - left[a].mean()) ** 2 / max(t[b].mean() - t[a].mean(), 1e-9) for a, b in way])
+        for way in (pairs, halves)
+    )
+    return bool(fdtrc(len(pairs), len(halves), far / max(near, 1e-300)) < BY_CHANCE)
 
 
 def _heavy_tails(values: np.ndarray, least: int = 1) -> bool:

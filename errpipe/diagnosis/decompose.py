@@ -17,17 +17,19 @@ ALTERNATIVES = 3  # decompositions returned
 MOST_MOVES = 6  # effects tried as an addition to a state
 MAX_BEHIND = 40.0  # log evidence below the best up to which a decomposition is returned
 COARSE = (0.004, 0.08)  # misfit of textbook forms relative to the signal; it stands in for the noise
+FINE = 0.03  # mean square over that of the coarseness, below which a misfit is no evidence; else priors decide alone
 MATTERS = 20.0  # log evidence: an unexplained part counts once a tenth of it exceeds the measuring noise over all rows
 ROWS = (60.0, 0.025)  # effective number of rows (offset, per row): the residual is correlated misfit, not noise
 DOUBTS = 2  # directions of largest posterior variance kept of each part
 LEAST_PART = 0.01  # rms over the signal's below which a signal does not hold an effect
 PRICE = 6.0  # log prior odds against each part
+EARNED = 5.0  # log Bayes factor of a part: with less its gain and its doubts would play whatever is missing
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
 
 
 @dataclass(frozen=True)
 class Part:
-    """One effect found in the simulated signal: what its core and its slack contribute on the judged rows.
+    """One effect found in the simulated signal: what its form (`core`) and its departures hold on the judged rows.
 
     certainty: log Bayes factor that it brings beside the other parts; doubt: what it may as well hold more or less of,
     because the other parts would make up for it, shape (rows, directions), one standard deviation each.
@@ -153,21 +155,23 @@ class _Work:
         visited: dict[tuple, float] = {(): beam[0][0]}
         done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
-            fresh = []
-            for _worth, state in beam:
-                if tuple(state) not in done:  # moves from a state once left were all seen
-                    done.add(tuple(state))
-                    fresh += self._moves(state, visited)
+            left = [
+                state for _, state in beam if tuple(state) not in done
+            ]  # moves from a state once left were all seen
+            done.update(tuple(state) for state in left)
+            fresh = self._judged([move for state in left for move in self._moves(state)], visited)
             best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]
             if [w for w, _ in best] == [w for w, _ in beam]:
                 break
             beam = best
-        return [self._result(state, worth) for worth, state in self._different(beam)]
+        made = [self._result(state, worth) for worth, state in self._different(beam)]
+        return [d for d in made if all(p.certainty > EARNED for p in d.parts)] or made
 
     def holding(self, d: Decomposition, i: int) -> list[Decomposition]:
         """The likeliest ways in which the signal may hold a hypothesis, at any of its parameters.
 
-        It stands beside the parts of a decomposition, or in the place of one of them; none where its share is nothing.
+        It stands beside the parts of a decomposition, or in the place of one of them; none where its share is nothing,
+        or where the signal is as likely without it.
         """
         own = self.library.family(i)
         ways = []
@@ -178,7 +182,8 @@ class _Work:
                 ways.append(max(((self._worth(state), state) for state in states), key=lambda w: w[0]))
         matches = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
         least = LEAST_PART * self.spread
-        return [f for f in matches if any(p.index in own and np.std(p.core) > least for p in f.parts)]
+        holds = lambda p: p.index in own and np.std(p.core) > least and p.certainty > EARNED  # noqa: E731
+        return [f for f in matches if any(map(holds, f.parts))]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""
@@ -189,14 +194,18 @@ class _Work:
                 out[effects] = (worth, state)
         return list(out.values())[:ALTERNATIVES]
 
-    def _moves(self, chosen: Chosen, seen: dict[tuple, float]) -> list[tuple[float, Chosen]]:
-        """States one step away that were not seen before: a part added, exchanged, or dropped."""
+    def _moves(self, chosen: Chosen) -> list[Chosen]:
+        """States one step away: a part added, exchanged, or dropped."""
         moves: list[Chosen] = [chosen[:p] + chosen[p + 1 :] for p in range(len(chosen))]
         if len(chosen) < MOST_PARTS:
             moves += [[*chosen, k] for k in self._candidates(chosen, MOST_MOVES)]
         for p in range(len(chosen)):
             others = chosen[:p] + chosen[p + 1 :]
             moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 5) if k[0] != chosen[p][0]]
+        return moves
+
+    def _judged(self, moves: list[Chosen], seen: dict[tuple, float]) -> list[tuple[float, Chosen]]:
+        """Those states that were not seen before, with what they are worth; their products are formed all at once."""
         out = []
         together = [np.zeros(0, dtype=int), *(self.library.indices(i) for move in moves for i, _ in move)]
         self.data.table.know(np.concatenate(together))
@@ -261,7 +270,8 @@ class _Work:
                 + textbook_penalty(textbook_share(b[start : start + width], self.library.cores[i]))
             )
             start += width
-        return scene.evidence(self.count) - price
+        expected = FINE * self.y.size * self.sigma**2
+        return scene.evidence(self.count) - 0.5 * self.count * np.log1p(expected / scene.Q) - price
 
     def _certainty(self, chosen: Chosen) -> list[float]:
         worth = self._worth(chosen)
@@ -277,8 +287,8 @@ class _Work:
             columns = self.library.block(i, self.recording, self.rows)
             own_columns = slice(start, start + columns.shape[1])
             weights, start = b[own_columns], own_columns.stop
-            cores = self.library.cores[i]
-            core, slack = columns[:, :cores] @ weights[:cores], columns[:, cores:] @ weights[cores:]
+            form = self.library.textbook(i)
+            core, slack = columns[:, :form] @ weights[:form], columns[:, form:] @ weights[form:]
             total = total + core + slack
             doubt = _uncertain_directions(columns, spread[own_columns, own_columns])
             centred = core - core.mean(), slack - slack.mean()

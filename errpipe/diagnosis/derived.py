@@ -16,7 +16,37 @@ from errpipe.kernels import responses
 FAST = 0.1  # s between rows, below which an axis is recorded under way
 STILL = 4.0  # scatter of a position from which it has moved
 BOTH_WAYS = 0.05  # share of the rows either way; fewer are returns to the start of another pass
+OFTEN = 0.5  # places among the rows: fewer are targets that a test goes to again and again
 LEAST_MOVE = 0.001  # mm or deg; as where the direction is read off the positions elsewhere
+
+
+def with_responses(recording: Recording) -> Recording:
+    """The recording with a drive force that has a simulated twin as the response of its component."""
+    known = {recording.manifest.columns[n].component for n in recording.names("error")}
+    twins = {recording.manifest.columns[n].component for n in recording.names("simulated")} - known
+    forces = {n: recording.manifest.columns[n] for role in ("force", "torque") for n in recording.names(role)}
+    called = {
+        n: Column(role="error", component=c.component, unit=c.unit) for n, c in forces.items() if c.component in twins
+    }
+    if not called:
+        return recording
+    manifest = recording.manifest.model_copy(update={"columns": recording.manifest.columns | called})
+    return dataclasses.replace(recording, manifest=manifest)
+
+
+def at_targets(recording: Recording) -> Recording:
+    """The recording of a test with its positions as they were commanded, where both are recorded.
+
+    The actual position holds the deviation: a wave of a target's step, or of a part of it, would tell it from that.
+    """
+    values = {}
+    for axis in (*axes(recording), *axes(recording, "rotary")):
+        command, place = recording.name("command", axis=axis), recording.name("position", axis=axis)
+        if command is not None and place is not None:
+            x = recording.array(command)
+            if np.unique(x[np.isfinite(x)]).size < OFTEN * np.isfinite(x).sum():
+                values[place] = np.where(np.isfinite(x), x, recording.array(place))
+    return dataclasses.replace(recording, frame=recording.frame.assign(**values)) if values else recording
 
 
 def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
@@ -25,6 +55,7 @@ def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
     A direction where rows are single readings of one axis (of several, the order of the rows does not tell from where
     each was approached), velocity and acceleration where axes are recorded under way.
     """
+    recording = at_targets(recording)
     moving = [*axes(recording), *axes(recording, "rotary")]
     columns: dict[str, Column] = {}
     values: dict[str, np.ndarray] = {}

@@ -45,11 +45,7 @@ MEASURED = ("temperature", "pressure", "humidity")  # counted from their mean; w
 MOVING = ("direction", "velocity", "acceleration")
 READ = (*LAGGED, *MOVING, "position", "command", "overhang", "depth_of_cut", "cut_length")
 UNITS = {"temperature": "K", "direction": "1", "coolant": "1"}
-PLAIN, BENT, TWO = (
-    1.0,
-    0.98,
-    0.96,
-)  # weight of a column, its power, a product: of two nearly collinear columns the simpler one is picked
+PLAIN, BENT, TWO = 1.0, 0.98, 0.96  # weight of a column, its power, a product: of nearly collinear ones the simplest
 
 
 @dataclass(frozen=True)

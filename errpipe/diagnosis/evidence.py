@@ -13,7 +13,6 @@ and those of a hypothesis' columns among themselves. Of thousands of columns a s
 from __future__ import annotations
 
 import copy
-import hashlib
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -50,7 +49,7 @@ class Table:
         self.rows = [np.flatnonzero(fold == f) for f in range(int(fold.max()) + 1)]
         self.stretches = stretches(fold)
         self._store = np.zeros((run.size, room), order="F")
-        self._seen: dict[bytes, int] = {}
+        self._seen: dict[tuple[int, int], int] = {}
         self.width = 0
         self._forget_products()
         self.places = [self._put(block) for block in blocks]
@@ -127,8 +126,7 @@ class Table:
         fresh: list[int] = []
         each = np.ascontiguousarray(block.T, dtype=float)
         for j, column in enumerate(each):
-            digest = hashlib.sha1(column.data, usedforsecurity=False).digest()  # twice as fast as blake2b here
-            at = self._seen.setdefault(digest, self.width + len(fresh))
+            at = self._seen.setdefault(noise.fingerprint(column), self.width + len(fresh))
             if at == self.width + len(fresh):
                 fresh.append(j)
             where.append(at)

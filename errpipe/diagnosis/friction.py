@@ -26,6 +26,7 @@ BETTER = 0.97  # ratio of held-out rms, two laws to one: threshold below which t
 MAX_LOSS = 1.02  # ratio of held-out rms to the best sharpness's, up to which another one widens the interval
 DOUBT = 4.0  # standard errors by which a parameter must differ between the ways
 WIDER = 1.25  # factor on the standard errors, as in model.py
+PARTS = {kind.reports_as: kind.friction_part for kind in TERMS if kind.friction_part}
 
 
 @dataclass(frozen=True)
@@ -95,9 +96,6 @@ class ByDirection:
             f"{values[2]} and {values[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} "
             f"{self.response} rms instead of {self.alike.held_out:.3g} with one law both ways."
         )
-
-
-PARTS = {kind.reports_as: kind.friction_part for kind in TERMS if kind.friction_part}
 
 
 def rubs(findings: list[Finding]) -> bool:

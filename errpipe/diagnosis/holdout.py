@@ -48,7 +48,7 @@ class HeldOut:
         return (self.bare**2 - self.textbook**2) / max(self.bare**2 - self.named**2, 1e-300)
 
     def predicts_whole_runs(self) -> bool:
-        """Do names predict runs that sat out whole? Noise does not, however slow it is."""
+        """Do names predict whole runs that were held out? Noise does not, however slow it is."""
         return "whole runs" in self.scheme and self.names < BETTER * self.before
 
 

@@ -19,6 +19,7 @@ from errpipe.diagnosis.coloured import Colour
 from errpipe.diagnosis.evidence import Listed, Table
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
+from errpipe.kernels import evidence
 from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS
 
@@ -133,7 +134,7 @@ class Library:
 
     def textbook(self, i: int) -> int:
         """How many of its columns are its own form, with the states in which bodies started."""
-        starts = {"textbook": 0, "any start": self.starts, "any shape": self.places[i].size}
+        starts = {"textbook": 0, "any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
         return min(self.cores[i] * (1 + starts[self.hypotheses[i].terms[0].form]), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
@@ -202,14 +203,21 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None
     """Columns of unit size, their freedoms and scales; None where a core column does not vary."""
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
-    rms, spread = np.sqrt(np.mean(core**2, axis=0)), core.std(axis=0)
+    rms, spread = rms_and_spread(core)
     if not (rms > 0).all() or (spread < 1e-6 * rms).all():
         return None
     size = np.where(spread > 1e-6 * rms, spread, rms)
-    slack_rms = np.sqrt(np.mean(slack**2, axis=0)) if slack.shape[1] else np.zeros(0)
+    slack_rms = rms_and_spread(slack)[0]
     keep = slack_rms > 1e-12
     block = np.column_stack([core / size, slack[:, keep] / slack_rms[keep]])
     return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
+
+
+def rms_and_spread(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rms and standard deviation of columns (rows, k), shapes (k,)."""
+    if columns.shape[1] > 1:
+        return evidence.rms_and_spread(np.ascontiguousarray(columns))
+    return np.sqrt(np.mean(columns**2, axis=0)), columns.std(axis=0)
 
 
 def enumerate_all(recording: Recording, component: str, raw: Recording, signals: Signals) -> Iterator[Hypothesis]:

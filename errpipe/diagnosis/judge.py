@@ -24,11 +24,18 @@ from errpipe.drivers.sessions import sessions
 from errpipe.terms import NEVER
 
 Progress = Callable[[float, str], None]
-
-
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
 PROVED = 0.7  # mean square on held-out rows, over that without, from which wide gains are believed whatever they cost
 WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off, and MORE for each that is: it is a finding, too
+MIN_SIZE = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
+MIN_SHARE_OF_PART = 0.2  # of the simulation's own part of that name and driver, below which it only corrects its form
+OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
+OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few beyond it as among these
+HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
+PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
+NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
+RETRIES = 4  # further searches, each without the findings ruled out before
+SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
 def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
@@ -47,14 +54,6 @@ def _explains_share(search: Search, explanation: Explanation, noise_estimate: fl
     noise, base = 1.2 * noise_estimate, search.scene([]).rms()
     residual_rms = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
     return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
-
-
-MIN_SIZE = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
-
-
-MIN_SHARE_OF_PART = (
-    0.2  # ratio to the simulation's own part of that name and driver, below which a finding only corrects its form
-)
 
 
 def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
@@ -85,14 +84,6 @@ def _least_size(library, i: int, held: parts.Decomposition) -> float:
     same = [p for p in held.parts if (p.hypothesis.effect, p.hypothesis.drivers) == (h.effect, h.drivers)]
     sizes = [float(np.std(p.contribution)) * recalibration.share_held(library, i, p.contribution) for p in same]
     return MIN_SHARE_OF_PART * max(sizes, default=0.0)
-
-
-OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
-OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few beyond it as among these
-
-
-HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
-PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 
 
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
@@ -145,7 +136,7 @@ def _harms(held: holdout.HeldOut) -> bool:
 def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> bool:
     """Do held-out rows speak for the explanation in usual noise?
 
-    Neighbouring rows that sit out share the slow noise of those that do not: there the plain explanation takes the
+    Neighbouring held-out rows share the slow noise of the rows in the fit: there the plain explanation takes the
     place of one that harms, or where its names (shapes over time know their neighbours' noise) predict nearly all.
     Whole runs share none: there the better one stands, also where the other names nothing.
     """
@@ -161,10 +152,6 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
     out = size > -ndtri(ndtr(-OUTLIER) * min(OUTLIER_ROWS / left.size, 1.0))
     beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
     return out & (beside < size)
-
-
-NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
-RETRIES = 4  # further searches, each without the findings ruled out before
 
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
@@ -319,9 +306,6 @@ def _held_out(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> f
     """Mean square of each fold, predicted by a fit without it."""
     judged = made.judged()
     return judged.mean_square(made.data, search.active(chosen), search.noise, judged.columns([i for i, _ in chosen]))
-
-
-SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
 def favours_session_datums(

@@ -22,6 +22,7 @@ STRETCHES, STUDENT = 5, 2.776  # stretches of rows left out in turn; 97.5 % poin
 STEP = 0.03  # of logarithms, for derivatives
 FLATTEST = 0.5  # least curvature: a factor of about 12 either way
 SHAPE = 0.1  # relative standard deviation of the deepest point of a worn stretch because of its shape
+MOSTLY = 0.5  # share of the contribution's variance that the textbook form must carry to have a size at all
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,6 @@ def modelled(case: Case, k: int) -> Modelled:
     rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
     estimates = [_reported(e, case.pair.unit, rotary) for e in estimates]
     return Modelled(hypothesis, tuple(estimates), contribution, share, joint, cores)
-
-
-MOSTLY = 0.5  # share of the contribution's variance that the textbook form must carry to have a size at all
 
 
 def _projected_sizes(

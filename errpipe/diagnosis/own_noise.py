@@ -12,12 +12,12 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.evidence import Data
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import Explanation, Search, settled
+from errpipe.fitting.noise_floor import rounding
 from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
-SAME = 1e-6  # share of the range of a reading below which two values are the same
 ROUNDED = 1.15  # threshold: rms over that of rounding (a sixth of a step of noise beside it)
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
@@ -137,17 +137,14 @@ def rounded(case: Case) -> bool:
 
     A reading that is rounded to steps q differs from the true value by q / sqrt(12) rms, along a smooth trend in waves.
     """
-    values = np.sort(case.recording.array(case.pair.error)[case.pair.rows])
-    steps = np.diff(values)
-    steps = steps[steps > SAME * (values[-1] - values[0])]
-    return bool(steps.size) and float(np.std(residual(case, []))) < ROUNDED * float(steps.min()) / np.sqrt(12.0)
+    rounded_away = rounding(case.recording.array(case.pair.error)[case.pair.rows])
+    return float(np.std(residual(case, []))) < ROUNDED * rounded_away
 
 
 def _textbook_alone(case: Case, nonlinear: int) -> tuple[np.ndarray, int]:
     """Residual of the textbook forms without departures from them, (rows,), and how many parameters they take."""
-    blocks = [
-        case.library.block(i, case.recording, case.pair.rows)[:, : case.library.cores[i]] for i, _ in case.chosen()
-    ]
+    library, rows = case.library, case.pair.rows
+    blocks = [library.block(i, case.recording, rows)[:, : library.cores[i]] for i, _ in case.chosen()]
     columns = np.column_stack([case.recal, *blocks])
     count = columns.shape[1] - case.recal.shape[1] + nonlinear
     return case.y - columns @ np.linalg.lstsq(columns, case.y, rcond=None)[0], count

@@ -18,6 +18,7 @@ TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which anothe
 RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that reaches further is not at its limit
 FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
+BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
 
 
 def impossible(case: Case) -> list[model.Modelled]:
@@ -90,9 +91,6 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
         if (value <= 1.001 * low and span.high < far * low) or (value >= 0.999 * high and span.low > high / far):
             return True
     return False
-
-
-BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
 
 
 def only_a_wave_in_time(case: Case, m: model.Modelled, left: np.ndarray) -> bool:

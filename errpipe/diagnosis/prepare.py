@@ -15,6 +15,9 @@ LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
 MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
 MOST_MISSING = 0.5  # share of gaps above which a sensor is left out
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
+SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
+REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
+FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
 
 
 @dataclass(frozen=True)
@@ -41,10 +44,6 @@ class Pair:
         return -values if self.reversed else values
 
 
-SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
-REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
-
-
 def _is_reversed(recorded: np.ndarray, simulated: np.ndarray) -> bool:
     """Does the simulated value with the opposite sign predict most of what is recorded?"""
     total = float(np.var(recorded))
@@ -53,7 +52,8 @@ def _is_reversed(recorded: np.ndarray, simulated: np.ndarray) -> bool:
 
 def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
     """Every response with a simulated twin, and why others cannot be used. Raises DataError where none can."""
-    accepted, refused = [], []
+    accepted: list[Pair] = []
+    refused = [] if recording.names("error") else ["no column of role error, or of a force that names its component"]
     for error in recording.names("error"):
         component = recording.manifest.columns[error].component
         twin = recording.name("simulated", component=component)
@@ -174,9 +174,6 @@ def condition(recording: Recording) -> Recording:
     columns |= motion(recording, columns)
     frame = recording.frame.assign(**columns).drop(columns=dropped)
     return Conditioned(recording.manifest, frame, between="inferred")
-
-
-FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
 
 
 def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:

@@ -137,7 +137,8 @@ def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
     for part in separate:
         for k, other in enumerate(out):
             if np.corrcoef(part.contribution, other.contribution)[0, 1] < -0.9:
-                out[k] = replace(other, core=other.core + part.core, slack=other.slack + part.slack)
+                sums = {name: getattr(other, name) + getattr(part, name) for name in ("core", "slack")}
+                out[k] = replace(other, **sums, doubt=part.doubt[:, :0])  # what one holds less the other holds more
                 break
         else:
             out.append(part)

@@ -67,7 +67,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     recalibrated = residual(case, [])
     datums = own_datums(case, [])
     chance = significance.chance(case)
-    findings = [f.model_copy(update=_surrogate_test(case, f)) for f in findings]
+    findings = [f.model_copy(update=_surrogate_test(case, f, chance)) for f in findings]
     if not unnamed.borne_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
@@ -127,12 +127,12 @@ def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
     return {n: case.recording.array(n)[case.pair.rows] for n in held if n not in labels}
 
 
-def _surrogate_test(case: Case, f: Finding) -> dict[str, object]:
+def _surrogate_test(case: Case, f: Finding, whole: significance.Chance) -> dict[str, object]:
     """The surrogate test of a named finding: its p value and sentence."""
     place = [k for k, g in enumerate(case.explanation.accepted) if g.hypothesis.effect == f.effect]
     if not place:
         return {}
-    chance = significance.chance(case, place[0])
+    chance = significance.chance(case, place[0], whole=whole)
     what = "none" if chance.p * (significance.SURROGATES + 1) < 1.5 else f"{chance.p:.0%}"
     sentence = (
         f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {chance.p:.2g})."
@@ -164,7 +164,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         core=model.core_share(case, k),
         agreement=held.agreement[k],
         rank=k,
-        unreached=unreached(case, case.sigma) if proved else 0.0,
+        unreached=unnamed.unreached(case) if proved else 0.0,
         fast=int(is_fast(case)),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
         beside=0.0 if proved else _best_shape(case, case.chosen()),
@@ -181,15 +181,6 @@ def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
     return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
 
 
-def unreached(case: Case, left: float) -> float:
-    """Share of the structured variance that is still there at a residual rms of `left`."""
-    noise = 1.2 * case.noise_estimate  # second differences miss the slow share of the noise
-    base = case.search.scene([]).rms()
-    if base <= noise:
-        return 0.0
-    return float(np.clip((left**2 - noise**2) / (base**2 - noise**2), 0.0, 1.0))
-
-
 def is_fast(case: Case) -> bool:
     """Is this a trace of motion, where the mismatch may change from row to row?"""
     t = case.recording.time()[case.pair.rows]
@@ -204,7 +195,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     rivals = sorted(case.search.rivals(accepted, k), key=lambda r: r[1])
     own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in accepted}  # the same effect by other columns is a rival
     other = [r for r in rivals if r[0] != h.effect and (r[0], case.library.hypotheses[r[2]].drivers) not in own]
-    every = [r for r in other if r[1] < CLOSE or _alike(case, made, r[2])]
+    every = [r for r in other if r[1] < CLOSE or _fitted_rival(case, made, r[2])[1] < 1 - ALIKE]
     close = every[:4]
     outside = min((r[1] for r in other if r not in every), default=50.0)
     class_confidence = confidence.of_class(replace(indicators[k], margin=max(outside, indicators[k].margin)))
@@ -214,7 +205,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
         rival = close[0] if close else rivals[0]
         fitted = (made.hypothesis, np.array([e.value for e in made.estimates[: _cores(made)]]))
         sentence = separate.would_separate(
-            case.recording, fitted, _fitted_rival(case, made, rival[2]), case.sigma, case.pair.unit
+            case.recording, fitted, _fitted_rival(case, made, rival[2])[0], case.sigma, case.pair.unit
         )
     term = made.hypothesis.terms[0]
     values = dict(zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True))
@@ -250,23 +241,13 @@ def _parameters(made: model.Modelled, values: dict[str, float]) -> dict[str, flo
     return {e.name: e.value for e in made.estimates} | values
 
 
-def _alike(case: Case, made: model.Modelled, rival: int) -> bool:
-    """Does the rival's textbook form explain nearly all of the finding's contribution?"""
-    core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
-    columns = np.column_stack([np.ones(core.shape[0]), core])
-    target = made.contribution
-    b, *_ = np.linalg.lstsq(columns, target, rcond=None)
-    return float(np.var(target - columns @ b)) < (1 - ALIKE) * float(np.var(target))
-
-
-def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple:
-    """The rival's textbook form, fitted to the finding's contribution."""
-    h = case.library.hypotheses[rival]
+def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, float]:
+    """The rival's textbook form fitted to the finding's contribution, and the share of its variance that is left."""
     core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
     columns = np.column_stack([np.ones(core.shape[0]), core])
     b, *_ = np.linalg.lstsq(columns, made.contribution, rcond=None)
-    scale = case.library.scales[rival][: core.shape[1]]
-    return h, b[1:] / scale
+    left = float(np.var(made.contribution - columns @ b)) / max(float(np.var(made.contribution)), 1e-300)
+    return (case.library.hypotheses[rival], b[1:] / case.library.scales[rival][: core.shape[1]]), left
 
 
 def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bool) -> tuple[list[Finding], str]:

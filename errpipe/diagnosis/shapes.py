@@ -21,6 +21,27 @@ WANDERING = ("time", "runs", "slope in time", "slope of each run")  # kinds over
 TIME_WAVES = 40  # cosines over the recording: down to a fortieth of half its length
 PLACE_WAVES = 24  # cosines over an axis
 SMOOTH = 8  # cosines over any other column
+BY_SIDE = 4  # cosines over an input of what turns with the direction
+ROLES = (
+    "temperature",
+    "pressure",
+    "humidity",
+    "spindle_speed",
+    "feed",
+    "coolant",
+    "load",
+    "overhang",
+    "depth_of_cut",
+    "cut_length",
+    "force",
+    "velocity",
+    "acceleration",
+)
+SLOW = ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "force")
+LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged inputs
+MOST_PRODUCTS = 8  # inputs whose products are tried in pairs, and with the place on an axis
+DECAYS = (0.01, 0.03, 0.1, 0.3)  # of the longest session: time constants of what comes anew with each run
+LEAST_STARTS = 3  # runs from which that is more than a wandering reading
 
 
 @dataclass(frozen=True)
@@ -55,28 +76,6 @@ def _waves(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     at = (u - low) / (high - low) if high > low else np.zeros_like(u)
     k = np.arange(1, count + 1)
     return np.cos(np.pi * at[:, None] * k), 1.0 / k**0.8
-
-
-ROLES = (
-    "temperature",
-    "pressure",
-    "humidity",
-    "spindle_speed",
-    "feed",
-    "coolant",
-    "load",
-    "overhang",
-    "depth_of_cut",
-    "cut_length",
-    "force",
-    "velocity",
-    "acceleration",
-)
-SLOW = ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "force")
-LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged inputs
-MOST_PRODUCTS = 8  # inputs whose products are tried in pairs, and with the place on an axis
-DECAYS = (0.01, 0.03, 0.1, 0.3)  # of the longest session: time constants of what comes anew with each run
-LEAST_STARTS = 3  # runs from which that is more than a wandering reading
 
 
 def _since_start(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
@@ -153,6 +152,9 @@ def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iter
             continue
         if np.unique(side).size > 1 and len(letters) == 1:
             yield "place and direction", (name,), np.column_stack([side, waves * side[:, None]]), np.r_[1.0, free]
+            for other, u in slow:
+                bent, smooth = _waves(u, BY_SIDE)
+                yield "direction and input", (name, other), bent * side[:, None], smooth
         if codes.size > 1 and len(letters) == 1:
             slopes = (run[:, None] == codes) * (x - x.mean())[:, None]
             yield "slope of each run", (name, recording.name("run") or clock), slopes, np.ones(codes.size)

@@ -12,7 +12,7 @@ The p value is reported beside the confidence and does not enter it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,7 @@ FEWEST_BLOCKS = 12  # blocks that are permuted: fewer give too few orders
 class Chance:
     """p of the search's best gain (1 + surrogates as good) / (1 + surrogates); the gains; how surrogates were made.
 
-    limit: the gain that 95 % of the surrogates stay below; rows: effective number of rows.
+    limit: the gain that 95 % of the surrogates stay below; rows: effective number of rows; best: each surrogate's gain.
     """
 
     p: float
@@ -38,6 +38,7 @@ class Chance:
     limit: float
     scheme: str
     rows: float
+    best: np.ndarray
 
 
 def effective_rows(case: Case) -> float:
@@ -46,10 +47,16 @@ def effective_rows(case: Case) -> float:
     return float(case.run.size / correlation_time(residual, case.run))
 
 
-def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES) -> Chance:
-    """Significance of finding k beside the others; without k, of the best gain that the search saw at all."""
+def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole: Chance | None = None) -> Chance:
+    """Significance of finding k beside the others; without k, of the best gain that the search saw at all.
+
+    whole: the latter, where it is known: beside no others its surrogates are those of finding k, too.
+    """
     accepted = case.explanation.accepted
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k] if k is not None else []
+    if whole is not None and k is not None and not others:
+        gain = accepted[k].gain
+        return replace(whole, gain=gain, p=_p(whole.best, gain))
     scene = case.search.scene(others)
     rows = effective_rows(case)
     block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
@@ -59,8 +66,11 @@ def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES) -> Ch
         gain = accepted[k].gain
     else:
         gain = float(best_gains(case, scene, scene.data.y[:, None])[0])
-    p = (1 + int(np.sum(best >= gain))) / (1 + surrogates)
-    return Chance(p, gain, float(np.quantile(best, 0.95)), scheme, rows)
+    return Chance(_p(best, gain), gain, float(np.quantile(best, 0.95)), scheme, rows, best)
+
+
+def _p(best: np.ndarray, gain: float) -> float:
+    return (1 + int(np.sum(best >= gain))) / (1 + best.size)
 
 
 def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int) -> tuple[np.ndarray, str]:

@@ -15,6 +15,7 @@ from scipy.special import chdtrc, fdtrc
 
 from errpipe.diagnosis import coloured
 from errpipe.diagnosis.case import Case, residual
+from errpipe.diagnosis.shapes import ROLES
 from errpipe.domain.diagnosis import Whiteness, WhitenessTest
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction
@@ -25,22 +26,6 @@ SHARES = np.linspace(0.0, 0.15, 16)  # slow shares of the noise tried (public bl
 ALARM = 0.01  # false-alarm rate: share of perfect explanations called structured (measured: see the tests)
 LEAST_IN_RUN = 12  # rows of a run whose order is tested
 ORDER = "order of the rows"
-ROLES = (
-    "position",
-    "temperature",
-    "pressure",
-    "humidity",
-    "force",
-    "spindle_speed",
-    "feed",
-    "velocity",
-    "acceleration",
-    "coolant",
-    "load",
-    "overhang",
-    "depth_of_cut",
-    "cut_length",
-)
 
 
 def whiteness(case: Case) -> Whiteness:
@@ -130,7 +115,10 @@ def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, n
     run = recording.run_codes()[rows]
     sides = _sides(recording, rows)
     inputs = {
-        n: recording.array(n)[rows] for role in ROLES for n in recording.names(role) if n in recording.frame.columns
+        n: recording.array(n)[rows]
+        for role in ("position", *ROLES)
+        for n in recording.names(role)
+        if n in recording.frame.columns
     }
     inputs[ORDER] = np.arange(rows.size, dtype=float)
     runs = [r for r in np.unique(run) if (run == r).sum() >= LEAST_IN_RUN]

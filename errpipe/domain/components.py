@@ -207,3 +207,18 @@ def _location_kind(direction: str, axis: str) -> Kind:
 
 
 _COMMON = (*of_machine(rotary=("A", "B", "C")), "E_X", "E_Y", "E_Z", "E_R", "E_D", "F_X", "F_Y", "F_Z")
+
+
+def is_error_motion(component: str) -> bool:
+    """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
+    return parse(component).kind not in (
+        "tool point",
+        "tool orientation",
+        "circular",
+        "diameter",
+        "force",
+        "squareness",
+        "axis offset",
+        "zero position",
+        "drift",
+    )

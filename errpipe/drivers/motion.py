@@ -68,6 +68,11 @@ def position_name(recording: Recording, axis: str) -> str:
     return name
 
 
+def path_name(recording: Recording, axis: str) -> str:
+    """Name of the column with where an axis was sent: its command, else its position, which comes late already."""
+    return recording.name("command", axis=axis) or position_name(recording, axis)
+
+
 def travel(recording: Recording, axis: str) -> tuple[float, float]:
     """Travel of an axis in mm (deg): from the constants, else the range its positions cover."""
     known = recording.manifest.axis(axis)

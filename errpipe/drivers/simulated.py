@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import is_rotary, position, position_name
+from errpipe.drivers.motion import is_rotary, path_name
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 
@@ -40,7 +40,7 @@ class Ringing:
 
 @dataclass(frozen=True)
 class Late:
-    """gain * (u(t - delay) - u(t)), u the column `name` or the position of `axis` in um (urad); delay in s."""
+    """gain * (u(t - delay) - u(t)), u the column `name` or the path of `axis` in um (urad); delay in s."""
 
     delay: float
     name: str | None = None
@@ -51,12 +51,12 @@ class Late:
         """Name of the column that comes late, and what it is multiplied by to be um (urad)."""
         if self.axis is None:
             return str(self.name), 1.0
-        return position_name(recording, self.axis), np.pi / 180e-6 if is_rotary(recording, self.axis) else 1e3
+        return path_name(recording, self.axis), np.pi / 180e-6 if is_rotary(recording, self.axis) else 1e3
 
     def signal(self, recording: Recording) -> np.ndarray:
         """u on every row, shape (rows,)."""
-        _, factor = self.column(recording)
-        return recording.array(str(self.name)) if self.axis is None else position(recording, self.axis) * factor
+        name, factor = self.column(recording)
+        return recording.array(name) * factor
 
     def value(self, recording: Recording) -> np.ndarray:
         """On every row, shape (rows,); straight between rows, held before the first of a session; NaN where u is."""

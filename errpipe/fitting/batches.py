@@ -10,7 +10,7 @@ sample of whole stretches of every run, for what needs single rows; up to `SAMPL
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -37,13 +37,14 @@ class Source:
 
     ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
     batch by batch, each with what the rows before it leave behind; `runs=` gives the rows of each run where they are
-    known. complete: columns in which no value is missing.
+    known. complete: columns in which no value is missing. runs: rows of each run, where the file says so.
     """
 
     rows: int
     ends: Recording
     batches: Callable[..., Iterator[Recording]]
     complete: frozenset[str] = frozenset()
+    runs: Mapping[str, int] | None = None
 
     @property
     def manifest(self) -> Manifest:
@@ -225,10 +226,10 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
     responses = [n for n, c in manifest.columns.items() if c.role == "error"]
     all_measured = not source.complete.isdisjoint(responses)
     names = [*manifest.names("run"), *([] if all_measured else responses)] or responses[:1]
-    lengths: dict[str, int] = {}
-    measured: set[str] = set()
+    lengths: dict[str, int] = dict(source.runs or {}) if all_measured else {}
+    measured: set[str] = set(lengths)
     last = ""
-    for batch in source.batches(names):
+    for batch in () if lengths else source.batches(names):
         seen = None if all_measured else holdout.measured(batch)
         for label, first, end in _stretches(batch):
             if label in lengths and label != last:

@@ -161,7 +161,8 @@ def _fit_group(recording, spec, group, mask) -> list[ComponentModel]:
 
 def component_model(problem: Problem, estimate: Estimate, block: int, component: str, before, after) -> ComponentModel:
     """A block of a solved problem as a component of an error model; before, after: on the block's rows, (n,)."""
-    unit = problem.recording.manifest.columns[response_name(problem.recording, component)].unit or "um"
+    response, rows = response_name(problem.recording, component), problem.rows[block]
+    unit = problem.recording.manifest.columns[response].unit or "um"
     own = [s for s in problem.slots if s.block in (block, -1)]
     terms = tuple(fitted_term(s, estimate, problem.width, unit) for s in own if not s.nuisance)
     nuisance = tuple(fitted_term(s, estimate, problem.width, unit) for s in own if s.nuisance)
@@ -183,7 +184,7 @@ def component_model(problem: Problem, estimate: Estimate, block: int, component:
         rows_effective=float(estimate.rows_effective * share),
         rms_before=_rms(before),
         rms_after=_rms(after),
-        noise_floor=noise_floor(problem.recording, problem.rows[block], after),
+        noise_floor=noise_floor(problem.recording, rows, after, problem.recording.array(response)[rows]),
     )
 
 

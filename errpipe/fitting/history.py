@@ -1,6 +1,6 @@
 """Terms fitted to, and judged on, a recording that is never whole in memory.
 
-Parameters, rms and counts, of the fit and of every group that sits out, are those of all rows. The noise's memory, the
+Parameters, rms and counts, of the fit and of every held-out group, are those of all rows. The noise's memory, the
 noise floor, the 90 % interval and the gaps of the validity box are those of the sample (see `batches`); the memory's
 effect on the parameters is again that of all rows, cut at the borders of batches.
 """
@@ -31,7 +31,7 @@ CUT = "cell_group"  # name of the column of cells' groups
 
 @dataclass
 class Fold:
-    """One group that sat out. held_out: its rows in the sample; rows: of all; factor: of those, (k, k).
+    """One held-out group. held_out: its rows in the sample; rows: of all; factor: of those, (k, k).
 
     weights: what the columns of the factor count for in what the model leaves, (k,).
     """
@@ -40,7 +40,7 @@ class Fold:
     rows: int
     factor: np.ndarray
     weights: np.ndarray
-    cells: np.ndarray  # of the history that sat out, as a mask
+    cells: np.ndarray  # of the history that was held out, as a mask
 
     def left(self, gain: float) -> tuple[float, float]:
         """(sum of squares, mean) of what is left of the response at a share of the correction."""
@@ -171,7 +171,7 @@ def _widened(model: ErrorModel, source: Source, sample: Recording) -> ErrorModel
 
 
 def all_left_out(histories: list[History], manifest: Manifest) -> list[list[Fold]]:
-    """Per history every group judged by parameters of the others. Raises DataError where nothing can sit out."""
+    """Per history every group judged by parameters of the others. Raises DataError where nothing can be held out."""
     sample = histories[0].sample(manifest)
     drivers = list(dict.fromkeys(n for h in histories for s in h.slots for n in s.term.drivers(sample)))
     return [_left_out(history, sample, drivers) for history in histories]

@@ -43,7 +43,7 @@ class HoldOut(Frozen):
         description="leave-one-group-out leaves a day or season out; batches leave several whole groups out at once; "
         "forward fits on the past alone.",
     )
-    of: str | None = Field(None, description="Group that sits out: a column's name or its `of` (day, season, machine).")
+    of: str | None = Field(None, description="Group held out: a column's name or its `of` (day, season, machine).")
     blocks: int = Field(5, ge=2, description="Number of blocks or batches (batches, blocks, and forward without `of`).")
     gap: float = quantity("s", "Rows this close to a judged block do not fit.", 0.0, ge=0)
 
@@ -61,7 +61,7 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     seen = measured(recording)
     folds = [fold for fold in _folds(recording, chosen) if seen[fold.test].any() and seen[fold.train].any()]
     if not folds:
-        raise DataError(f"hold-out {name(chosen)}: the recording has only one group, so nothing can sit out")
+        raise DataError(f"hold-out {name(chosen)}: the recording has only one group, so nothing can be held out")
     for fold in folds:
         check(fold)
     return folds

@@ -27,7 +27,7 @@ FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start: o
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One group that sat out. before: response without the model; after: what the model leaves; shape (n,).
+    """One held-out group. before: response without the model; after: what the model leaves; shape (n,).
 
     rows: row numbers; outside: distance from the validity box of the rows that fitted, (n,); used: degrees of freedom
     that nuisance took on these rows.

@@ -8,20 +8,47 @@ from errpipe.domain.recording import Recording
 
 MAD = 1.4826  # median absolute deviation of a normal distribution to its standard deviation
 FEWEST = 20  # pairs; fewer give no estimate
+SAME = 1e-6  # share of the range of readings below which two are the same
+OFF_STEP = 1e-3  # of a display's step: readings further off are not rounded to it
 RELATIVE_STEP = 1e-4  # positions closer than this share of their range are the same target
 
 
-def noise_floor(recording: Recording, rows: np.ndarray, values: np.ndarray) -> float | None:
+def noise_floor(
+    recording: Recording, rows: np.ndarray, values: np.ndarray, readings: np.ndarray | None = None
+) -> float | None:
     """Standard deviation of the noise in `values`, in their unit; None with too few pairs.
 
-    rows: row numbers, (n,); values: the response there or a residual of it, (n,). From repeats of one target (same
+    rows: row numbers, (n,); values: the response there or a residual of it, (n,); readings: the response as recorded,
+    (n,), whose display adds its rounding. From repeats of one target (same
     run, direction and positions) where a recording has them, one after the other, so that a slow drift stays out;
     else the smaller of two figures, each of which holds more than noise: repeats of one target in successive runs (and
     what changed between the runs), and second differences along each run (and the shape between neighbours). Noise
-    with a memory of several rows shows in repeats alone. Never above the rms of `values`, which holds it.
+    with a memory of several rows shows in repeats alone. A coarse display hides noise in repeats, which then read
+    alike: the floor is at least its rounding. Never above the rms of `values`, which holds it.
     """
     if values.size < 3:
         return None
+    floor = _of_pairs(recording, rows, values)
+    if floor is None or readings is None:
+        return floor
+    return min(max(floor, rounding(readings)), _rms(values))
+
+
+def rounding(readings: np.ndarray) -> float:
+    """Standard deviation that a display adds to readings (n,) by rounding, step / sqrt(12); 0 where it has no steps.
+
+    Source: ISO/IEC Guide 98-3 (GUM), F.2.2.1: rounding is uniform over one step.
+    """
+    values = np.sort(readings[np.isfinite(readings)])
+    steps = np.diff(values)
+    steps = steps[steps > SAME * (values[-1] - values[0])] if steps.size >= FEWEST else steps[:0]
+    if not steps.size:
+        return 0.0
+    counts = steps / steps.min()
+    return float(steps.min() / np.sqrt(12.0)) if np.abs(counts - np.round(counts)).max() < OFF_STEP else 0.0
+
+
+def _of_pairs(recording: Recording, rows: np.ndarray, values: np.ndarray) -> float | None:
     repeated = _repeats(recording, rows, values, within_runs=True)
     if repeated.size >= FEWEST:
         return _at_most_rms(values, [_spread(repeated, 2.0**0.5)])
@@ -34,7 +61,11 @@ def noise_floor(recording: Recording, rows: np.ndarray, values: np.ndarray) -> f
 
 
 def _at_most_rms(values: np.ndarray, figures: list[float]) -> float | None:
-    return min(*figures, float(np.sqrt(np.nanmean(values**2)))) if figures else None
+    return min(*figures, _rms(values)) if figures else None
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray, *, within_runs: bool) -> np.ndarray:

@@ -46,7 +46,7 @@ class ModelSpec(Frozen):
     datum: Literal["absolute", "run_start"] = Field(
         "absolute", description="What zero means: the machine's own zero, or each run's first row."
     )
-    holdout: HoldOut = Field(HoldOut(), description="Rows that sit out to size intervals, ridge and selection.")
+    holdout: HoldOut = Field(HoldOut(), description="Rows held out to size intervals, ridge and selection.")
     selection: Literal["none", "held-out"] = Field(
         "none", description="held-out: leave out, one by one, terms without which held-out rows do no worse."
     )

@@ -9,6 +9,7 @@ from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 from errpipe.fitting.quantiles import normal_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
+from errpipe.fitting.validity import LONGEST_HELD
 
 # A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
 # judged from either. Half-way is best: 3.5 um on runs of a turning centre left out, by both ways of counting;
@@ -19,7 +20,6 @@ FEWEST_RUNS = 3  # that can be left out one by one
 # Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
-LONGEST_HELD = 3  # readings of a sensor, at its usual rate: an empty cell or two; silent for longer it is not known
 MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit says so (from taste)
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
@@ -126,14 +126,14 @@ def predicted_since_start(values: np.ndarray, run: np.ndarray, rows: int, measur
     return values - since_start(np.where(measured, values, np.nan), run, rows)[1]
 
 
-def inner_groups(run: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def inner_groups(run: np.ndarray, rows: np.ndarray, blocks: int = BLOCKS) -> np.ndarray:
     """Runs, or blocks of time inside them where there are fewer than three."""
     if np.unique(run[rows]).size >= FEWEST_RUNS:
         return run.copy()
-    group = run * BLOCKS
+    group = run * blocks
     for code in np.unique(run[rows]):
         own_rows = np.flatnonzero(rows & (run == code))
-        group[own_rows] += np.arange(own_rows.size) * BLOCKS // own_rows.size
+        group[own_rows] += np.arange(own_rows.size) * blocks // own_rows.size
     return group
 
 

@@ -71,7 +71,7 @@ class Entrant:
 
 @dataclass(frozen=True)
 class Grouping:
-    """A way to leave groups out: its name, its folds (each a tuple of the groups that sit out) and their labels.
+    """A way to leave groups out: its name, its folds (each a tuple of the held-out groups) and their labels.
 
     labels: empty where folds are batches of groups. decides: whether it stands for other surroundings, and may exclude.
     """
@@ -112,6 +112,8 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], en
             folds = _batches([tuple(m) for m in members.values()])
             of_folds = tuple(members) if len(folds) == len(members) else ()
             candidates.append(Grouping(quantity, folds, of_folds, environment in (quantity, name)))
+    if not recording.names("temperature"):
+        return tuple(candidates)
     warmth = _start_warmth(recording, group, groups)
     order = sorted(groups, key=lambda g: (warmth[g], g))
     half = len(order) // 2

@@ -6,7 +6,7 @@ once to a triangle each (QR of [drivers, deviation]); any hold-out then costs a 
 Lags are first-order responses. Their time constants are a geometric grid from a few samples to the length of a run:
 shorter ones are indistinguishable from none, longer ones from a straight line (`time_constants`).
 Where the spindle speed is recorded, its heat (speed and its square) through the same lags stands beside them: a part
-that no sensor sees warms with it.
+that no sensor sees warms with it. Without a temperature it is all there is.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
 from errpipe.fitting.thermal_causes import columns
-from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.fitting.thermal_network import stack, triangles
+from errpipe.fitting.thermal_starts import started
 
 SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over before the next reading
 # Of neighbouring time constants. Chosen on seeds 1 to 3 of `trials.thermal`: 2.5 leaves 2 % more, 4 leaves 8 % more.
@@ -51,7 +51,8 @@ class LinearProblem:
     drivers: the rises first (`plain` of them), then the lagged rises, sensor by sensor, then `heat` of the spindle's,
     on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is; response:
     deviation since the start of the run, um; group: run of each row; rows: mask of usable rows; datum_rows: first rows
-    of a run whose mean is its zero.
+    of a run whose mean is its zero. own: number of the recording's rows, behind which the same rows may stand again
+    from later starts (`thermal_starts`); witnesses: number of independent runs.
     """
 
     recording: Recording
@@ -65,6 +66,8 @@ class LinearProblem:
     count: dict[int, int]
     heat: int
     datum_rows: int
+    own: int
+    witnesses: int
 
     @property
     def groups(self) -> list[int]:
@@ -79,7 +82,7 @@ class LinearProblem:
     @property
     def one_day(self) -> bool:
         """Whether these blocks do not even hold different days."""
-        return self.one_run and independent_runs(self.recording, self.rows) < FEWEST_RUNS
+        return self.one_run and self.witnesses < FEWEST_RUNS
 
     def stacked(self, groups: Sequence[int], width: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Triangle of the first `width` drivers, of the response, and the number of rows of some groups."""
@@ -88,27 +91,41 @@ class LinearProblem:
 
 
 def problem(recording: Recording, component: str, rows: np.ndarray | None, datum_rows: int) -> LinearProblem:
-    """The problem of the rows of a mask. Raises DataError without a temperature, or a row that has everything."""
+    """The problem of the rows of a mask. Raises DataError without temperature and speed, or a row that has all."""
     names = recording.names("temperature")
-    if not names:
-        raise DataError(f"thermal model of {component}: the recording has no temperature")
+    if not names and recording.name("spindle_speed") is None:
+        raise DataError(f"thermal model of {component}: the recording has no temperature, nor a spindle speed")
+    own, response = len(recording), response_name(recording, component)
+    measured = np.isfinite(sum((recording.array(n) for n in names), recording.array(response)))
+    recording, again, group, witnesses = started(recording, measured if rows is None else measured & rows)
     run = recording.run_codes()
     nodes: list[d.Driver] = [d.rise(n) for n in names]
     taus = time_constants(recording, len(names))
     nodes += [d.Lag(of=d.rise(n), tau_up=tau, tau_down=tau, start="zero") for n in names for tau in taus]
     heat = spindle_heat(recording, taus)
     nodes += heat
-    response, _ = since_start(recording.array(response_name(recording, component)), run, datum_rows)
-    values = centred(columns(recording, nodes), run, datum_rows, np.isfinite(response), 1.0)
-    good = np.isfinite(response) & np.isfinite(values).all(axis=1)
-    good = good if rows is None else good & rows
+    deviation, _ = since_start(recording.array(response), run, datum_rows)
+    values = centred(columns(recording, nodes), run, datum_rows, np.isfinite(deviation), 1.0)
+    good = again & np.isfinite(deviation) & np.isfinite(values).all(axis=1)
     if not good.any():
         raise no_usable_row(recording, component)
-    group = inner_groups(run, good)
-    parts = _triangles(values, response, good, group, run)
+    group = group if len(recording) > own else inner_groups(run, good)
+    parts = _triangles(values, deviation, good, group, run)
     count = {g: int(np.count_nonzero(good & (group == g))) for g in parts}
     return LinearProblem(
-        recording, tuple(nodes), len(names), values, response, good, group, parts, count, len(heat), datum_rows
+        recording=recording,
+        drivers=tuple(nodes),
+        plain=len(names),
+        values=values,
+        response=deviation,
+        rows=good,
+        group=group,
+        triangle=parts,
+        count=count,
+        heat=len(heat),
+        datum_rows=datum_rows,
+        own=own,
+        witnesses=witnesses,
     )
 
 
@@ -162,7 +179,7 @@ def time_constants(recording: Recording, sensors: int = 1) -> tuple[float, ...]:
     if not steps.size or max(lengths) <= 0:
         return ()
     low, high = SAMPLES * float(np.median(steps)), float(np.median(lengths))
-    most = int(np.clip(MOST_DRIVERS // sensors - 1, 2, MOST_LAGS))
+    most = int(np.clip(MOST_DRIVERS // max(sensors, 1) - 1, 2, MOST_LAGS))
     span = np.log(max(high / low, 1.0))
     number = int(np.clip(np.floor(span / np.log(RATIO)) + 1, 1, most))
     ratio = max(RATIO, float(np.exp(span / max(number - 1, 1)))) if number == most else RATIO

@@ -39,6 +39,7 @@ from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.thermal_model import Part, ThermalModel
 from errpipe.fitting.validity import box
 
+Rows = np.ndarray | None  # a mask or label of each row; None: all of them, grouped by run
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
 WORTH_WIDTH = 0.5  # K: width of the kernel over start temperatures in `worth`
 WORTH_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
@@ -79,7 +80,7 @@ class _Gains:
 class Problem:
     """Design columns of all rows, and the triangles of the groups that may be used."""
 
-    def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: np.ndarray | None):
+    def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: Rows, group: Rows = None):
         self.recording, self.component, self.options = recording, component, options
         self.sensors = thermal_causes.sensors(
             recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
@@ -105,7 +106,7 @@ class Problem:
         if not good.any():
             raise no_usable_row(recording, component)
         self.rows = good
-        self.group = inner_groups(run, good)
+        self.group = inner_groups(run, good) if group is None else group
         self.groups = [int(g) for g in np.unique(self.group[good])]
         self.count = {g: int(np.count_nonzero(good & (self.group == g))) for g in self.groups}
         design = np.column_stack([core, extra])[good]
@@ -195,7 +196,7 @@ class Problem:
         return box(self.recording, self.sensors.all(), rows).model_copy(update={"fades": False})
 
     def _folds(self, count: int) -> list[list[int]]:
-        """Groups that are left out together, in at most `count` folds; neighbours in time sit out in different ones."""
+        """Groups that are left out together, in at most `count` folds; neighbours in time go to different ones."""
         return [self.groups[k::count] for k in range(min(count, len(self.groups)))]
 
     def environments(self) -> list[list[int]]:
@@ -232,7 +233,7 @@ class Problem:
             own = self.rows & (self.group == g) & np.isfinite(gain)
             if own.any():
                 above[k], below[k] = np.mean(residual[own] * gain[own]), np.mean(gain[own] ** 2) + WORTH_PRIOR
-        if not below.any():  # a single group: nothing could sit out
+        if not below.any():  # a single group: nothing could be held out
             return grid, np.zeros(grid.size)
         near = np.exp(-0.5 * ((grid[:, None] - starts) / WORTH_WIDTH) ** 2)
         return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)

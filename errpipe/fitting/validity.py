@@ -17,6 +17,7 @@ MARGIN = 0.5  # of a range: distance over which a table fades out (chosen, not m
 LEAST_MARGIN = {"temperature": 2.0}  # K
 FEW = 0.01  # of the rows: at most so many beyond a gap are ignored; chosen on: a thermal state of a day fills more
 GAP = 0.25  # of the range of the other rows; chosen on: the targets of a test after ISO 230-2 (five or more) lie closer
+LONGEST_HELD = 3  # readings of a sensor, at its usual rate: an empty cell or two; silent for longer it is not known
 UNBOXED = ("run", "group", "time", "direction", "coolant", "ignore", "error", "simulated")
 
 

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 
 from errpipe import files, jsonfile, yamlfile
 from errpipe.domain import units
-from errpipe.domain.batch import Batch, Stretches
+from errpipe.domain.batch import Batch
 from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import DataError
@@ -30,6 +30,7 @@ from errpipe.formats import _derived, _tables
 from errpipe.formats._magnitude import refuse_impossible
 from errpipe.formats._manifest_text import flow as flow
 from errpipe.formats._manifest_text import manifest_text as manifest_text
+from errpipe.formats._runs import Runs, known_runs, runs_stated
 
 name = "manifest"
 MANIFEST = "recording.yaml"
@@ -141,7 +142,7 @@ def iter_batches(
         table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
         for part in table.iter_batches(batch_size=rows, columns=read, use_threads=False):
             columns = {
-                n: _known_runs(runs or {}, at, part.num_rows)
+                n: known_runs(runs or {}, at, part.num_rows)
                 if n not in read
                 else part[n]
                 if n in labels
@@ -157,11 +158,10 @@ def iter_batches(
         raise DataError(f"{Path(folder) / TABLE}: not a Parquet file, or a damaged one") from None
 
 
-def _known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
-    """The runs of `rows` rows from row `at` on."""
-    ends = np.cumsum(list(runs.values()))
-    first, last = np.searchsorted(ends, [at, at + rows - 1], side="right")
-    return Stretches(list(runs)[first : last + 1], np.r_[0, ends[first:last] - at], rows)
+def runs_written(folder: Path) -> dict[str, int] | None:
+    """Rows of each run of such a folder, in their order; None where they have to be read."""
+    rows = pq.read_metadata(Path(folder) / TABLE)
+    return runs_stated(rows) if load_manifest(folder).names("run") else {"1": int(rows.num_rows)}
 
 
 def extremes(folder: Path) -> tuple[Recording, frozenset[str]]:
@@ -255,8 +255,9 @@ def to_parquet(path: Path, out: Path) -> int:
 def _write(manifest: Manifest, chunks: Iterator[Recording], folder: Path) -> int:
     columns = {n: c for n, c in manifest.columns.items() if c.role != "ignore"}
     schema = _tables.parquet_schema({n: c.model_dump(exclude_none=True) for n, c in columns.items()})
-    parts = (pa.table([_cells(c, n, schema.field(n).type) for n in columns], schema=schema) for c in chunks)
-    rows = _tables.write_parquet(folder / TABLE, schema, parts)
+    runs, kinds = Runs(), {n: schema.field(n).type for n in columns}
+    parts = (pa.table([_cells(c, *kind) for kind in kinds.items()], schema=schema) for c in map(runs.add, chunks))
+    rows = _tables.write_parquet(folder / TABLE, schema, parts, runs.facts)
     kept = manifest.model_copy(update={"tables": (TABLE,), "columns": columns})
     jsonfile.write_text(folder / MANIFEST, manifest_text(kept))
     return rows

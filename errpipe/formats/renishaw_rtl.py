@@ -11,6 +11,7 @@ not tried on a file from the instrument itself.
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 from typing import Literal
@@ -31,6 +32,7 @@ MAX_BYTES = 64 << 20  # a test of 10,000 targets and 100 runs
 _OTHER_KINDS = re.compile(
     r"angul|winkel|straight|gerad|rectitud|square|rechtw|perpend|flat|ebenh|rotar|dreh|dynam", re.IGNORECASE
 )
+_AXIS = re.compile(r"^(AXIS|ACHSE|AXE|EJE|ASSE)[ -]|[ -]?(AXIS|ACHSE)$")  # as programs put it beside the letter
 _SECTION = re.compile(r"^([A-Z][A-Z _-]*)::\s*$", re.IGNORECASE)
 _Line = tuple[int, str]
 
@@ -54,8 +56,9 @@ def sniff(path: Path) -> bool:
         return False
     with open(path, "rb") as stream:
         head = stream.read(4096)
-    begins = head.lstrip(b"\xef\xbb\xbf \r\n").upper().startswith(b"HEADER::")
-    return begins and (path.suffix.lower() == ".rtl" or re.search(rb"File type\s*:\s*rt\w\b", head, re.I) is not None)
+    text = _text(head).lstrip()
+    begins = text.upper().startswith("HEADER::")
+    return begins and (path.suffix.lower() == ".rtl" or re.search(r"File type\s*:\s*rt\w\b", text, re.I) is not None)
 
 
 def read(path: Path, options: Options | None = None) -> Recording:
@@ -65,7 +68,7 @@ def read(path: Path, options: Options | None = None) -> Recording:
     _refuse_other_kinds(path, sections.get("HEADER", []))
     targets = _targets(path, sections.get("TARGET DATA", []))
     facts = dict(_facts(sections.get("USER-TEXT", [])))
-    axis = options.axis or re.sub(r"[ -]?(AXIS|ACHSE|AXE)$", "", facts.get("axis", "").upper())
+    axis = options.axis or _AXIS.sub("", facts.get("axis", "").upper())
     if not re.fullmatch(r"[XYZUVWPQR]\d?", axis):
         raise DataError(f"{path}: the file's axis is {axis!r}, not a linear ISO 841 axis (say which: `axis: X`)")
     runs, numbers, deviation = _deviations(path, sections.get("DEVIATIONS", []), len(targets))
@@ -96,14 +99,9 @@ def read(path: Path, options: Options | None = None) -> Recording:
 
 
 def _sections(path: Path) -> dict[str, list[_Line]]:
-    data = files.read(path, MAX_BYTES, DataError)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", errors="replace")  # older versions write the machine's own code page
     out: dict[str, list[_Line]] = {}
     current: list[_Line] = []
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(_text(files.read(path, MAX_BYTES, DataError)).splitlines(), 1):
         if match := _SECTION.match(line.strip()):
             name = match[1].upper()
             if name in out and name in ("TARGET DATA", "DEVIATIONS"):
@@ -116,7 +114,29 @@ def _sections(path: Path) -> dict[str, list[_Line]]:
             raise DataError(f"{path}: no section {wanted}:: (found: {', '.join(out) or 'none'})")
     if "EOF" not in out:
         raise DataError(f"{path}: the file does not end with EOF:: (it is cut short)")
-    return out
+    return _with_points(out)
+
+
+def _text(data: bytes) -> str:
+    """The text of a file that begins with HEADER:: in UTF-8, UTF-16, or the code page of older versions."""
+    wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    guess = {b"\0": "utf-16-be"}.get(data[:1]) or {b"\0": "utf-16-le"}.get(data[1:2])
+    try:
+        return data.decode("utf-16" if wide else guess or "utf-8-sig", errors="replace" if wide or guess else "strict")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
+
+
+def _with_points(sections: dict[str, list[_Line]]) -> dict[str, list[_Line]]:
+    """Targets and deviations with decimal points: a comma is one where no number of the file has a point."""
+    numbers = [text for name in ("TARGET DATA", "DEVIATIONS") for _, text in sections[name] if ":" not in text]
+    if any("." in text for text in numbers) or not any("," in text for text in numbers):
+        return sections
+    pointed = {
+        name: [(n, text if ":" in text else text.replace(",", ".")) for n, text in sections[name]]
+        for name in ("TARGET DATA", "DEVIATIONS")
+    }
+    return {**sections, **pointed}
 
 
 def _refuse_other_kinds(path: Path, lines: list[_Line]) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing.dates import seconds
-from errpipe.importing.layout import RawColumn
+from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.words import CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
 
 KIND_OF_UNIT = {
@@ -31,6 +31,7 @@ KIND_OF_UNIT = {
     "kN": "force",
     "hPa": "pressure",
     "%": "humidity",
+    "kg": "load",
     "s": "time",
     "ms": "time",
     "h": "time",
@@ -42,18 +43,41 @@ KIND_OF_UNIT = {
 }
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "nothing in its name, unit or values says what it is"
-NO_PLACES = ("temperature", "current", "torque", "spindle_speed", "feed", "pressure", "humidity", "time")
+PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
+# Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
+SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
 # Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
 _LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
-_AXIS = re.compile(
-    rf"(?:^|[\s_.\-(/])(?:[dΔ](?=[XYZ]))?{_LETTER}(?:\d|[\s_.\-)/\[]|$|axis|achse|pos|cmd|act|soll|ist)", re.IGNORECASE
+_BEFORE = (
+    r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
+)
+_BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
+_AXIS = re.compile(rf"(?:^|[\s_.\-(/])(?:{_BEFORE})?{_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
+_WORDS = re.compile(
+    r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
 )
 _CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
 _AXIS_ABOVE = re.compile(
     rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{_LETTER}1?\b|\b{_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
     re.IGNORECASE,
 )
-_FILLERS = ("from", "von", "approach", "approached", "direction", "richtung", "dir", "the", "side")
+_FILLERS = (
+    "from",
+    "von",
+    "approach",
+    "approached",
+    "direction",
+    "richtung",
+    "dir",
+    "the",
+    "side",
+    "to",
+    "toward",
+    "towards",
+)
+_FROM = ("from", "von", "de", "da", "desde")  # behind it a sign says where the axis came from: `from -` is below
+_SIGN = re.compile(r"\+|-|plus|minus|p|n|pos(itive?)?|neg(ative?)?")
+NO_SIDES = "called a direction, but its values are no two signs"
 COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 
@@ -69,7 +93,11 @@ class ColumnGuess:
 
 def guess(column: RawColumn) -> ColumnGuess:
     """What a column probably is. A column that fits nothing is `ignore`."""
-    axis = axis_in(column.header)
+    found = _guess(column, axis_in(column.header))
+    return replace(found, axis=None) if found.axis is not None and found.axis == SYMBOLS.get(found.kind) else found
+
+
+def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
     if column.numeric and component_in(column.header.strip()) == column.header.strip():
         return ColumnGuess("error", axis, f"its name ({column.header}, a component of ISO 230-1)")
     if (kind := kind_by_name(column.header)) is not None:
@@ -82,6 +110,32 @@ def guess(column: RawColumn) -> ColumnGuess:
     if seconds(column) is not None and not column.numeric:
         return ColumnGuess("time", axis, "its values (dates)")
     return ColumnGuess("ignore", axis, UNKNOWN)
+
+
+def with_period(layout: Layout, period: float | None) -> Layout:
+    """The layout with a column of times where a person says the time between rows and no column is a time."""
+    if period is None or not layout.columns or any(guess(c).kind == "time" for c in layout.columns):
+        return layout
+    times = period * np.arange(len(layout.columns[0].cells))
+    layout.columns.insert(0, RawColumn("t", "s", times.tolist(), times))
+    layout.notes.append(f"a row each {period:g} s, as --period says")
+    return layout
+
+
+def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+    """The guesses, and where none is a place, the only column that names an axis and is as long as a travel as one."""
+    if any(g.kind in ("command", "position", "actual", "counts") for g in guesses.values()):
+        return guesses
+    long = [
+        c
+        for c in columns
+        if guesses[c.header].kind == "ignore" and axis_in(c.header) and c.unit in ("mm", "m", "inch") and c.numeric
+    ]
+    if len(long) != 1 or not _as_long_as_a_travel(long[0]):
+        return guesses
+    axis = axis_in(long[0].header)
+    place = ColumnGuess("position", axis, f"its axis ({axis}), unit and size: as long as a travel")
+    return {**guesses, long[0].header: place}
 
 
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
@@ -103,13 +157,17 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "called like a label of groups, but its values group no rows"
     if kind == "error" and re.search(DISPLACEMENT, plain(column.header)) and _as_long_as_a_travel(column):
         return "actual", "its size: a displacement as long as a travel is a position"
+    if kind == "coolant" and KIND_OF_UNIT.get(unit or "") is not None:
+        return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
+    if kind == "coolant" and not set(np.unique(_known(column))) <= {0.0, 1.0}:
+        return "ignore", "called a coolant, but its values are not 0 and 1 (off and on)"
     if kind == "direction" and _side(column) is None:
-        return "ignore", "called a direction, but its values are no two signs"
+        return "ignore", NO_SIDES
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
         return "ignore", "called a compensation, but of two values: it says whether one is on"
     if kind not in ("time", "run", "group", "direction") and not column.numeric:
         return "ignore", "its values are no numbers"
-    if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "") in NO_PLACES:
+    if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
         return "counts", "its unit (counts)"
@@ -132,7 +190,7 @@ def _like_degrees(column: RawColumn) -> bool:
 
 def _as_long_as_a_travel(column: RawColumn) -> bool:
     """Whether values in mm (um) span more than any deviation does."""
-    known, unit = _known(column), {"mm": 1e3, "um": 1.0, "m": 1e6}.get(column.unit or "mm", 0.0)
+    known, unit = _known(column), {"mm": 1e3, "um": 1.0, "m": 1e6, "inch": 25.4e3}.get(column.unit or "mm", 0.0)
     return known.size > 0 and float(np.ptp(known)) * unit > FARTHEST_UM
 
 
@@ -147,8 +205,10 @@ def _known(column: RawColumn) -> np.ndarray:
 
 
 def axis_in(text: str) -> str | None:
-    """The axis letter that a text names, or None."""
-    match = _AXIS.search(text)
+    """The axis letter that a text names, or None: `ErrorY`, `posz`, `Y軸位置`; of EYX the axis moved."""
+    if (name := component_in(text)) is not None and (moved := components.parse(name).axis) is not None:
+        return moved
+    match = _AXIS.search(text) or _AXIS.search(_WORDS.sub(" ", text))
     return match.group(1).upper() if match else None
 
 
@@ -196,7 +256,10 @@ def other_component(text: str, moved: str) -> str | None:
     if is_straightness(text):
         across = axis_in(text)
         if across is None or across == moved:
-            raise DataError(f"column {text!r}: a straightness across which axis? Say it with --component, such as EYX")
+            raise DataError(
+                f"column {text!r}: a straightness across which axis? Say it with --component, such as EYX, or beside "
+                f"other readings with --set '{text}.component=EYX'"
+            )
         return f"E{across}{moved}"
     for pattern, name in (
         (r"\b(roll\w*|rollen)\b", "roll"),
@@ -231,11 +294,13 @@ def axis_above(lines: list[str]) -> str | None:
 
 def side(text: object) -> float | None:
     """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
-    word = re.sub(r"^([+-])ve$", r"\1", plain(text).removesuffix(".0").rstrip(".:"))
-    word = re.sub(r"^[xyzabcuvw]\d? ?([+-])$", r"\1", word)
+    word = re.sub(r"^([+-])ve$", r"\1", plain(text).removesuffix(".0").strip(".:()"))
+    word = re.sub(r"^[xyzabcuvw]\d? ?([+-])$|^([+-])[xyzabcuvw]\d?$", r"\1\2", word)
     words = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
+    came_from = len(words) == 1 and _SIGN.fullmatch(words[0]) and set(_FROM) & set(re.split(r"[\s_.]+", word))
     word = words[0] if len(words) == 1 else word
-    return 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
+    way = 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
+    return -way if came_from and way is not None else way
 
 
 def _side(column: RawColumn) -> np.ndarray | None:

@@ -50,12 +50,13 @@ EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17
 SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
 
+SHORT = {"us": 1e-6, "ns": 1e-9}  # units of a time that the manifest does not have, in s
 FILE_TIME = 1e-7  # s: such ticks do not count from 1970
 
 
 def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     """Dates, clocks or elapsed times as s since the first, that date by ISO 8601, and how it is written; or None."""
-    texts = [_without_commas(str(c).strip()) if c not in (None, "") else "" for c in _cells(column)]
+    texts = [_usual_signs(str(c).strip()) if c not in (None, "") else "" for c in _cells(column)]
     first = next((t for t in texts if t), None)
     if first is None:
         return None
@@ -73,10 +74,10 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     """
     first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
     tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
-    if unit == "us":
-        return (c.values - first) * 1e-6, "s", f"{why}; us written as s", None
+    epoch = None if tick in (None, FILE_TIME) else datetime.fromtimestamp(first * tick, UTC).isoformat()
+    if unit in SHORT:
+        return (c.values - first) * SHORT[unit], "s", f"{why}; {unit} written as s", epoch
     if unit not in ROLE_UNITS["time"] and tick is not None:
-        epoch = None if tick == FILE_TIME else datetime.fromtimestamp(first * tick, UTC).isoformat()
         return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
     if unit is None and days and last - first < len(c.values):
@@ -176,9 +177,32 @@ def _seconds_of(part: re.Match[str]) -> float:
     return ((days * 24.0 + hours) * 60.0 + minutes) * 60.0 + rest
 
 
-def _without_commas(text: str) -> str:
-    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank."""
-    return " ".join(re.sub(r",(?=\d)", ".", text).replace(",", " ").split())
+_MONTHS = {  # beginnings of the months' names elsewhere -> as `%b` reads them
+    **dict.fromkeys(("mär", "mrz", "mars", "marz"), "Mar"),
+    **dict.fromkeys(("mai", "mag", "may"), "May"),
+    **dict.fromkeys(("gen", "ene", "janv"), "Jan"),
+    **dict.fromkeys(("fév", "febb"), "Feb"),
+    **dict.fromkeys(("avr", "abr"), "Apr"),
+    **dict.fromkeys(("juin", "giu"), "Jun"),
+    **dict.fromkeys(("juil", "lug"), "Jul"),
+    **dict.fromkeys(("août", "ago"), "Aug"),
+    **dict.fromkeys(("set", "sept"), "Sep"),
+    **dict.fromkeys(("okt", "ott"), "Oct"),
+    **dict.fromkeys(("dez", "déc", "dic"), "Dec"),
+}
+_EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "时": ":", "分": ":", "秒": ""})
+
+
+def _usual_signs(text: str) -> str:
+    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons."""
+    text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")
+    text = re.sub(r"(?<= )(\d{1,2})\.(\d\d)\.(\d\d)$", r"\1:\2:\3", text)
+    text = re.sub(r"(?<=\d)\.(?= [^\W\d]{3})|(?<=[^\W\d])\.(?= )", "", text)
+    return " ".join(re.sub(r"[^\W\d_]{3,}", _month, text).split())
+
+
+def _month(word: re.Match[str]) -> str:
+    return next((name for start, name in _MONTHS.items() if word[0].lower().startswith(start)), word[0])
 
 
 def _texts(c: RawColumn) -> list[str]:

@@ -302,10 +302,9 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
     units: list[str | None] = [None] * width
     used = len(head)
     if len(texts) > 1:
-        cells = [t.strip("[]() ") for t in texts[-1][:width] if t]
-        if cells and all(unit_of(c) or c in ("-", "1") for c in cells):
-            units = [unit_of(t.strip("[]() ")) if t else None for t in texts[-1][:width]]
-            texts = texts[:-1]
+        of_units = next((k for k in range(len(texts) - 1, 0, -1) if _are_units(texts[k][:width])), None)
+        if of_units is not None:
+            units = [unit_of(t.strip("[]() ")) if t else None for t in texts.pop(of_units)[:width]]
     if len(texts) > 2:  # more than a group row above the names: the rest is a preamble
         used -= len(texts) - 2
         texts = texts[-2:]
@@ -328,6 +327,11 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
     else:
         names = texts[0][:width]
     return [n or f"column {i + 1}" for i, n in enumerate(names)], units, used
+
+
+def _are_units(texts: list[str]) -> bool:
+    cells = [t.strip("[]() ") for t in texts if t]
+    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") for c in cells)
 
 
 def _metres(names: list[str]) -> list[str]:

@@ -27,7 +27,7 @@ def empty(layout: Layout) -> None:
         if doubtful := next((x for x in texts if _IN_BRACKETS.fullmatch(x)), None):
             raise DataError(f"column {c.header!r}: {doubtful!r}: below zero, or doubtful? (write -1.5, or nothing)")
         if odd := next((x for x in texts if _MARKED.fullmatch(x) and not is_date(x)), None):
-            raise DataError(f"column {c.header!r}: {odd!r} is no number as the others are (mend it, or leave it empty)")
+            raise DataError(f"column {c.header!r}: {odd!r} is no number as the others are (correct or empty it)")
         beyond = np.abs(c.values) > LARGEST
         filled = np.isin(np.abs(c.values), FILLED_IN)
         others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])

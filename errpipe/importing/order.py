@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain import units
 from errpipe.errors import DataError
+from errpipe.importing.columns import NO_SIDES
 from errpipe.importing.proposed import Proposal
 
 DENSE_ROWS = 500  # rows: a log, not a test of targets
@@ -63,6 +64,7 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
     if p.first("direction") is None:
         _refuse_copied_rows(p, x)
         moves = motion_sides(x)
+        _sides_of_labels(p, moves)
         if moves is not None and np.unique(moves).size == 2:
             p.put(
                 "direction", moves, "from the order of the positions: +1 where they rise", role="direction", axis=axis
@@ -136,22 +138,48 @@ def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
 
 
 def motion_sides(x: np.ndarray) -> np.ndarray | None:
-    """+1 where positions rise, -1 where they fall; a repeated one belongs to the way back. None where unordered."""
-    step = np.sign(np.diff(x))
+    """+1 where positions rise, -1 where they fall; None where unordered.
+
+    Readings of one visit stand one after another. Where the axis turns, twice as many as elsewhere are of two visits:
+    the second half belongs to the way back.
+    """
+    first = np.flatnonzero(np.r_[True, np.diff(x) != 0])
+    places, readings = x[first], np.diff(np.r_[first, x.size])
+    step = np.sign(np.diff(places))
     if not step.any():
         return None
-    far = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * np.ptp(x))
-    for i in far if far.size < np.count_nonzero(step) else []:
+    far = np.flatnonzero(np.abs(np.diff(places)) > 0.5 * np.ptp(x))
+    for i in far if far.size < step.size else []:
         if i + 1 < step.size and step[i + 1] == -step[i]:
             step[i] = 0  # back to the first target, to pass all of them the same way again
-    out = np.empty(x.size)
-    out[1:] = step
-    out[0] = step[np.flatnonzero(step)[0]]
-    for i in np.flatnonzero(out == 0):
-        later = out[i + 1 :][out[i + 1 :] != 0]
-        out[i] = later[0] if later.size else out[i - 1]
-    turns = np.count_nonzero(np.diff(out))
-    return out if turns <= x.size / 3 else None
+    way = np.r_[step[np.flatnonzero(step)[0]], step]
+    for i in np.flatnonzero(way == 0):
+        later = way[i + 1 :][way[i + 1 :] != 0]
+        way[i] = later[0] if later.size else way[i - 1]
+    out = np.repeat(way, readings)
+    for i in np.flatnonzero((way[1:] == -way[:-1]) & (readings[:-1] >= 2 * np.median(readings))):
+        out[first[i] + readings[i] // 2 : first[i + 1]] = way[i + 1]
+    return out if np.count_nonzero(np.diff(way)) <= places.size / 3 else None
+
+
+FEWEST_OF_A_LABEL = 0.9  # share of the rows with a label that lie on one side of the motion, to be that side's label
+
+
+def _sides_of_labels(p: Proposal, moves: np.ndarray | None) -> None:
+    """Raise DataError where a column called a direction has two labels that neither words nor the motion explain."""
+    unread = [n for n, why in p.guesses.items() if why == NO_SIDES and n in p.data]
+    for name in unread:
+        labels = np.array([str(v).removesuffix(".0") for v in p.data[name]])
+        names = [str(n) for n in np.unique(labels) if n not in ("", "nan")]
+        if len(names) != 2:
+            continue
+        rising = [0.0 if moves is None else float(np.mean(moves[labels == n] > 0)) for n in names]
+        if max(rising) < FEWEST_OF_A_LABEL or min(rising) > 1.0 - FEWEST_OF_A_LABEL:
+            raise DataError(
+                f"column {name!r} holds {names[0]!r} and {names[1]!r}, and the order of the rows does not say which of "
+                f"them comes from below: write + (from below) and -, or say --set {name}.role=ignore"
+            )
+        p.guesses[name] = f"{names[int(np.argmax(rising))]!r} is the way up, as the positions rise there"
 
 
 def _visits(x: np.ndarray, way: np.ndarray) -> list[str]:

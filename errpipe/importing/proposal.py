@@ -17,7 +17,8 @@ from errpipe.importing import dates, no_reading, settle, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
-from errpipe.importing.units import plain_unit, unit_of
+from errpipe.importing.units import in_brackets, in_role, per_length, plain_unit, unit_of
+from errpipe.importing.words import kind_by_name
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
@@ -39,6 +40,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
+    guesses = guessing.with_place(layout.columns, guesses)
     proposal.facts.update(_facts(layout.above))
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
@@ -46,7 +48,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in settle.PLACES]
         if angles:
             raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
-        axis = "X"
+        axis, proposal.assumed_axis = "X", True
         proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
     if wide_layout is not None:
         _wide(layout, guesses, wide_layout, axis, options, proposal)
@@ -95,7 +97,8 @@ def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
     for c in layout.columns:
         filled = {str(cell).strip() for cell in c.cells if cell not in (None, "")}
         letters = {text.upper() for text in filled}
-        if not filled or c.numeric or not all(re.fullmatch(r"[XYZABCUVW]\d?", letter) for letter in letters):
+        axes = filled and not c.numeric and all(re.fullmatch(r"[XYZABCUVW]\d?", letter) for letter in letters)
+        if not axes or kind_by_name(c.header) == "direction":
             continue
         axis = options.axis or min(letters)
         if len(letters) > 1 and options.axis is None:
@@ -148,7 +151,7 @@ def _long(
     may_be_log: bool,
 ) -> None:
     """One row of the file is one row of the recording."""
-    keep = _measured_rows(layout, guesses) & ~_figures_below(layout, p)
+    keep = _measured_rows(layout, guesses) & ~_figures_below(layout, p) & ~_written_twice(layout, guesses, p)
     dropped = len(keep) - int(keep.sum())
     if dropped:
         p.notes.append(f"{dropped} rows without a position, time or reading were left out (sums, remarks, blank lines)")
@@ -286,14 +289,39 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
             amps = options.torque_constant * (1e-3 if unit == "mA" else 1.0)
             p.put(f"torque_{own}", None, role="torque", axis=own, unit="N m", derived={"of": name, "factor": amps})
     elif g.kind in ROLE_UNITS and g.kind != "ignore":
-        allowed = ROLE_UNITS[g.kind]
-        if allowed:
-            unit, why = _unit_or(unit if unit in allowed else None, allowed[0], why)
+        values, unit = c.values, stated.get("unit")
+        if unit is None and ROLE_UNITS[g.kind]:
+            taken = in_role(c.values, c.header, c.unit, g.kind, why)
+            if taken is None:
+                unknown, allowed = c.unit or in_brackets(c.header), ", ".join(ROLE_UNITS[g.kind])
+                why = f"{why}, but {unknown!r} is no unit of role {g.kind} (allowed: {allowed})"
+                p.put(c.header, c.values, f"{why}: say it with --set '{c.header}.unit=...'", role="ignore")
+                return
+            values, unit, why = taken
+            unit, why = _unit_or(unit, ROLE_UNITS[g.kind][0], why)
         moving = g.kind in ("velocity", "acceleration", "force", "torque")
         place = stated.get("location") or (c.header if g.kind == "temperature" else None)
-        p.put(c.header, c.values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)
+        p.put(c.header, values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)
     else:
         p.put(c.header, c.values if c.numeric else [label(x) for x in c.cells], g.why, role="ignore")
+
+
+def _written_twice(layout: Layout, guesses: dict[str, guessing.ColumnGuess], p: Proposal) -> np.ndarray:
+    """Rows from where time goes back to where it goes on, all of them copies of rows before: parts that overlap."""
+    clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and c.numeric), None)
+    out = np.zeros(len(layout.columns[0].cells), dtype=bool)
+    if clock is None or out.size < 2:
+        return out
+    latest = np.fmax.accumulate(clock.values)
+    again = np.r_[False, clock.values[1:] <= latest[:-1]]
+    if not (clock.values[1:] < latest[:-1]).any():
+        return out
+    rows = list(zip(*(c.cells for c in layout.columns), strict=True))
+    for stretch in np.split(np.flatnonzero(again), np.flatnonzero(np.diff(np.flatnonzero(again)) > 1) + 1):
+        out[stretch] = stretch.size > 1 and set(rows[stretch[0] : stretch[-1] + 1]) <= set(rows[: stretch[0]])
+    if out.any():
+        p.notes.append(f"{int(out.sum())} rows are copies of rows before, where time goes back: left out")
+    return out
 
 
 def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
@@ -313,6 +341,8 @@ def _known_unit(c: RawColumn, unit: str | None) -> str | None:
     word = RawColumn(odd.group(1), None, c.cells, c.values) if odd else c
     sided = len(word.header) > 1 and guessing.side(word.header) is not None
     named = sided or word.header.lower() in _NO_UNIT
+    if unit is None and per_length(c.header):
+        raise DataError(f"column {c.header!r}: readings per length; errpipe needs them in um (or mm) at each position")
     if odd and not named and (len(word.header) == 1 or guessing.guess(word).kind == "ignore"):
         raise DataError(
             f"column {c.header!r}: {odd.group(1)!r} is no known unit (such as um, mm, inch, thou, deg, urad, arcsec): "

@@ -7,6 +7,10 @@ import unicodedata
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
+from errpipe.domain import units
+
 
 @dataclass(frozen=True)
 class ImportOptions:
@@ -35,6 +39,7 @@ class Proposal:
     guesses: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)  # of the set-up, from the lines above the table
+    assumed_axis: bool = False  # whether neither the file nor a person named one
     names: dict[str, str] = field(default_factory=dict)  # what a column is called in the file -> here
 
     @property
@@ -56,6 +61,12 @@ class Proposal:
         if why:
             self.guesses[unique] = why
         return unique
+
+    def canonical(self, name: str) -> np.ndarray:
+        """The values of a column of positions in mm or deg."""
+        convert = units.conversion("position", self.entries[name].get("unit"))
+        values: np.ndarray = self.data[name] if convert is None else convert(self.data[name])
+        return values
 
     def first(self, role: str, axis: str | None = None) -> str | None:
         """The first column of a role (and axis)."""

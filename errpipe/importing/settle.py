@@ -11,17 +11,16 @@ import re
 
 import numpy as np
 
-from errpipe.domain import components, units
+from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, order, simulated, words
+from errpipe.importing import dates, order, signs, simulated
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import plain_unit, split_header
 
 PLACES = ("command", "position", "actual")
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
-SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
 
 
 def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
@@ -45,14 +44,18 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             pass  # all three are recorded
 
 
+_OF_A_DEGREE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin"}  # inch: both are written as "
+
+
 def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
     """Readings in a unit that the manifest has, that unit, and the reason; of lengths without one, by their size.
 
     Raises DataError for angles without a unit: arcsec taken as urad would be compensated by a fifth.
     """
     standard = components.unit(component)
-    if standard == "urad" and unit == "inch":  # both are written as "
-        unit, why = "arcsec", f'{why}; " are arcsec at an angle'
+    if standard == "urad" and unit in _OF_A_DEGREE:  # a length or a time elsewhere
+        why = f"{why}; of a degree, at an angle"
+        unit = _OF_A_DEGREE[unit]
     values, unit, why = plain_unit(values, unit, why)
     if unit is None and standard == "urad":
         raise DataError(
@@ -158,7 +161,7 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
         if guessed and options.unit is not None:
             p.data[name], entry["unit"], guessed = *plain_unit(p.data[name], options.unit, "")[:2], False
             why = f"{why.split('; no unit')[0]}; unit by --unit"
-        slope = _slope(_canonical(p, command), _canonical(p, name))
+        slope = _slope(p.canonical(command), p.canonical(name))
         if guessed and slope is not None and abs(slope) > ABSOLUTE and abs(abs(slope) - 1.0) > ABSOLUTE:
             raise DataError(
                 f"{name!r} changes by {slope:.3g} for each mm of {command!r} and has "
@@ -188,12 +191,13 @@ def leave_numbers(p: Proposal) -> None:
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
     """The error of the axis, its sign, directions, runs, and what a log of an axis needs besides."""
     turn_readings(p)
-    leave_corrections(p)
-    turn_signs(p, layout, options)
+    signs.leave_corrections(p)
+    signs.turn(p, layout, options)
     readings_as_errors(p, axis)
     derive_error(p, axis, options)
     simulated.forces_as_responses(p)
-    simulated.positions_as_deviations(p)
+    simulated.of_the_only_response(p)
+    simulated.turn_signs(p, simulated.positions_as_deviations(p))
     if not any(e["role"] == "error" for e in p.entries.values()):
         have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(
@@ -213,6 +217,10 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
                     f"column {header!r} ({unknown[0].unit}) is not understood, and no position is recorded: say "
                     f"--set '{header}.role=position', or --set '{header}.role=ignore'"
                 )
+            if p.assumed_axis:
+                raise DataError(
+                    f"no axis is named, and no position is recorded: along which axis is {name!r}? Say it with --axis"
+                )
             dates.refuse_unread(p.entries, p.guesses, p.data)
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
@@ -225,7 +233,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
 def _found(p: Proposal, name: str) -> str:
     """A column with its role; one that is ignored with the reason where it has numbers or a known name."""
     role, why = p.entries[name]["role"], p.guesses.get(name, "")
-    return f"{name} ({role}: {why})" if role == "ignore" and why and why != guessing.UNKNOWN else f"{name} ({role})"
+    header = next((h for h, n in p.names.items() if n == name), name) if name.startswith(role) else name
+    return f"{header} ({role}: {why})" if role == "ignore" and why and why != guessing.UNKNOWN else f"{header} ({role})"
 
 
 def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
@@ -238,56 +247,6 @@ def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
     )
 
 
-def leave_corrections(p: Proposal) -> None:
-    """A column of corrections beside one of deviations is left out, and a following error beside both positions."""
-    errors = [n for n, e in p.entries.items() if e["role"] == "error"]
-    for name in [n for n in errors if any(map(words.is_following_error, p.entries[n].get("_headers", (n,))))]:
-        letter = p.entries[name].get("_axis")
-        if p.first("command", letter) and (p.first("actual", letter) or p.first("position", letter)):
-            p.entries[name] = {"role": "ignore"}
-            p.guesses[name] = "a following error beside both positions: the error is derived from them"
-            errors.remove(name)
-    corrections = [n for n in errors if any(map(words.is_correction, p.entries[n].get("_headers", (n,))))]
-    for name in corrections if len(corrections) < len(errors) else []:
-        p.entries[name] = {"role": "ignore"}
-        p.guesses[name] = "corrections beside deviations: only the deviations are used"
-
-
-def turn_signs(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Every error column as actual minus commanded, by the options, the two positions or the file's header."""
-    for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
-        headers = p.entries[name].get("_headers", (name,))
-        texts = words.plain(
-            " ".join([*headers, name, *(c.header for c in layout.columns), *layout.above, *layout.below])
-        )
-        reversed_ = words.COMMANDED_LESS_MEASURED.search(texts)
-        straight = words.MEASURED_LESS_COMMANDED.search(texts)
-        corrections = any(map(words.is_correction, headers)) or any(map(words.titles_corrections, layout.above))
-        sign, reason = options.sign, ""
-        shown = _sign_shown(p, name) if sign is None else None
-        if shown is not None:
-            turn, difference = shown
-            sign = "commanded-minus-actual" if turn else "actual-minus-commanded"
-            reason = f"it is minus {difference}: the sign is turned" if turn else f"its sign is that of {difference}"
-        elif sign is None and corrections:
-            sign, reason = "commanded-minus-actual", "a correction is minus the deviation: the sign is turned"
-        elif sign is None and any(map(words.is_following_error, headers)):
-            sign, reason = "commanded-minus-actual", "a following error is commanded minus actual: the sign is turned"
-        elif sign is None and reversed_ and not straight:
-            sign = "commanded-minus-actual"
-            reason = f"the file says {reversed_.group(0)!r}: the sign is turned"
-        elif sign is None and straight:
-            sign, reason = "actual-minus-commanded", f"the file says {straight.group(0)!r}"
-        elif sign is None:
-            reason = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
-        if reason:
-            p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}".strip("; ")
-        if sign == "commanded-minus-actual":
-            entry = p.entries[name]
-            raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")
-            p.entries[name] = {**entry, "derived": {"of": raw, "factor": -1.0}}
-
-
 def turn_readings(p: Proposal) -> None:
     """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
     for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
@@ -295,16 +254,11 @@ def turn_readings(p: Proposal) -> None:
         command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
         if command == name or command not in p.data:
             continue
-        slope = _slope(*(_canonical(p, n) for n in (command, name)))
+        slope = _slope(p.canonical(command), p.canonical(name))
         if slope is not None and abs(slope + 1.0) < ABSOLUTE:
             raw = p.put(f"{name}_as_read", p.data.pop(name), role="ignore")
             p.entries[name] = {**entry, "role": "actual", "derived": {"of": raw, "factor": -1.0}}
             p.guesses[name] = f"{raw} falls one for one as {command} rises: it counts the other way and is turned"
-
-
-def _canonical(p: Proposal, name: str) -> np.ndarray:
-    convert = units.conversion("position", p.entries[name].get("unit"))
-    return p.data[name] if convert is None else convert(p.data[name])
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
@@ -317,23 +271,6 @@ def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
         spread = np.square(from_mean).sum()
         slope = float((from_mean * (y[good] - y[good].mean())).sum() / spread)
     return slope if np.isfinite(spread) and np.isfinite(slope) else None
-
-
-def _sign_shown(p: Proposal, name: str) -> tuple[bool, str] | None:
-    """Whether an error is minus the difference of the recorded positions, and that difference; None: not known."""
-    component = p.entries[name]["component"]
-    for axis in {e["axis"] for e in p.entries.values() if e.get("axis")}:
-        command, actual = p.first("command", axis), p.first("actual", axis) or p.first("position", axis)
-        if component != components.positioning(axis) or command not in p.data or actual not in p.data:
-            continue
-        x, y = _canonical(p, actual) - _canonical(p, command), p.data[name]
-        good = np.isfinite(x) & np.isfinite(y)
-        if good.sum() < 4 or min(np.ptp(x[good]), np.ptp(y[good])) == 0:
-            continue
-        r = float(np.corrcoef(x[good], y[good])[0, 1])
-        if abs(r) > SHOWN:
-            return r < 0, f"{actual} - {command} (correlation {r:.2f})"
-    return None
 
 
 def readings_as_errors(p: Proposal, axis: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,8 +11,9 @@ from errpipe.domain import components, units
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal
-from errpipe.importing.words import FORCES, SIMULATED, plain
+from errpipe.importing.words import FORCES, SIMULATED, difference, plain
 
+AGAINST = -0.5  # correlation below which a simulation counts the other way than the recording beside it
 ALONG = 0.1  # of the command: a simulated value that rises with it by 1 within this is a position, no deviation
 
 
@@ -44,8 +46,23 @@ def forces_as_responses(p: Proposal) -> None:
         p.guesses[force] = f"{p.guesses.get(force, '')}; {component}, for its simulation stands beside it".strip("; ")
 
 
-def positions_as_deviations(p: Proposal) -> None:
-    """Simulated positions, which rise with the command one for one, less the command: simulated deviations."""
+def of_the_only_response(p: Proposal) -> None:
+    """A simulation that names no component beside one response is of that one: a diameter beside `simulated`."""
+    errors = [e for e in p.entries.values() if e["role"] == "error"]
+    simulations = [n for n, e in p.entries.items() if e["role"] == "simulated"]
+    if len(errors) != 1 or len(simulations) != 1:
+        return
+    (name,), component = simulations, errors[0]["component"]
+    entry, why = p.entries[name], p.guesses.get(name, "")
+    from_axis = f"component {entry['component']} from the axis"
+    if entry["component"] != component and from_axis in why and entry["unit"] in components.allowed_units(component):
+        entry["component"] = component
+        p.guesses[name] = why.replace(from_axis, f"component {component}, the only response")
+
+
+def positions_as_deviations(p: Proposal) -> list[str]:
+    """Simulated positions, which rise with the command one for one, less the command: simulated deviations; which."""
+    turned = []
     for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and n in p.data]:
         entry = p.entries[name]
         axis = next((e["axis"] for e in p.entries.values() if e.get("axis")), None)
@@ -65,3 +82,40 @@ def positions_as_deviations(p: Proposal) -> None:
         less = convert(y) - convert(x) if convert is not None else y - x
         p.data[name], p.entries[name] = less * (1e3 if own == "um" else np.pi / 180 * 1e6), {**entry, "unit": own}
         p.guesses[name] = f"it rises with {command} one for one: simulated positions, less {command}, in {own}"
+        turned.append(name)
+    return turned
+
+
+def turn_signs(p: Proposal, known: Sequence[str]) -> None:
+    """Simulated deviations as actual minus commanded: by their own header, else as the recorded ones beside them.
+
+    known: columns whose sign is known already. A simulation that runs against the recording as both are written keeps
+    its sign: then only the recording counts the other way.
+    """
+    for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and n in p.data and n not in known]:
+        component = p.entries[name]["component"]
+        says = plain(" ".join(p.entries[name].get("_headers", (name,))))
+        said = difference(says)
+        reason = f"its header says {says!r}" if said is not None and said[0] < 0 else ""
+        if said is None:
+            reason = _turned_beside(p, name, component)
+        if reason:
+            entry = p.entries[name]
+            raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")
+            p.entries[name] = {**entry, "derived": {"of": raw, "factor": -1.0}}
+            p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}: the sign is turned".strip("; ")
+
+
+def _turned_beside(p: Proposal, name: str, component: str) -> str:
+    """Why a simulated column is turned with the recorded one, in words; '' where it is not."""
+    for error, entry in p.entries.items():
+        raw = entry.get("derived", {}).get("of")
+        if entry["role"] != "error" or entry["component"] != component or raw not in p.data:
+            continue
+        x, y = p.data[raw], p.data[name]
+        good = np.isfinite(x) & np.isfinite(y)
+        varies = good.sum() > 3 and np.ptp(x[good]) > 0 and np.ptp(y[good]) > 0
+        if not varies or np.corrcoef(x[good], y[good])[0, 1] > AGAINST:
+            return f"as {error} beside it"
+        p.guesses[name] = f"{p.guesses.get(name, '')}; it runs against {raw}: its sign stays".strip("; ")
+    return ""

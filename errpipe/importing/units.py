@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 
+from errpipe.domain.recording import ROLE_UNITS
 from errpipe.importing.words import kind_by_name
 
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
@@ -25,17 +26,18 @@ UNITS = {
     **dict.fromkeys(("s", "sec", "sek", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec"), "ms"),
     **dict.fromkeys(("us", "µs", "μs"), "us"),
+    "ns": "ns",
     **dict.fromkeys(("min", "minutes", "minuten"), "min"),
     **dict.fromkeys(("h", "hours", "std"), "h"),
     **dict.fromkeys(("cm",), "cm"),
-    **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches"), "microinch"),
+    **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches", "millionths"), "microinch"),
     **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
     **dict.fromkeys(("mdeg", "m°"), "mdeg"),
     **dict.fromkeys(("arcmin",), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
     **dict.fromkeys(("mrad",), "mrad"),
     **dict.fromkeys(("rad",), "rad"),
-    **dict.fromkeys(("arcsec", "″", "''", "asec"), "arcsec"),
+    **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("ma",), "mA"),
     **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
@@ -58,7 +60,7 @@ UNITS = {
 
 
 # A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
-_PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0[.,]0*1))[x×*·]?([a-zµμ\"]+)")
+_PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0?[.,]0*1))[x×*·]?([a-zµμ\"]+)")
 _BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
 # A last letter is a unit only of a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps that of axis A.
 LETTERS = {
@@ -73,6 +75,16 @@ _LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
+_PER_LENGTH = re.compile(
+    r"\bpp[mb]\b|[uµμ]m ?(/|per) ?m(m|etre|eter)?\b|\bof (range|travel|full scale)\b", re.IGNORECASE
+)
+
+
+def per_length(header: str) -> bool:
+    """Whether a header says readings per length of travel: `error ppm`, `um/m`, `ppm of range`."""
+    return _PER_LENGTH.search(header.replace("_", " ")) is not None
+
+
 def unit_of(text: str) -> str | None:
     """The unit that a text is, or None. Capital Nm is a torque, nm a length; a part of a length is `0.1 um`."""
     plain = text.strip().strip(".:")
@@ -81,7 +93,7 @@ def unit_of(text: str) -> str | None:
     word = plain.lower().replace(" ", "")
     if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch"):
         return UNITS.get(word)
-    zeros = part[1].count("0") if part[1] else int(part[2]) if part[2] else part[3].count("0")
+    zeros = part[1].count("0") if part[1] else int(part[2] or 0) or len(re.split("[.,]", part[3])[1])
     return f"0.{'1':0>{zeros}} {base}"
 
 
@@ -112,6 +124,93 @@ PLAIN_UNITS = {
     "arcmin": ("arcsec", 60.0),
     "rad": ("mrad", 1000.0),
 }
+
+
+# Units that a manifest does not have, as they are written -> a unit that it has, and the factor (exact by definition,
+# NIST SP 811; pressures to 7 digits).
+OTHER_UNITS = {
+    "dan": ("N", 10.0),
+    "kgf": ("N", 9.80665),
+    "kp": ("N", 9.80665),
+    "lbf": ("N", 4.4482216152605),
+    "lbs": ("kg", 0.45359237),
+    "lb": ("kg", 0.45359237),
+    "ozf": ("N", 0.27801385095378125),
+    "lbfft": ("N m", 1.3558179483314004),
+    "ftlbf": ("N m", 1.3558179483314004),
+    "lbfin": ("N m", 0.1129848290276167),
+    "inlbf": ("N m", 0.1129848290276167),
+    "mnm": ("N m", 1e-3),
+    "mmhg": ("hPa", 1.333224),
+    "torr": ("hPa", 1.333224),
+    "inhg": ("hPa", 33.86389),
+    "psi": ("hPa", 68.94757),
+    "atm": ("hPa", 1013.25),
+    "hz": ("1/s", 1.0),
+    "rps": ("1/s", 1.0),
+    "u/s": ("1/s", 1.0),
+    "rev/s": ("1/s", 1.0),
+    "krpm": ("rpm", 1000.0),
+    "rad/s": ("deg/s", 180.0 / np.pi),
+    "cm/s": ("mm/s", 10.0),
+    "in/s": ("mm/s", 25.4),
+    "inch/s": ("mm/s", 25.4),
+    "um/s": ("mm/s", 1e-3),
+    "in/min": ("mm/min", 25.4),
+    "inch/min": ("mm/min", 25.4),
+    "ipm": ("mm/min", 25.4),
+    "cm/min": ("mm/min", 10.0),
+    "g": ("m/s2", 9.80665),
+    "cm/s2": ("m/s2", 1e-2),
+    "in/s2": ("m/s2", 0.0254),
+    "rad/s2": ("deg/s2", 180.0 / np.pi),
+    "cm": ("mm", 10.0),
+    "inch": ("mm", 25.4),
+    "in": ("mm", 25.4),
+    "ft": ("m", 0.3048),
+    "rad/s spindle": ("rpm", 30.0 / np.pi),
+}
+_UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]")
+
+
+def in_brackets(header: str) -> str | None:
+    """What stands in brackets in a header, unit or not."""
+    bracket = _UNIT_IN_BRACKETS.search(header)
+    return bracket.group(1) if bracket else None
+
+
+def in_role(
+    values: np.ndarray, header: str, unit: str | None, role: str, why: str
+) -> tuple[np.ndarray, str | None, str] | None:
+    """Values in a unit of a role, that unit (None: the file states none), and the reason with what was converted.
+
+    None where the file states a unit that is none of the role's, such as a torque in %.
+    """
+    allowed, said = ROLE_UNITS[role], unit or in_brackets(header)
+    if said is None or not allowed:
+        return values, None, why
+    word = _one_spelling(said)
+    own = next((u for u in allowed if _one_spelling(u) == word), None)
+    if own is not None:
+        return values, own, why
+    for key in (f"{word} {role.partition('_')[0]}", word):
+        of, factor = OTHER_UNITS.get(key, ("", 1.0))
+        if of in allowed:
+            return values * factor, of, f"{why}; {said} written as {of}"
+        if of == "m" and "mm" in allowed:
+            return values * factor * 1e3, "mm", f"{why}; {said} written as mm"
+        if of == "mm" and "m" in allowed:
+            return values * factor * 1e-3, "m", f"{why}; {said} written as m"
+    if unit is None and word not in OTHER_UNITS and not re.search(r"[/%°\d]", said):
+        return values, None, why  # a word in brackets: `force (filtered)`
+    return None
+
+
+def _one_spelling(unit: str) -> str:
+    """A unit without blanks, dots, powers as signs and case: `N·cm` and `Ncm` are one, `mm/s²` is mm/s2."""
+    return re.sub(
+        r"[\s·*.^-]", "", unit.lower().replace("µ", "u").replace("μ", "u").replace("²", "2").replace('"', "in")
+    )
 
 
 def plain_unit(

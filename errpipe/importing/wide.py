@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
 from errpipe.importing.units import unit_of
+from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
@@ -22,6 +24,7 @@ _STATISTIC = re.compile(
     r"|max\w*|min\w*|sum\w*|[smrb](?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
+_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
 UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
@@ -45,6 +48,8 @@ class Wide:
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
     """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
+    if signed := re.fullmatch(r"([+\-−])\s?(\d{1,3})", header.strip()):
+        return signed.group(2), guessing.side(signed.group(1))
     if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):
         return None, None
     numbered = _RUN_AND_LETTER.fullmatch(guessing.plain(header))
@@ -69,6 +74,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     """The wide layout of a table, or None where a row is one reading."""
     numeric, repeated = [c for c in layout.columns if c.numeric], []
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
+    places = [c for c in places if len(places) == 1 or not _counts(c)]  # the numbers of the targets
     targets = [c for c in places if run_and_side(c.header) == (None, None)]
     targets = targets or [c for c in places if run_and_side(c.header)[0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
@@ -92,6 +98,11 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             statistics.append(c)
         else:
             readings.append((c, run or "1", side))
+    if not readings:  # a report of the means alone: one run
+        readings = [
+            (c, "mean", run_and_side(c.header)[1]) for c in statistics if _MEAN.search(guessing.plain(c.header))
+        ]
+        statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
     labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
@@ -114,6 +125,11 @@ def statistic(name: str) -> bool:
     return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
 
 
+def _counts(c: RawColumn) -> bool:
+    values = c.values[np.isfinite(c.values)]
+    return values.size > 2 and np.array_equal(values, np.arange(1, values.size + 1))
+
+
 def _rises(c: RawColumn) -> bool:
     x = c.values[np.isfinite(c.values)]
     return x.size > 2 and bool(np.all(np.diff(x) > 0) or np.all(np.diff(x) < 0))
@@ -130,6 +146,7 @@ def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]
     if not rows.size:
         raise DataError("no row holds a target and a reading")
     names = ["" for _ in target] if layout.run is None else [label(c) for c in layout.run.cells]
+    refuse_there_and_back([c.header for c in readings], target[rows])
     order, run, side, value = [], [], [], []
     for name in dict.fromkeys(names[i] for i in rows):
         block = np.array([i for i in rows if names[i] == name])
@@ -144,6 +161,17 @@ def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]
     return np.concatenate(order), run, np.array(side), np.concatenate(value)
 
 
+def refuse_there_and_back(names: Sequence[str], targets: np.ndarray) -> None:
+    """Raise DataError where targets fall and names say the way there and back: forward may be up or down."""
+    words = [t for name in names for t in _TOKEN.findall(guessing.plain(name)) if THERE_AND_BACK.fullmatch(t)]
+    steps = np.diff(targets)
+    if words and steps.size and not (steps > 0).any():
+        raise DataError(
+            f"the targets fall from {targets[0]:g} to {targets[-1]:g}, and {words[0]!r} may be the way down or up"
+            ": write + (approached from below) and - (from above) instead of it and its opposite"
+        )
+
+
 def turned(layout: Layout) -> Layout:
     """A table with a row per run and a column per target (headers that are positions) as one reading a row."""
     places = {c.header: v for c in layout.columns if c.numeric and (v := _place(c.header)) is not None}
@@ -155,7 +183,9 @@ def turned(layout: Layout) -> Layout:
         return layout
     others = [part for c in others for part in split_labels(c)]
     readings = np.stack([c.values for c in layout.columns if c.header in places], axis=1)
-    ways = next((guessing.sides(c) for c in others if guessing.guess(c).kind == "direction"), None)
+    told = next((c for c in others if guessing.guess(c).kind == "direction"), None)
+    refuse_there_and_back([] if told is None else [label(cell) for cell in told.cells], x)
+    ways = None if told is None else guessing.sides(told)
     pairs = [
         (r, k)
         for r in range(len(readings))

@@ -10,11 +10,15 @@ import unicodedata
 
 CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
-    r"|correccion(es)?|to apply)\b|補正|补偿"
+    r"|correccion(es)?|to apply|adjustments?|ausgleich(swerte?)?|verrechnung(swerte?)?)\b|補正|补偿"
 )
 
-# In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos).
-FOLLOWING = r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos(ition)? ?diff|\bf[ -]?error)"
+# In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
+# a control deviation is w - x, DIN IEC 60050-351).
+FOLLOWING = (
+    r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos(ition)? ?(diff|lag)|\bf[ -]?error"
+    r"|regel(abweichung|differenz)|control ?(deviation|error)|restweg|distance to go|remaining ?(distance|way))"
+)
 
 _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"
 
@@ -24,7 +28,10 @@ SIMULATED = (
 )
 FORCES = r"(force|kraft|torque|drehmoment|moment)"
 # Of a tool point: a deviation, unless it is as long as a travel.
-DISPLACEMENT = r"(displacement|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento|変位|位移)"
+DISPLACEMENT = (
+    r"(displacement|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento"
+    r"|変位|位移)"
+)
 
 # Header of labels that a hold-out can leave out -> what they are labels of (`of` of the manifest).
 GROUPS = {
@@ -35,6 +42,7 @@ GROUPS = {
     "duty_cycle": r"duty ?cycle|lastzyklus|lastkollektiv",
     "machine": r"machine|maschine",
     "session": r"session|sitzung|campaign|kampagne",
+    "tool": r"tool|werkzeug|outil|utensile|herramienta",
 }
 GROUP = rf"^({'|'.join(GROUPS.values())})( ?(no|nr|id|name))?$"
 
@@ -43,7 +51,10 @@ WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
     (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
     (GROUP, "group"),
-    (r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)", "time"),
+    (
+        r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
+        "time",
+    ),
     (r"^(t|ts|sec|sek|x value)$", "time"),
     (
         r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)|^tc? ?\d{1,2}$"
@@ -56,6 +67,14 @@ WORDS: tuple[tuple[str, str], ...] = (
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
+    (r"(cut(ting)? ?(length|distance|path)|length (of )?cut|schnitt(laenge|weg))", "cut_length"),
+    (r"(depth ?of ?cut|cut(ting)? ?depth|schnitttiefe|zustellung)", "depth_of_cut"),
+    (r"(overhang|stick ?out|auskrag|auslade?laenge|ausspannlaenge)", "overhang"),
+    (r"(workpiece|werkstueck|part|pallet|palette) ?(mass|weight|load|masse|gewicht)|^payload$", "load"),
+    (
+        r"^(coolant|kuehlmittel|kuehlung|kss|emulsion|refrigerant)( ?(on|an|ein|state|status|flow|active|aktiv))?$",
+        "coolant",
+    ),
     (r"(torque|drehmoment|moment)", "torque"),
     (r"(current|strom|\biq\b|\bi q\b|ampere)", "current"),
     (r"(force|kraft)|^f ?[xyz]$", "force"),
@@ -75,12 +94,12 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (
-        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
+        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
         r"|objetivo|目標|目标|指令)",
         "command",
     ),
     (
-        r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bact\b|encoder"
+        r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
         r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|実測|实测|測定値|实际)",
         "actual",
     ),
@@ -102,16 +121,35 @@ DOWN = re.compile(
     r"|帰り?|反向?|[负負]向?"
 )
 
-_COMMANDED = (
-    r"(soll\w*|nominal|nennwert|target|command\w*|cmd|set ?point|demand\w*|programmed|consigne|theorique|cible"
-    r"|teoric\w*|objetivo|指令\w*|目標\w*|目标\w*)"
+# Of those, words that mean the way there and the way back: where targets fall, the way there comes from above.
+THERE_AND_BACK = re.compile(
+    r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
+    r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
+    r"|ritorno|vuelta|復|復路|帰り?|v|h"
 )
-_MEASURED = (
-    r"(ist\w*|actual|feedback|measured|mess\w*|reading|mesure\w*|releve\w*|misurat\w*|medid\w*|実測\w*|实测\w*|实际\w*)"
+
+# What a difference is of, by how far out it is read: the command, the machine's own scale, what the axis did.
+_OF_A_DIFFERENCE = (
+    (
+        0,
+        r"soll\w*|nominal\w*|nom|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem|programmed"
+        r"|prog|reference|ref|consigne|theo\w*|cible|teoric\w*|objetivo|指令\w*|目標\w*|目标\w*",
+    ),
+    (1, r"encoder|enc|(?:glass ?)?scale|display|anzeige|dro|machine|maschine|control(?:ler)?|steuerung"),
+    (
+        2,
+        r"ist\w*|actual|act|real|feedback|fbk?|pv|measured|meas|mess\w*|readings?|mesure\w*|releve\w*|misurat\w*|medid\w*"
+        r"|laser|interferometer|gauge|dial|indicator|実測\w*|实测\w*|实际\w*",
+    ),
 )
-_LESS = r"(?: (?:pos(?:ition)?|value|wert|reading)s?)?\s*(?:-|minus|less|moins|meno|menos)\s*(?:(?:the|position) )?"
-COMMANDED_LESS_MEASURED = re.compile(_COMMANDED + _LESS + _MEASURED)
-MEASURED_LESS_COMMANDED = re.compile(_MEASURED + _LESS + _COMMANDED)
+_LESS = (
+    r"\.?(?: (?:pos(?:ition)?|value|wert|reading)s?)?\s*(?:-|minus|less|moins|meno|menos)\s*"
+    r"(?:(?:the|(?:axis )?position) )?"
+)
+_ONE, _OTHER = (
+    "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
+)
+_TOLD_AND_DONE = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
 # A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
 _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
@@ -156,6 +194,15 @@ def is_correction(header: str) -> bool:
 def is_following_error(header: str) -> bool:
     """Whether a header names what controllers show as command minus actual position."""
     return re.search(FOLLOWING, plain(header)) is not None
+
+
+def difference(text: str) -> tuple[float, str] | None:
+    """+1 and the words where a text says `measured - nominal`, -1 where it says `cmd - act`; else None."""
+    for match in _TOLD_AND_DONE.finditer(plain(text)):
+        one, other = sorted(name for name, word in match.groupdict().items() if word)
+        if one[1] != other[1]:
+            return (1.0 if one[1] > other[1] else -1.0), match.group(0)
+    return None
 
 
 def titles_corrections(line: str) -> bool:

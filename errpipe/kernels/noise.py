@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.kernels import kernel
+from errpipe.kernels import bare_kernel, kernel
 
 
 @kernel
@@ -26,15 +26,39 @@ def whiten(run, columns, phi, theta, gain):
 def whiten_each(run, columns, out, phi, theta, gain):
     """As `whiten`, the same bits, into `out`: columns and out (k, rows), each column in one piece."""
     k, n = columns.shape
-    for first in range(0, k, 4):
+    for j in range(k):  # what does not wait for the row before, many rows at a time
+        for i in range(1, n):
+            out[j, i] = (columns[j, i] - phi * columns[j, i - 1]) / gain
+    for first in range(0, k, 4):  # four columns at a time: while one waits for its row before, the others do not
         a, b, c, d = first, min(first + 1, k - 1), min(first + 2, k - 1), min(first + 3, k - 1)
         for i in range(n):
             if i == 0 or run[i] != run[i - 1]:
-                for j in (a, b, c, d):
-                    out[j, i] = columns[j, i]
+                at_a, at_b, at_c, at_d = columns[a, i], columns[b, i], columns[c, i], columns[d, i]
             else:
-                for j in (a, b, c, d):
-                    out[j, i] = (columns[j, i] - phi * columns[j, i - 1]) / gain + theta * out[j, i - 1]
+                at_a, at_b = out[a, i] + theta * at_a, out[b, i] + theta * at_b
+                at_c, at_d = out[c, i] + theta * at_c, out[d, i] + theta * at_d
+            out[a, i], out[b, i], out[c, i], out[d, i] = at_a, at_b, at_c, at_d
+
+
+@bare_kernel
+def fingerprint(column):
+    """128 bits that stand for a column's own (rows,), as two integers: four sums in turn, each mixed on.
+
+    No guard against a forger: it tells the columns of one table apart, eight times as fast as SHA-1.
+    """
+    bits = column.view(np.uint64)
+    a, b, c, d = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+    odd = np.uint64(0x9E3779B97F4A7C15)
+    down = np.uint64(29)
+    whole = bits.size // 4 * 4
+    for i in range(0, whole, 4):
+        a, b = (a ^ bits[i]) * odd, (b ^ bits[i + 1]) * odd
+        c, d = (c ^ bits[i + 2]) * odd, (d ^ bits[i + 3]) * odd
+        a, b, c, d = a ^ (a >> down), b ^ (b >> down), c ^ (c >> down), d ^ (d >> down)
+    for i in range(whole, bits.size):
+        a = (a ^ bits[i]) * odd
+        a ^= a >> down
+    return (a * odd) ^ c, (b * odd) ^ d
 
 
 @kernel

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from errpipe.domain.components import parse
+from errpipe.domain.components import is_error_motion, parse
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.kinematics.air import SENSORS, UNMEASURED_HUMIDITY, index_change, index_uncertainty
@@ -133,7 +133,7 @@ def identify(
     a chain is given, else the first target). Raises DataError where a component's axis has no position.
     """
     lasers = lasers or {}
-    motions = [c for c in recording.components() if is_motion(c)]
+    motions = [c for c in recording.components() if is_error_motion(c)]
     if not motions:
         raise DataError("the recording has no error column of an error motion such as EXX, EYX or EBX")
     curves: dict[str, Curve] = {}
@@ -144,21 +144,6 @@ def identify(
     if chain is not None:
         squares = {n: _squareness(n, curves) for n in chain.components if _slopes_of(n, curves)}
     return Direct({c: curves[c] for c in motions}, squares)
-
-
-def is_motion(component: str) -> bool:
-    """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
-    return parse(component).kind not in (
-        "tool point",
-        "tool orientation",
-        "circular",
-        "diameter",
-        "force",
-        "squareness",
-        "axis offset",
-        "zero position",
-        "drift",
-    )
 
 
 def axis_of(component: str) -> str:

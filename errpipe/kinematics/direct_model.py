@@ -9,10 +9,12 @@ import numpy as np
 
 from errpipe import __version__
 from errpipe.domain import driver as d
+from errpipe.domain.components import is_error_motion
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
 from errpipe.kinematics import direct, records
+from errpipe.kinematics.chain import Chain
 from errpipe.terms import Line, Term, plain
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.offset import Offset
@@ -20,18 +22,21 @@ from errpipe.terms.profile_driver import ProfileDriver
 from errpipe.terms.smooth_curve import SmoothCurve
 
 SEGMENTS = 48  # of the spline that represents a curve; more where the curve has more than 65 points
-CLOSE = 0.02  # um, urad: largest difference allowed between the spline and the identified curve
+MAX_SPLINE_ERROR = 0.02  # um, urad: largest difference allowed between the spline and the identified curve
 
 
-def error_model(recording: Recording, curves: Mapping[str, Any], noise: Mapping[str, float]) -> ErrorModel:
+def error_model(
+    chain: Chain, recording: Recording, curves: Mapping[str, Any], noise: Mapping[str, float]
+) -> ErrorModel:
     """The components of a recording, from the document of an identification. noise: of a reading, by component.
 
+    They count as the records do, along the axes, whatever the machine file takes their errors to be of.
     Raises VerifyError where a curve is too rough for the spline.
     """
     columns: dict[str, dict[str, Any]] = {}
     ranges: dict[str, tuple[float, float]] = {}
     parts = []
-    for name in (c for c in recording.components() if direct.is_motion(c)):
+    for name in (c for c in recording.components() if is_error_motion(c)):
         axis = direct.axis_of(name)
         column = direct.position_of(recording, name)
         at, value = recording.array(column), recording.array(str(recording.name("error", component=name)))
@@ -39,10 +44,11 @@ def error_model(recording: Recording, curves: Mapping[str, Any], noise: Mapping[
         ranges[column] = (float(seen.min()), float(seen.max()))
         columns[column] = recording.manifest.columns[column].model_dump(mode="json", exclude_none=True)
         curve, side = curves["curves"][name], recording.name("direction", axis=axis)
-        terms = _curve(name, axis, curve)
+        sign = records.sense(chain, name)
+        terms = _curve(name, axis, curve, sign)
         if side is not None and name in curves.get("reversal", {}):
             columns[side] = recording.manifest.columns[side].model_dump(mode="json", exclude_none=True)
-            terms += _reversal(axis, curves["reversal"][name])
+            terms += _reversal(axis, curves["reversal"][name], sign)
         reading_noise, curve_error = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
         parts.append(
             ComponentModel(
@@ -68,24 +74,24 @@ def error_model(recording: Recording, curves: Mapping[str, Any], noise: Mapping[
     )
 
 
-def _curve(name: str, axis: str, curve: Mapping[str, Any]) -> list[FittedTerm]:
-    """An offset and a spline that reproduce an identified curve."""
-    value = np.asarray(curve["value"], dtype=float)
+def _curve(name: str, axis: str, curve: Mapping[str, Any], sign: float) -> list[FittedTerm]:
+    """An offset and a spline that reproduce an identified curve times a sign."""
+    value = sign * np.asarray(curve["value"], dtype=float)
     at = curve["start"] + curve["step"] * np.arange(len(value))
     segments = max(SEGMENTS, len(at) * 3 // 4)
     term = SmoothCurve(axis=axis, segments=segments, span=(float(at[0]), float(at[-1])))
     basis = np.column_stack([np.ones(len(at)), term._profile().basis(at)])
     coefficients, *_ = np.linalg.lstsq(basis, value, rcond=None)
     worst = float(np.abs(basis @ coefficients - value).max())
-    if worst > CLOSE + 1e-3 * float(np.ptp(value)):
+    if worst > MAX_SPLINE_ERROR + 1e-3 * float(np.ptp(value)):
         raise VerifyError(f"{name}: a spline of {segments} stretches misses the identified curve by {worst:.3g}")
     unit = curve["unit"]
     return [_fitted(Offset(), [coefficients[0]], unit), _fitted(term, coefficients[1:], unit)]
 
 
-def _reversal(axis: str, reversal: Mapping[str, Any]) -> list[FittedTerm]:
+def _reversal(axis: str, reversal: Mapping[str, Any], sign: float) -> list[FittedTerm]:
     """Up minus down as a gap, and as a change of it along the axis; only what its interval does not exclude."""
-    value, slope = records.reversal_line(reversal)
+    value, slope = (sign * v for v in records.reversal_line(reversal))
     unit, out = str(reversal["unit"]), []
     if value:
         out.append(_fitted(Backlash(axis=axis), [-value], unit, float(reversal["half_width95"])))

@@ -1,7 +1,7 @@
 """Whole measurement groups left out of an identification, and what the rest of the readings says of them.
 
-A group is a line, diagonal, circle, plate or socket with all its repeats: runs that pass through the same places sit
-out together. What sits out keeps its own set-up (where the socket stood, how the plate lay): it is solved for on those
+A group is a line, diagonal, circle, plate or socket with all its repeats: runs that pass through the same places are
+left out together. A held-out group keeps its own set-up (where the socket stood, how the plate lay), solved for on its
 rows alone, both where nothing is compensated and where the machine is, so that neither gains from it.
 """
 
@@ -19,14 +19,14 @@ from errpipe.kinematics.observations import Observations
 
 CELLS = 50  # of the travel: places in one cell of this lattice are one place
 SAME = 0.5  # share of its places that a run has in common with another one of the same line, circle or plate
-MOST_GROUPS = 6  # identifications repeated; more groups sit out several at a time
+MOST_GROUPS = 6  # identifications repeated; more groups are held out several at a time
 FEATURE_GROUPS, FEWEST_FEATURES = 5, 30  # of a part: six features at least judge each time, for its six of set-up
-LEAST = 8  # readings of an identification
+MIN_READINGS = 8  # readings of an identification
 
 
 @dataclass(frozen=True)
 class Left:
-    """One group that sat out: its label, its rows, and the readings without its set-up before and after, um (n,).
+    """One held-out group: its label, its rows, and the readings without its set-up before and after, um (n,).
 
     Where readings differ in uncertainty, each counts as much as it is certain beside the median.
     """
@@ -38,11 +38,11 @@ class Left:
 
 
 def groups(chain: Chain, obs: Observations) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Group of each row (n,), and the groups' labels; one group means that nothing can sit out.
+    """Group of each row (n,), and the groups' labels; one group means that nothing can be held out.
 
     Runs that share most of their places are one group. Where that leaves a single one (a cloud seen with three tools),
-    each run is its own group. Of a single run (a part) every fifth place, a feature with all its readings, sits out in
-    turn.
+    each run is its own group. Of a single run (a part) every fifth place, a feature with all its readings, is held out
+    in turn.
     """
     labels, run = np.unique(obs.label.astype(str), return_inverse=True)
     low, high = chain.travel.T
@@ -76,7 +76,7 @@ def judge(
 ) -> list[Left]:
     """Identify without each group and judge on it; an empty list where there is only one.
 
-    group (n,): number of each row's group, -1 for rows that never sit out. kept: components that are compensated
+    group (n,): number of each row's group, -1 for rows that are never held out. kept: components that are compensated
     (default: all).
     """
     names_of = np.array(model.chain.components)[model.prior.component]
@@ -84,7 +84,7 @@ def judge(
     out = []
     for number, name in enumerate(names if len(names) > 1 else ()):
         rest = np.flatnonzero(group != number)
-        if len(rest) < LEAST:
+        if len(rest) < MIN_READINGS:
             return []
         progress(number / len(names), f"without {name}")
         fitted = identify(model, obs.take(rest))

@@ -6,7 +6,6 @@ covariance that keeps more than half of its prior variance is unobserved ("unsee
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,26 +18,27 @@ from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.observations import Observations
 
-UNSEEN = 0.5  # eigenvalue of the scaled posterior covariance (share of the prior variance) of an unobserved combination
+UNOBSERVED = 0.5  # eigenvalue of the scaled posterior covariance (share of the prior variance) from which this holds
 NAMED = 0.3  # weight in an unobserved eigenvector from which a component is named
-NEARLY, HELPS = 1e-3, 0.05  # weight of variance removed short of UNSEEN; least gain of a proposed measurement
-SHORTEST_BAR = 1.0  # mm: below it a bar has no direction; real ones are 50 mm and longer
+NEARLY, HELPS = 1e-3, 0.05  # weight of variance removed short of UNOBSERVED; least gain of a proposed measurement
+MIN_BAR_LENGTH = 1.0  # mm: below it a bar has no direction; real ones are 50 mm and longer
+MAX_EXTRA = 12  # measurements proposed: more than a day's work
 BENDS = 2  # modes per curve: line and first bends; finer detail only needs more points
 
 
 @dataclass(frozen=True)
-class Unseen:
+class Unobserved:
     """A combination of components that a test does not observe. left: share of its prior variance that remains."""
 
     components: tuple[str, ...]
     weights: tuple[float, ...]
     left: float
 
-    def says(self) -> str:
+    def sentence(self) -> str:
         """One sentence for a person."""
         if len(self.components) == 1:
-            return f"{self.components[0]} ({describe(self.components[0])}) is not seen"
-        return "only combinations are seen of " + ", ".join(self.components)
+            return f"{self.components[0]} ({describe(self.components[0])}) is not observed"
+        return "only combinations are observed of " + ", ".join(self.components)
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Observability:
     rank: int
     parameters: int
     seen: dict[str, float]
-    unseen: tuple[Unseen, ...]
+    unobserved: tuple[Unobserved, ...]
 
 
 @dataclass(frozen=True)
@@ -67,19 +67,19 @@ def coarse(chain: Chain, without: tuple[str, ...] = ()) -> ident.Parametrisation
 
 
 def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()) -> Observability:
-    """Rank and unseen combinations of a test (readings may be missing; poses and set-up decide). noise: um."""
+    """Rank and unobserved combinations of a test (readings may be missing; poses and set-up decide). noise: um."""
     model = coarse(chain, without)
     known, spread = information(model, obs, noise)
     posterior = np.linalg.inv(known + np.eye(len(spread)))
     values, vectors = np.linalg.eigh(posterior)
     rank = int((np.linalg.eigvalsh(known) > 1.0).sum())
-    unseen = tuple(_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)[::-1])
+    unobserved = tuple(_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNOBSERVED)[::-1])
     seen = {}
     for c, name in enumerate(chain.components):
         rows = model.prior.component == c
         if rows.any():
             seen[name] = float(1.0 - np.mean(np.diag(posterior)[rows]))
-    return Observability(rank, len(spread), seen, _merged(unseen))
+    return Observability(rank, len(spread), seen, _merged(unobserved))
 
 
 def information(model: ident.Parametrisation, obs: Observations, noise: float) -> tuple[np.ndarray, np.ndarray]:
@@ -95,19 +95,19 @@ def information(model: ident.Parametrisation, obs: Observations, noise: float) -
     return a.T @ a - cross.T @ cho_solve(inner, cross), spread
 
 
-def _name(chain: Chain, model: ident.Parametrisation, vector: np.ndarray, left: float) -> Unseen:
+def _name(chain: Chain, model: ident.Parametrisation, vector: np.ndarray, left: float) -> Unobserved:
     weight = np.sqrt(np.bincount(model.prior.component, weights=vector**2, minlength=len(chain.components)))
     ranked = np.argsort(-np.round(weight, 6), kind="stable")  # equal weights: the machine's order
     order = [int(i) for i in ranked if weight[i] > NAMED] or [int(ranked[0])]
-    return Unseen(
+    return Unobserved(
         tuple(chain.components[i] for i in order), tuple(round(float(weight[i]), 3) for i in order), float(left)
     )
 
 
-def _merged(unseen: tuple[Unseen, ...]) -> tuple[Unseen, ...]:
+def _merged(unobserved: tuple[Unobserved, ...]) -> tuple[Unobserved, ...]:
     """One line for each set of components."""
-    by_components: dict[tuple[str, ...], Unseen] = {}
-    for u in unseen:
+    by_components: dict[tuple[str, ...], Unobserved] = {}
+    for u in unobserved:
         by_components.setdefault(tuple(sorted(u.components)), u)
     return tuple(by_components.values())
 
@@ -156,10 +156,10 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
 
 
 def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
-    """The same readings from another tool: bar directions are computed anew, bars below SHORTEST_BAR are left out."""
+    """The same readings from another tool: bar directions are computed anew, bars below MIN_BAR_LENGTH are left out."""
     ray = synthesis.ideal_pose(chain, obs.q, obs.tip)[:, 0] - obs.socket
     length = np.linalg.norm(ray, axis=1)
-    possible = ~(length < SHORTEST_BAR)  # NaN where a reading is no bar's
+    possible = ~(length < MIN_BAR_LENGTH)  # NaN where a reading is no bar's
     obs, ray, length = obs.take(np.flatnonzero(possible)), ray[possible], length[possible]
     rows = ~np.isnan(length)
     weights = obs.weights.copy()
@@ -168,13 +168,7 @@ def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
 
 
 def smallest_extra(
-    chain: Chain,
-    obs: Observations,
-    *,
-    noise: float = 1.0,
-    without: tuple[str, ...] = (),
-    offered: Mapping[str, Observations] | None = None,
-    most: int = 12,
+    chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()
 ) -> tuple[Extra, ...]:
     """Measurements to add, one after the other, each the one that resolves most per minute, until all is seen.
 
@@ -182,34 +176,34 @@ def smallest_extra(
     """
     model = coarse(chain, without)
     known, spread = information(model, obs, noise)
-    offered = dict(candidates(chain, obs) if offered is None else offered)
+    offered = dict(candidates(chain, obs))
     gains = {name: information(model, extra, noise)[0] for name, extra in offered.items()}
     chosen: list[Extra] = []
     one = np.eye(len(spread))
-    for _ in range(most):
+    for _ in range(MAX_EXTRA):
         values, vectors = np.linalg.eigh(np.linalg.inv(known + one))
-        open_ = vectors[:, values > UNSEEN]
+        open_ = vectors[:, values > UNOBSERVED]
         if open_.shape[1] == 0:
             break
         best, score = "", 0.0
         for name, gain in gains.items():
             remaining = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (known + gain) @ open_ + np.eye(open_.shape[1])))
             # combinations that become observed; where none does, the variance removed
-            resolved = float((remaining <= UNSEEN).sum()) + NEARLY * float(open_.shape[1] - remaining.sum())
+            resolved = float((remaining <= UNOBSERVED).sum()) + NEARLY * float(open_.shape[1] - remaining.sum())
             rate = resolved / max(offered[name].seconds, 60.0)
             if resolved > HELPS and rate > score:
                 best, score = name, rate
         if not best:
             break
-        before = _unseen_names(chain, model, known)
+        before = _unobserved_components(chain, model, known)
         known = known + gains.pop(best)
-        after = _unseen_names(chain, model, known)
+        after = _unobserved_components(chain, model, known)
         extra = offered[best]
         chosen.append(Extra(best, tuple(sorted(before - after)), len(extra), max(extra.seconds, 60.0) / 60.0))
     return tuple(chosen)
 
 
-def _unseen_names(chain: Chain, model: ident.Parametrisation, known: np.ndarray) -> set[str]:
+def _unobserved_components(chain: Chain, model: ident.Parametrisation, known: np.ndarray) -> set[str]:
     values, vectors = np.linalg.eigh(np.linalg.inv(known + np.eye(len(known))))
-    unseen: Sequence[Unseen] = [_name(chain, model, vectors[:, i], values[i]) for i in np.flatnonzero(values > UNSEEN)]
-    return {c for u in unseen for c in u.components}
+    numbers = np.flatnonzero(values > UNOBSERVED)
+    return {c for i in numbers for c in _name(chain, model, vectors[:, i], values[i]).components}

@@ -78,10 +78,6 @@ class Observations:
             out.append((q, through_tool))
         return out
 
-    def with_value(self, value: np.ndarray) -> Observations:
-        """The same rows with other readings."""
-        return replace(self, value=np.asarray(value, dtype=float))
-
 
 def _build(q, tip, weights, value, columns, label, socket=None, noise=1.0, seconds=0.0) -> Observations:
     """columns: list of (name, spread, column)."""
@@ -138,7 +134,6 @@ def along(
     value: np.ndarray | None = None,
     label: str = "1",
     seconds: float = 0.0,
-    noise: float = 1.0,
 ) -> Observations:
     """Displacement along a fixed beam (laser along an axis or a diagonal). value: measured minus nominal, um.
 
@@ -154,7 +149,7 @@ def along(
         if np.ptp(across) > 1e-6:
             columns.append((f"{label}: beam angle {i + 1}", TURN, across * 1e-3))
     weights = np.tile(np.r_[unit, np.zeros(3)], (len(q), 1))
-    return _build(q, tip, weights, value, columns, label, noise=noise, seconds=seconds)
+    return _build(q, tip, weights, value, columns, label, seconds=seconds)
 
 
 def angle(
@@ -165,14 +160,11 @@ def angle(
     value: np.ndarray | None = None,
     label: str = "1",
     seconds: float = 0.0,
-    noise: float = 1.0,
 ) -> Observations:
     """Turn of the tool's side against the workpiece about a direction (level), urad; its zero is set-up."""
     unit = np.asarray(about, dtype=float) / np.linalg.norm(about)
     weights = np.tile(np.r_[np.zeros(3), unit], (len(q), 1))
-    return _build(
-        q, tip, weights, value, [(f"{label}: zero", TURN, np.ones(len(q)))], label, noise=noise, seconds=seconds
-    )
+    return _build(q, tip, weights, value, [(f"{label}: zero", TURN, np.ones(len(q)))], label, seconds=seconds)
 
 
 def points(
@@ -183,9 +175,7 @@ def points(
     directions: str = "XYZ",
     label: str = "1",
     pose: str = "XYZABC",
-    ball: bool = True,
     seconds: float = 0.0,
-    noise: float = 1.0,
     scale: bool = False,
 ) -> Observations:
     """Deviation of the tool point along some directions: tracker clouds, probed plates, R-test, hole patterns.
@@ -207,11 +197,10 @@ def points(
                 columns.append((f"{label}: turn {s}", TURN, np.cross(turn, centred) @ unit * 1e-3))
         if scale:
             columns.append((f"{label}: scale", SCALE, centred @ unit * 1e-3))
-        if ball:
-            columns += _ball_columns(chain, ideal, np.tile(unit, (len(q), 1))[:, None, :], label)
+        columns += _ball_columns(chain, ideal, np.tile(unit, (len(q), 1))[:, None, :], label)
         weights = np.tile(np.r_[unit, np.zeros(3)], (len(q), 1))
         column = None if value is None else np.asarray(value, dtype=float)[:, i]
-        parts.append(_build(q, tip, weights, column, columns, label, noise=noise, seconds=seconds / len(directions)))
+        parts.append(_build(q, tip, weights, column, columns, label, seconds=seconds / len(directions)))
     return concatenate(parts, shared=True)
 
 

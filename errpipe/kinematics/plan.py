@@ -18,7 +18,7 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 
 SHOWN = 20.0  # nats that a newly observed combination counts for: observing all comes before observing precisely
-LEAST_GAIN = 1e-3  # nats per second below which a block is not worth its time
+MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
 @dataclass(frozen=True)
@@ -47,29 +47,17 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """Blocks in order, minutes in all, and what stays unseen."""
+    """Blocks in order, minutes in all, and what stays unobserved."""
 
     chain: Chain
     blocks: tuple[Block, ...]
     minutes: float
-    open: tuple[observability.Unseen, ...]
+    open: tuple[observability.Unobserved, ...]
     means: Means
 
     def observations(self) -> o.Observations:
         """All blocks as one test without readings."""
         return o.concatenate([b.observations for b in self.blocks])
-
-    def says(self) -> str:
-        """The plan in a few lines."""
-        lines = [
-            f"{len(self.blocks)} blocks, {sum(len(b.q) for b in self.blocks)} positions, {self.minutes:.0f} minutes"
-        ]
-        for i, b in enumerate(self.blocks, start=1):
-            place = ", ".join(f"{v:.0f}" for v in b.socket)
-            aside = "" if not any(b.offset) else f", ball offset {b.offset[0]:g} {b.offset[1]:g} {b.offset[2]:g} mm"
-            lines.append(f"{i}. socket at {place} mm; tool {b.length:g} mm{aside}; {len(b.q)} positions")
-        lines += [f"open: {u.says()}" for u in self.open]
-        return "\n".join(lines)
 
 
 def propose(
@@ -102,7 +90,7 @@ def propose(
     minutes = _seconds(picked, means) / 60.0
     test = o.concatenate([b.observations for b in picked])
     result = observability.examine(chain, test, noise=means.noise, without=without)
-    return Plan(chain, picked, minutes, result.unseen, means)
+    return Plan(chain, picked, minutes, result.unobserved, means)
 
 
 def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
@@ -171,21 +159,21 @@ def _short_path(q: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: int) -> list[int]:
-    """Greedy selection by information gain per second until all is observed or no block reaches LEAST_GAIN."""
+    """Greedy selection by information gain per second until all is observed or no block reaches MIN_GAIN."""
     p = len(gains[0])
     known = np.eye(p)
     chosen: list[int] = []
     while len(chosen) < most:
         variances = np.linalg.eigvalsh(np.linalg.inv(known))
-        if variances.max() <= observability.UNSEEN:
+        if variances.max() <= observability.UNOBSERVED:
             break
         before = np.linalg.slogdet(known)[1]
-        best, best_rate = -1, LEAST_GAIN
+        best, best_rate = -1, MIN_GAIN
         for i, gain in enumerate(gains):
             if i in chosen:
                 continue
             after = np.linalg.eigvalsh(np.linalg.inv(known + gain))
-            shown = int((variances > observability.UNSEEN).sum() - (after > observability.UNSEEN).sum())
+            shown = int((variances > observability.UNOBSERVED).sum() - (after > observability.UNOBSERVED).sum())
             score = np.linalg.slogdet(known + gain)[1] - before + SHOWN * shown
             score_per_second = score / _more_seconds(blocks, chosen, i, means)
             if score_per_second > best_rate:
@@ -198,16 +186,16 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: in
 
 
 def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
-    """The selection without redundant blocks (no more combinations unseen without them), the slowest dropped first."""
+    """The selection without redundant blocks (all stays observed that was), the slowest dropped first."""
 
-    def unseen(rows: list[int]) -> int:
+    def unobserved(rows: list[int]) -> int:
         known = np.eye(len(gains[0])) + sum(gains[i] for i in rows)
-        return int((np.linalg.eigvalsh(np.linalg.inv(known)) > observability.UNSEEN).sum())
+        return int((np.linalg.eigvalsh(np.linalg.inv(known)) > observability.UNOBSERVED).sum())
 
-    kept, unseen_with_all = list(chosen), unseen(chosen) if chosen else 0
+    kept, unobserved_with_all = list(chosen), unobserved(chosen) if chosen else 0
     for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], means)):
         others = [j for j in kept if j != i]
-        if others and unseen(others) <= unseen_with_all:
+        if others and unobserved(others) <= unobserved_with_all:
             kept = others
     return kept
 

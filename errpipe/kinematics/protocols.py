@@ -2,7 +2,7 @@
 
 The manifest's constants name the protocol and the set-up (mm; `name@run` for one run, `name` for all):
 
-    protocol                     one of `PROTOCOLS`
+    protocol                     one of `domain.protocols.PROTOCOLS`
     tool_length, tool_offset_X   from the spindle nose to the ball or probe (the machine file's tool where left out)
     centre_X                     centre of a circle, which its positions count from
     socket_X                     fixed end of a bar, or a tracker station, in the workpiece frame
@@ -23,14 +23,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from errpipe.domain.protocols import DIRECTIONS, protocol_of
 from errpipe.domain.recording import Recording
-from errpipe.errors import DataError, did_you_mean
+from errpipe.errors import DataError
 from errpipe.kinematics import observations as o
 from errpipe.kinematics import parts as features
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
-
-DIRECTIONS = ("E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C")
 
 
 class _Run:
@@ -135,37 +134,33 @@ def _part(run: _Run) -> o.Observations:
     return features.features(run.chain, run.q, run.tip, value, stated, size, run.label, cutter, run.seconds)
 
 
-PROTOCOLS: dict[str, Callable[[_Run], o.Observations]] = {
-    "ballbar_circle": _bar,  # ISO 230-4
+READERS: dict[str, Callable[[_Run], o.Observations]] = {
+    "ballbar_circle": _bar,
     "telescoping_bar": _bar,
     "multilateration": _bar,
-    "rotary_ballbar": _bar,  # ISO 230-7, bar from a socket on the table
-    "diagonal": _beam,  # ISO 230-6
+    "rotary_ballbar": _bar,
+    "diagonal": _beam,
     "step_diagonal": _beam,
-    "laser": _beam,  # ISO 230-2
+    "laser": _beam,
     "level": _level,
-    "r_test": _points("XYZ"),  # ISO 230-7
+    "r_test": _points("XYZ"),
     "point_cloud": _points("XYZABC"),
     "ball_plate": _points("XYZABC"),
     "ball_array": _points("XYZABC"),
     "hole_pattern": _points("XYZABC"),  # E_Z, too, counts from the plane that the holes were measured from
-    "part": _part,  # features that a CMM measured: bores and faces
+    "part": _part,
 }
 
 
-def observations(chain: Chain, recording: Recording, protocol: str | None = None) -> o.Observations:
+def observations(chain: Chain, recording: Recording) -> o.Observations:
     """Every run of a recording as observations; rows without a reading are left out.
 
-    protocol: overrides the manifest's. Raises DataError for an unknown protocol or a missing constant.
+    Raises DataError for an unknown protocol or a missing constant.
     """
-    named = recording.manifest.constants.get("protocol")
-    protocol = protocol or (str(named.value) if named is not None else "")
-    if protocol not in PROTOCOLS:
-        hint = did_you_mean(protocol, PROTOCOLS)
-        raise DataError(f"constants.protocol: {protocol!r} is not one (allowed: {', '.join(PROTOCOLS)}).{hint}")
+    build = READERS[protocol_of(recording)]
     codes = recording.run_codes()
     parts = []
     for number, label in enumerate(recording.run_labels()):
-        part = PROTOCOLS[protocol](_Run(chain, recording, label, np.flatnonzero(codes == number)))
+        part = build(_Run(chain, recording, label, np.flatnonzero(codes == number)))
         parts.append(part.take(np.flatnonzero(np.isfinite(part.value))))
     return o.concatenate(parts)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from errpipe.domain.components import is_error_motion
 from errpipe.domain.recording import Recording
 from errpipe.kinematics import direct, protocols, records
 from errpipe.kinematics import observations as o
@@ -14,7 +15,7 @@ from errpipe.kinematics.direct import Laser
 
 # Waves of a curve: of tests at the tool; of records, at least and at most. `unfollowed` says what more would show.
 AT_THE_TOOL, FEWEST, MOST = 12, 20, 48
-LEAST_MISSED = 0.05  # um, urad: less is no shape
+MIN_MISSED = 0.05  # um, urad: less is no shape
 
 
 def of_tests(
@@ -40,7 +41,7 @@ def modes(tests: Mapping[str, Recording]) -> int:
     """Waves per error motion that the readings can show: two less than the targets of the densest record."""
     dense = 0
     for recording in tests.values():
-        for component in (c for c in recording.components() if direct.is_motion(c)):
+        for component in (c for c in recording.components() if is_error_motion(c)):
             at = recording.array(direct.position_of(recording, component))
             value = recording.array(str(recording.name("error", component=component)))
             dense = max(dense, len(direct.targets_of(at[np.isfinite(at) & np.isfinite(value)])[0]))
@@ -63,7 +64,7 @@ def unfollowed(chain: Chain, obs: o.Observations, residual: np.ndarray, *, large
         count = np.maximum(np.bincount(place), 1)
         mean = np.bincount(place, weights=residual[rows]) / count
         left = float(np.mean(mean**2) - np.mean(obs.noise[rows] ** 2) * np.mean(1.0 / count))
-        if left > LEAST_MISSED**2:
+        if left > MIN_MISSED**2:
             size = np.abs(mean).max() if largest else np.sqrt(left)
             out[name] = max(out.get(name, 0.0), float(size))
     return out

@@ -12,7 +12,8 @@ unknown set-up is solved for together with the components, so that every interva
             the angles were measured they are subtracted, with their own uncertainty; where not, the interval says so.
 
 A record counts as the machine's coordinates do: positive where the tool is too far on the positive side of the
-workpiece, whichever of the two moves. The machine file may define an axis' errors as the carriage's own.
+workpiece, whichever of the two moves; a positioning counts along its axis, positive where it goes too far. The machine
+file may define an axis' errors as the carriage's own, and let an axis run against its letter.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.domain.components import parse
+from errpipe.domain.components import is_error_motion, parse
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
 from errpipe.kinematics import direct
@@ -31,8 +32,9 @@ from errpipe.kinematics.chain import LETTERS, Chain
 
 ROTATIONS = {"A": LETTERS["X"], "B": LETTERS["Y"], "C": LETTERS["Z"]}
 BACKLASH, PER_METRE = 30.0, 60.0  # um (urad), um/m (urad/m): prior sd of a reversal and of its change
-LEAST_BOTH = 3  # targets approached from both sides, from which a reversal is fitted
-LEAST_NOISE = 0.02  # um, urad: no laser or level repeats better
+MIN_TARGETS_FROM_BOTH_SIDES = 3  # targets approached from both sides, from which a reversal is fitted
+INCLINED = 1e-6  # of a cosine: 1.4 mrad
+MIN_NOISE = 0.02  # um, urad: no laser or level repeats better
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Record:
 
 def is_direct(recording: Recording) -> bool:
     """Whether a recording holds error motions (EXX, EYX ...) rather than readings at the tool."""
-    return any(direct.is_motion(c) for c in recording.components())
+    return any(is_error_motion(c) for c in recording.components())
 
 
 def observations(
@@ -91,7 +93,7 @@ def read(
     """The records behind `observations`, in the order of its rows, the beams' errors out."""
     records: list[Record] = []
     for label, recording in recordings.items():
-        motions = [c for c in recording.components() if direct.is_motion(c)]
+        motions = [c for c in recording.components() if is_error_motion(c)]
         if not motions:
             raise DataError(f"{label}: the recording has no error column of an error motion such as EXX, EYX or EBX")
         for name in motions:
@@ -167,26 +169,25 @@ def _repeatability(p: np.ndarray, value: np.ndarray, side: np.ndarray) -> float:
         freedom += int(np.sum(np.maximum(count - 1, 0)))
         means.append(np.where(count > 0, mean, np.nan))
     if freedom >= 3:
-        return max(LEAST_NOISE, float(np.sqrt(square / freedom)))
+        return max(MIN_NOISE, float(np.sqrt(square / freedom)))
     reversal = means[0] - means[1]
     measured = np.isfinite(reversal)
     if measured.sum() >= 5:
         residual = reversal[measured] - np.polyval(
             np.polyfit(targets[measured], reversal[measured], 1), targets[measured]
         )
-        return max(LEAST_NOISE, float(np.sqrt(residual @ residual / (measured.sum() - 2) / 2.0)))
+        return max(MIN_NOISE, float(np.sqrt(residual @ residual / (measured.sum() - 2) / 2.0)))
     fourth_difference = np.diff(np.nanmean(means, axis=0), 4)
-    return max(LEAST_NOISE, float(np.sqrt(np.mean(fourth_difference**2) / 70.0))) if fourth_difference.size else 1.0
+    return max(MIN_NOISE, float(np.sqrt(np.mean(fourth_difference**2) / 70.0))) if fourth_difference.size else 1.0
 
 
 def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -> o.Observations:
     n, kind = len(r.position), parse(r.component).kind
     own = np.zeros((n, len(chain.components)))
-    sign = sense(chain, r.axis)
-    own[:, chain.index(r.component)] = sign
+    own[:, chain.index(r.component)] = sense(chain, r.component)
     guided = chain.machine.axes[r.axis].reference_on == "guideway"
     if kind in ("positioning", "straightness") and (guided or (laser is not None and any(laser.offset))):
-        _add_arms(chain, own, r, laser or direct.Laser(), sign)
+        _add_arms(chain, own, r, laser or direct.Laser())
     middle = chain.travel[chain.axes.index(r.axis)].mean()
     metres = (r.position - middle) * 1e-3
     tag = f"{r.label} {r.component}".strip()
@@ -231,17 +232,33 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
 def _both_directions(r: Record) -> bool:
     """Whether enough targets were approached from both sides to separate the reversal and its change from the curve."""
     number = direct.targets_of(r.position)[1]
-    return len(set(number[r.side > 0]) & set(number[r.side < 0])) >= LEAST_BOTH
+    return len(set(number[r.side > 0]) & set(number[r.side < 0])) >= MIN_TARGETS_FROM_BOTH_SIDES
 
 
-def sense(chain: Chain, axis: str) -> float:
-    """-1 where the machine file counts an axis' errors as those of a carriage that holds the workpiece."""
-    machine = chain.machine
+def sense(chain: Chain, component: str) -> float:
+    """Record of a component per component of the machine file, 1 or -1.
+
+    -1 where that counts the errors of a carriage that holds the workpiece, and for the positioning of an axis that runs
+    against its letter; 1 where both hold.
+    Raises DataError for the positioning of an axis that is inclined to its letter.
+    """
+    machine, c = chain.machine, parse(component)
+    axis = str(c.axis)
     against = machine.axes[axis].errors_of == "carriage" and machine.moved_by(axis) == "workpiece"
-    return -1.0 if against else 1.0
+    sign = -1.0 if against else 1.0
+    if c.kind != "positioning":
+        return sign
+    along = float(np.dot(machine.direction(axis), LETTERS[c.direction]))
+    if abs(along) < 1 - INCLINED:
+        raise DataError(
+            f"{component}: {axis} runs along {', '.join(f'{v:.4g}' for v in machine.direction(axis))}, inclined to "
+            f"{c.direction}: what is read along it is no {component} of the machine file. Identify it from readings at "
+            "the tool (`identify`), or correct it alone over its own position (`fit`)"
+        )
+    return float(np.copysign(sign, sign * along))
 
 
-def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser, sign: float) -> None:
+def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> None:
     """Add to `own` the Abbe arms, um per urad: the beam is offset from the point that a component is defined at."""
     axis = chain.machine.axes[r.axis]
     along = np.asarray(chain.machine.direction(r.axis))
@@ -251,7 +268,7 @@ def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser, sig
     reads = direct.direction_of(chain, r.component)
     for letter, about in ROTATIONS.items():
         name = f"E{letter}{r.axis}"
-        own[:, chain.index(name)] += sign * (np.cross(about, arm) @ reads) * 1e-3
+        own[:, chain.index(name)] += sense(chain, name) * (np.cross(about, arm) @ reads) * 1e-3
 
 
 def _slope_per_squareness(chain: Chain, square: str, component: str) -> float:
@@ -313,7 +330,7 @@ def reversals(chain: Chain, setup: Mapping[str, tuple[float, float]]) -> dict[st
         component = name.removesuffix(": reversal").split(" ")[-1]
         slope, slope_error = setup[f"{name} per metre"]
         axis = direct.axis_of(component)
-        sign = sense(chain, axis)
+        sign = sense(chain, component)
         out[component] = {
             "unit": parse(component).unit,
             "value": sign * value,

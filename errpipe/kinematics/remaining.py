@@ -30,7 +30,8 @@ JUDGED, JUDGED_SEED = 400, 78
 PIECE = 500  # positions per block of the covariance, which bounds memory
 # Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes, and at
 # 0.01 one got worse (five axes by R-test, seed 20 of `trials.volumetric`, X 18.4 -> 19.2 um, stated 0.004).
-MOST_HARM = 0.002
+MAX_HARM_PROBABILITY = 0.002
+TRUTH_POINTS = 401  # of a simulated component over the travel, as `truth.json` holds it
 
 Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviation (n, 3) um
 
@@ -61,17 +62,17 @@ def mirrored_places(chain: Chain, count: int, seed: int) -> np.ndarray:
     return chain.travel.mean(axis=1) + (sides[:, None] * base).reshape(-1, len(chain.axes))
 
 
-def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors, tip: np.ndarray | None = None) -> Remaining:
+def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remaining:
     """Error of the true machine before and after compensation by `model`, each less its best-fitting rigid pose."""
 
     def true(q: np.ndarray) -> np.ndarray:
-        return synthesis.exact(chain, q, truth.at(q), tip)[:, :3]
+        return synthesis.exact(chain, q, truth.at(q))[:, :3]
 
     def left(q: np.ndarray) -> np.ndarray:
-        return true(q) - synthesis.first_order(chain, q, model.at(q), tip)[:, :3]
+        return true(q) - synthesis.first_order(chain, q, model.at(q))[:, :3]
 
     q = places(chain)
-    before, after = (without_pose(chain, field, q, tip) for field in (true, left))
+    before, after = (without_pose(chain, field, q) for field in (true, left))
     figures = {}
     for name, field in (("before", before), ("after", after)):
         size = np.linalg.norm(field(q), axis=1)
@@ -80,11 +81,11 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors, tip: np.n
     return Remaining(before, after, figures)
 
 
-def without_pose(chain: Chain, field: Field, q: np.ndarray, tip: np.ndarray | None = None) -> Field:
+def without_pose(chain: Chain, field: Field, q: np.ndarray) -> Field:
     """A field less the rigid shift and rotation of the workpiece that fit it best at q (least squares)."""
-    middle = synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0)
-    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, tip, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
-    return lambda at: field(at) - _pose_columns(chain, at, tip, middle) @ pose
+    middle = synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0)
+    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, None, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
+    return lambda at: field(at) - _pose_columns(chain, at, None, middle) @ pose
 
 
 def _pose_columns(chain: Chain, q: np.ndarray, tip: np.ndarray | None, middle: np.ndarray) -> np.ndarray:
@@ -158,13 +159,13 @@ def expected(identified: Identified, tip: np.ndarray | None = None, count: int =
 
 
 def _carried_over(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
-    """Mask over the chain's components: those whose compensation makes none of the fields worse (`MOST_HARM`).
+    """Mask over the chain's components: those whose compensation makes none of the fields worse (MAX_HARM_PROBABILITY).
 
     Backward elimination: the component without which the field that is doubted most is doubted least goes first, until
     no field is in doubt. fields: rows (readings, parameters), um. All components where no part passes, or where only
     fields within the noise of a reading are in doubt: those axes are left alone.
     """
-    prior, wanted = identified.model.prior, NormalDist().inv_cdf(1.0 - MOST_HARM)
+    prior, wanted = identified.model.prior, NormalDist().inv_cdf(1.0 - MAX_HARM_PROBABILITY)
     names = np.unique(prior.component)
     own = (prior.component[:, None] == names) * identified.mean[:, None]
     gain, size, doubt = [], [], []
@@ -217,7 +218,7 @@ def _expected(identified: Identified, part: np.ndarray, rows: np.ndarray, count:
     return Expected(math.sqrt(power / count), left, harm, {})
 
 
-def truth_document(chain: Chain, values: Mapping[str, Any], nodes: int = 401) -> dict[str, Any]:
+def truth_document(chain: Chain, values: Mapping[str, Any]) -> dict[str, Any]:
     """The components of a simulated machine as JSON values: curves over the travel, constants; um and urad."""
     curves, constants = {}, {}
     for c, name in enumerate(chain.components):
@@ -226,8 +227,8 @@ def truth_document(chain: Chain, values: Mapping[str, Any], nodes: int = 401) ->
             constants[name] = float(value)
             continue
         low, high = chain.travel[chain.drives[c]]
-        p = np.linspace(low, high, nodes)
-        curve = value(p) if callable(value) else np.full(nodes, float(value))
+        p = np.linspace(low, high, TRUTH_POINTS)
+        curve = value(p) if callable(value) else np.full(TRUTH_POINTS, float(value))
         curves[name] = {"start": float(low), "step": float(p[1] - p[0]), "value": [round(float(v), 5) for v in curve]}
     return {"truth": 1, "machine": chain.machine.name, "curves": curves, "constants": constants}
 

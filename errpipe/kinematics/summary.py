@@ -70,9 +70,9 @@ def document(
         "rank": seen.rank,
         "parameters": seen.parameters,
         "seen": seen.seen,
-        "unseen": [{"components": list(u.components), "left": u.left, "says": u.says()} for u in seen.unseen],
+        "unseen": [{"components": list(u.components), "left": u.left, "says": u.sentence()} for u in seen.unobserved],
     }
-    if extra and seen.unseen:
+    if extra and seen.unobserved:
         added = observability.smallest_extra(chain, obs, noise=identified.noise, without=without)
         out["would_show"] = [
             {"measure": e.name, "shows": list(e.resolves), "readings": e.readings, "minutes": e.minutes} for e in added

@@ -133,6 +133,7 @@ class ThermalFamily(Family):
         recording = held_readings(recording)
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
+            recording = problem.recording
             groupings = thermal_competition.groupings(recording, problem.group, problem.groups, self.environment)
             entrants = self.entrants(problem)
             if self.one_environment(problem):
@@ -174,7 +175,7 @@ def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) 
     from errpipe.fitting.noise_floor import noise_floor
     from errpipe.fitting.thermal_arithmetic import since_start_of
 
-    predicted = next(iter(outcome.predictions.values()))
+    predicted = next(iter(outcome.predictions.values()))[: len(recording)]
     residual = since_start_of(recording, family.component, family.datum_rows) - predicted
     rows = np.flatnonzero(np.isfinite(residual))
     return noise_floor(recording, rows, residual[rows])
@@ -227,7 +228,8 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     limit = limits(y[rows])
     total = _sum_of(outcome, groups)
     factor, half = _interval(family, problem, outcome)
-    places = set(problem.recording.names("position")) | set(problem.recording.names("command"))
+    roles = ("position", "command") if problem.plain else ("position", "command", "spindle_speed")
+    places = {name for role in roles for name in problem.recording.names(role)}
     read = [n for n in d.inputs(total) if n in places]
     validity = box(problem.recording, [*problem.recording.names("temperature"), *read], rows)
     fitted = ThermalModel(
@@ -242,11 +244,12 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         limit=limit,
         datum=_zeros(family, problem),
     )
+    own = rows & (np.arange(rows.size) < problem.own)
     after = y - fitted.values(problem.recording)
     report = {
-        "rows": int(np.count_nonzero(rows)),
-        "rms_before": rms(y[rows]),
-        "rms_after": rms(after[rows & np.isfinite(after)]),
+        "rows": int(np.count_nonzero(own)),
+        "rms_before": rms(y[own]),
+        "rms_after": rms(after[own & np.isfinite(after)]),
     }
     return ThermalModel(**(fitted.__dict__ | {"report": report}))
 
@@ -301,12 +304,11 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     from errpipe.fitting.thermal_competition import RUN, WARMTH
 
     y, rows = problem.response, problem.rows
-    runs = thermal_interval.independent_runs(problem.recording, rows)
     only_one = family.one_environment(problem)
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [
         thermal_interval.LeftOut((y - p)[rows], p[rows]).half_width(
-            problem.group[rows], family.coverage, runs, only_one, factor[rows]
+            problem.group[rows], family.coverage, problem.witnesses, only_one, factor[rows]
         )
         for name, p in outcome.predictions.items()
         if only_one or name in (RUN, environment)

@@ -40,7 +40,7 @@ class Bilinear(ThermalFamily):
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every setting; none of one run, of more sensors than `MOST_SENSORS`, or where nothing can be lagged.
+        """Every setting; none of one run, of no sensor or more than `MOST_SENSORS`, or where nothing can be lagged.
 
         Within a single run nothing shows that a product holds on another day.
         """
@@ -49,7 +49,7 @@ class Bilinear(ThermalFamily):
         from errpipe.fitting import thermal_linear as t
 
         taus = t.time_constants(problem.recording, problem.plain)
-        if problem.one_run or problem.plain > MOST_SENSORS or not taus:
+        if problem.one_run or not 0 < problem.plain <= MOST_SENSORS or not taus:
             return ()
         rises = problem.drivers[: problem.plain]
         features = _Products(t.rates(problem), rises, taus[int(LATE * len(taus))])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_error_motion
 from errpipe.domain.machine import Machine
 from errpipe.models._base import Family, Fitted, Progress, silent
 
@@ -131,18 +132,17 @@ def judge(
 
 
 def _without_zeros(values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Values (n,) less the mean of their run: the zero of a run that sat out is nowhere else to be found."""
+    """Values (n,) less the mean of their run: the zero of a held-out run is nowhere else to be found."""
     _, number = np.unique(run, return_inverse=True)
     return values - (np.bincount(number, values) / np.bincount(number))[number]
 
 
 def _components(recording: Recording, rows: np.ndarray) -> set[str]:
-    from errpipe.kinematics import direct
 
     components = set()
     for c in recording.components():
         name = recording.name("error", component=c)
-        if direct.is_motion(c) and name is not None and np.isfinite(recording.array(name)[rows]).any():
+        if is_error_motion(c) and name is not None and np.isfinite(recording.array(name)[rows]).any():
             components.add(c)
     return components
 
@@ -153,7 +153,7 @@ def _rows_at_targets(recording: Recording, rows: np.ndarray, axes: set[str]) -> 
 
     rows_of_axis = np.zeros(len(recording), dtype=bool)
     for component in recording.components():
-        if direct.is_motion(component) and direct.axis_of(component) in axes:
+        if is_error_motion(component) and direct.axis_of(component) in axes:
             rows_of_axis |= np.isfinite(recording.array(direct.position_of(recording, component)))
     return rows & rows_of_axis
 
@@ -175,7 +175,7 @@ def direct_folds(recording: Recording, most: int = MOST_FOLDS) -> tuple[str, lis
         return "leave-one-run-out", [(str(n), codes != k, codes == k) for k, n in enumerate(labels)]
     number = np.full(len(recording), -1)
     for c in recording.components():
-        if direct.is_motion(c):
+        if is_error_motion(c):
             p = recording.array(direct.position_of(recording, c))
             known = np.isfinite(p)
             number[known] = direct.targets_of(p[known])[1]

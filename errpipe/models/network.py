@@ -31,7 +31,7 @@ class Network(ThermalFamily):
         from errpipe.fitting.thermal_season import Problem
 
         try:
-            core = Problem(problem.recording, self.component, self.options, problem.rows)
+            core = Problem(problem.recording, self.component, self.options, problem.rows, problem.group)
         except DataError:
             return ()
         core.orient()

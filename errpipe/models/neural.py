@@ -29,9 +29,11 @@ class Neural(ThermalFamily):
     family: Literal["neural"] = Field("neural", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """A network alone, and one beside a ridge that knows the rates too; both may join the mixture."""
+        """A network alone, and one beside a ridge that knows the rates too; none without a temperature."""
         from errpipe.fitting.thermal_linear import rates
 
+        if not problem.plain:
+            return []
         name, nodes = self.family_name(), _drivers(problem)
         alone = Layer(nodes, 0.0, UNITS, PENALTY)
         beside = Layer([*nodes, *rates(problem)], 0.0, UNITS, PENALTY_BESIDE, RIDGE)

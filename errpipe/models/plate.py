@@ -31,7 +31,7 @@ class Plate(Family):
         "last", description="Plate that speaks for the machine: the last one, all of them, or the label of a run."
     )
     every: int = Field(
-        10, ge=2, description="Where there is one plate only: every so many of its holes sit out in turn."
+        10, ge=2, description="Where there is one plate only: every so many of its holes are held out in turn."
     )
     measured_twice: tuple[str, str] | None = Field(
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."

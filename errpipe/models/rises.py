@@ -31,6 +31,8 @@ class Rises(ThermalFamily):
         from errpipe.fitting import thermal_linear as t
 
         family, width = self.family_name(), problem.plain
+        if not width:
+            return []
 
         def ridge(strength: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:

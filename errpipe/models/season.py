@@ -65,7 +65,7 @@ class Season(Family):
 
         recording, run = problem.recording, problem.recording.run_codes()
         try:
-            full_problem = Problem(recording, self.component, self.options, problem.rows)
+            full_problem = Problem(recording, self.component, self.options, problem.rows, problem.group)
         except DataError:
             return ()
         full_problem.orient()

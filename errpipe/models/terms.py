@@ -50,7 +50,7 @@ class Terms(ModelSpec, Family):
 
     @property
     def scheme(self) -> HoldOut:
-        """Who sits out where nothing else is asked for."""
+        """Rows held out by default."""
         return self.holdout
 
     @property

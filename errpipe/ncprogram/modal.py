@@ -109,6 +109,7 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
             raise refuse(block.line, block.source, f"axis words beside {what} are not understood")
     if state.motion not in MOTIONS:
         raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
+    _no_idle_tool(block)
     if state.motion in ("G0", "G1"):
         for letter in "IJKRPQ":
             if block.value(letter) is not None:
@@ -159,6 +160,13 @@ def _no_idle_words(block: Block) -> None:
             raise refuse(block.line, block.source, f"{word.text} without the axis words of its end is not understood")
         if word.letter in meant and not set(meant[word.letter]) & set(codes):
             raise refuse(block.line, block.source, f"{word.text} belongs to nothing in the block")
+
+
+def _no_idle_tool(block: Block) -> None:
+    """Raises DataError for H without G43 and for D: other controls than LinuxCNC change the tool's length by them."""
+    for letter, code in (("H", "G43"), ("D", "G41 or G42")):
+        if block.value(letter) is not None and code not in block.codes("G"):
+            raise refuse(block.line, block.source, f"the word {letter} without {code} is not understood")
 
 
 def _turns(block: Block) -> int:

@@ -56,9 +56,9 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
         if len(chosen) != 1 and not need.every:
             return (), f"names {len(chosen)} stages (one is read)"
         return chosen, ""
-    if need.beside and not _given(stage, need.beside, before):
+    if need.beside and not _is_provided(stage, need.beside, before):
         return (), ""
-    if not fitting and not need.optional and not (need.unless and _given(stage, need.unless, before)):
+    if not fitting and not need.optional and not (need.unless and _is_provided(stage, need.unless, before)):
         return (), f"{stage.kind} takes {_an(wanted)}, and no stage before it gives one"
     if not need.every:
         return tuple(fitting[-1:]), ""
@@ -73,7 +73,7 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
     return tuple(name for name in fitting if name not in replaced), ""
 
 
-def _given(stage: Stage, slot: str, before: Sequence[Stage]) -> bool:
+def _is_provided(stage: Stage, slot: str, before: Sequence[Stage]) -> bool:
     """Whether an earlier stage gives what another slot of a stage takes."""
     return any(stage.takes[slot].type in other.gives for other in before)
 

@@ -19,7 +19,7 @@ VERDICTS = {
     "unexplained": "something is there that has no name here",
 }
 LAGS = 40  # rows of an autocorrelation figure
-MOST_SHAPES = 4  # findings drawn; the others stand in the table
+MAX_SHAPES = 4  # findings drawn; the others stand in the table
 # One colour for each finding; they differ in lightness too, and every line is labelled.
 FINDINGS = ("#b3261e", "#1f5fa8", "#2e7d4f", "#7b3fa0", "#20262c")
 UNNAMED = "a shape without a name"
@@ -202,7 +202,7 @@ def _clock(trace: Trace) -> tuple[str, np.ndarray]:
 def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
     """Each finding in its colour against its driver, over what is recorded once the other findings are taken away."""
     own = [f for f in r.findings if f.effect in trace.contributions]
-    drawn = [(f, x) for f in own for x in [_against(f, trace)] if x][:MOST_SHAPES]
+    drawn = [(f, x) for f in own for x in [_against(f, trace)] if x][:MAX_SHAPES]
     if not drawn:
         return ""
     rows, colours = svg.thin(trace.before.size), trace.colours()

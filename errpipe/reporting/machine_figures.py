@@ -175,15 +175,13 @@ def _end(axes: Axes, chain: Chain, side: str, place: np.ndarray, size: float, bl
     labels.append((_shift(tip, size, 0.03, 0, -0.03), "tool", svg.INK))
 
 
-def vectors(
-    chain: Chain, q: np.ndarray, before: np.ndarray, after: np.ndarray | None = None, tip: np.ndarray | None = None
-) -> str:
+def vectors(chain: Chain, q: np.ndarray, before: np.ndarray, after: np.ndarray | None = None) -> str:
     """Volumetric error as arrows in space. q (n, axes); before, after (n, 3), um; both drawn to one scale.
 
     after may also be sizes (n,), um, of which no direction is known: drawn as balls of that radius.
     """
     turn = upright(chain).T
-    place = synthesis.ideal_pose(chain, q, tip)[:, 0] @ turn
+    place = synthesis.ideal_pose(chain, q)[:, 0] @ turn
     rows = svg.thin(len(place), 250)
     largest = max(float(np.linalg.norm(before, axis=1).max()), 1e-9)
     reach = 0.14 * float(np.ptp(place, axis=0).max()) / largest
@@ -278,9 +276,9 @@ def _levels(top: float) -> np.ndarray:
     return np.asarray(MaxNLocator(10).tick_values(0.0, max(top, 1e-6)))
 
 
-def size_of(chain: Chain, errors: MachineErrors, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
+def size_of(chain: Chain, errors: MachineErrors) -> Callable[[np.ndarray], np.ndarray]:
     """Size of the first-order deviation of some errors, um, as a function of axis positions."""
-    return lambda q: np.linalg.norm(synthesis.first_order(chain, q, errors.at(q), tip)[:, :3], axis=1)
+    return lambda q: np.linalg.norm(synthesis.first_order(chain, q, errors.at(q))[:, :3], axis=1)
 
 
 def _um(value: float) -> str:

@@ -124,7 +124,8 @@ def _shown(chain, values, setup: SetUp, name: str, axis: str, p, true, turns, wa
     arm = np.tile(-np.asarray(beam.offset, dtype=float), (len(p), 1))
     if chain.machine.axes[axis].reference_on == "guideway":
         arm = arm + p[:, None] * along
-    moved = true[name] + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
+    own = true[name] * (float(reads @ LETTERS[component.direction]) if component.kind == "positioning" else 1.0)
+    moved = own + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
     if component.kind == "straightness":
         return moved + _slope(chain, values, setup, name, axis, reads, along, turns) * p * 1e-3
     if component.kind != "positioning":

@@ -46,19 +46,6 @@ class Twin:
     missing: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def plain(self) -> dict[str, Any]:
-        """Plain data for `twin.json`."""
-        return {
-            "component": self.component,
-            "column": self.column,
-            "unit": self.unit,
-            "source": self.source,
-            "rows": self.rows,
-            "with_twin": self.with_twin,
-            "missing": dict(self.missing),
-            "notes": list(self.notes),
-        }
-
 
 def with_twins(
     recording: Recording,

@@ -26,7 +26,7 @@ from errpipe.errors import DataError, UsageError
 from errpipe.simulation.fmu_options import FmuOptions
 
 TOKEN = "ERRPIPE_FMU"
-NOBODY = 65534  # the user without rights on Linux
+UID_NOBODY = 65534  # the user without rights on Linux
 END_PATIENCE = 10.0  # s for the supervisor to end everything before it is ended itself
 MAX_ANSWER_BYTES = 16 << 20  # the description of an FMU of 50,000 variables
 MAX_SAID = 2000  # characters of an error
@@ -219,7 +219,7 @@ def unprivileged_user() -> int:
         path.stat().st_mode & stat.S_IROTH and all(p.stat().st_mode & stat.S_IXOTH for p in path.parents)
         for path in needed
     )
-    return NOBODY if open_to_all else 0
+    return UID_NOBODY if open_to_all else 0
 
 
 def _with_token(token: str) -> list[int]:

@@ -28,9 +28,8 @@ from typing import Any
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS = 1, 36, 38  # of linux/prctl.h
 MAX_ENTRIES = 20_000  # of the archive; FMUs with their sources and documentation have some hundred
-MAX_PROCESSES = (
-    64  # that an FMU may have at a time; those with a solver or an interpreter beside them have two or three
-)
+# Processes that an FMU may have at a time; those with a solver or an interpreter beside them have two or three
+MAX_PROCESSES = 64
 MAX_THREADS = 512  # of all of them together
 POLL = 0.2  # s between two looks at the FMU and its disk
 
@@ -247,9 +246,9 @@ def descendants(of: int) -> list[int]:
     return pids
 
 
-def end_all(patience: float = 5.0) -> None:
+def end_all() -> None:
     """Kill every process below this one, again and again until none is left (a dying one may have started another)."""
-    end = time.monotonic() + patience
+    end = time.monotonic() + 5.0  # s: killed processes are gone long before
     while time.monotonic() < end:
         for process in descendants(os.getpid()):
             try:

@@ -131,7 +131,7 @@ def part(chain: Chain) -> list[Run]:
     return [Run("part", np.concatenate(steps), 120.0)]
 
 
-def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int = 60, seed: int = 2) -> np.ndarray:
+def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int, seed: int) -> np.ndarray:
     """Rotary axes through their travel, the linear ones following a ball on the table; poses in reach only.
 
     Raises DataError for a machine without rotary axes, or one that cannot follow the ball.

@@ -22,6 +22,8 @@ from errpipe.simulation import part_features
 # Rise of the straight part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
 # travel, angles of some 70 urad (5.8), beside waves of 4 um and 12 urad.
 SLOPE = {"positioning": 8.7, "radial": 2.6, "axial": 2.6}
+DISPLACEMENT_RMS, ANGLE_RMS = 4.0, 12.0  # um, urad: the wavy part of an error motion of an ordinary machine
+CORRELATION = 0.35  # of the travel: length over which an error motion changes
 WARM = 20e-6  # mm/mm: a part cut some 2 K away from 20 degC
 CUTTER = 60.0  # um: how much larger the cutter of a part is than it was taken to be
 RUN_OUT = 4.0  # um: ball in the spindle, after turning the spindle by half a turn and averaging
@@ -42,10 +44,8 @@ class Run:
     centre: np.ndarray | None = None
 
 
-def smooth_machine(
-    chain: Chain, seed: int, *, displacement: float = 4.0, angle: float = 12.0, correlation: float = 0.35
-) -> dict[str, Callable[[np.ndarray], np.ndarray] | float]:
-    """Random errors of every component. displacement (um), angle (urad): rms; correlation: share of the travel."""
+def smooth_machine(chain: Chain, seed: int) -> dict[str, Callable[[np.ndarray], np.ndarray] | float]:
+    """Random errors of every component, sizes of ordinary machines (see `identify.TYPICAL`)."""
     rng = np.random.default_rng(seed)
     values: dict[str, Callable[[np.ndarray], np.ndarray] | float] = {}
     for c, name in enumerate(chain.components):
@@ -53,12 +53,12 @@ def smooth_machine(
         if a < 0:
             values[name] = float(rng.normal(0.0, 50.0 if chain.angular[c] else 30.0))
             continue
-        size = (angle if chain.angular[c] else displacement) * np.exp(rng.normal(0.0, 0.3))
-        values[name] = _smooth(rng, chain, a, name, size, correlation)
+        size = (ANGLE_RMS if chain.angular[c] else DISPLACEMENT_RMS) * np.exp(rng.normal(0.0, 0.3))
+        values[name] = _smooth(rng, chain, a, name, size)
     return values
 
 
-def _smooth(rng, chain: Chain, a: int, name: str, size: float, correlation: float):
+def _smooth(rng, chain: Chain, a: int, name: str, size: float):
     low, high = chain.travel[a]
     span = high - low
     axis = chain.machine.axes[chain.axes[a]]
@@ -69,7 +69,7 @@ def _smooth(rng, chain: Chain, a: int, name: str, size: float, correlation: floa
         harmonic = rng.integers(1, 6, terms)
         wave, fading = harmonic * 2 * np.pi * span / 360.0, 1.5 / harmonic**2
     else:
-        wave = rng.normal(0.0, 1.0 / correlation, terms)
+        wave = rng.normal(0.0, 1.0 / CORRELATION, terms)
     phase = rng.uniform(0, 2 * np.pi, terms)
     gain = size * np.sqrt(2.0 / terms) * fading * rng.normal(size=terms)
     slope = 0.0 if closed else size * rng.normal() * SLOPE.get(parse(name).kind, 5.8)

@@ -30,7 +30,7 @@ HISTORY = 1100  # values that a delay remembers, a thousandth of it apart or mor
 STATE_WIDTH = {"lag": 1, "first": 1, "switch": 1, "side": 1, "direction": 2, "approach": 2, "ringing": 3}
 STATE_WIDTH["late"] = 3 + 2 * HISTORY
 STEPS_PER_ROW = 20.0  # the FMU's own step; outputs are behind their inputs by one of it
-LONGEST_COMPILE = 120.0  # s
+COMPILE_TIMEOUT = 120.0  # s
 
 
 def build(pieces: tuple[Piece, ...], recording: Recording) -> tuple[bytes, str]:
@@ -68,7 +68,7 @@ def compiled(sources: dict[str, str]) -> tuple[bytes | None, str]:
         command[2:2] = ["-fPIC", "-fvisibility=hidden", "-ffp-contract=off"] if sys.platform != "win32" else []
         try:
             done = subprocess.run(
-                command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_COMPILE, check=False
+                command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_TIMEOUT, check=False
             )
         except (OSError, subprocess.TimeoutExpired) as err:
             return None, f"the C compiler did not run ({type(err).__name__}): the FMU holds its sources alone"

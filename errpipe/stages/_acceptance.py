@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 FORCES = "it is a drive force, not a deviation of the tool: for the drive's friction feed-forward, not for a table"
 RECALIBRATION = "the simulation itself is to be set right: no plain sum of terms stands for it in a table"
-ANEW = "the terms of the model before are fitted anew together with what was accepted"
+REFITTED_NOTE = "the terms of the model before are fitted anew together with what was accepted"
 UNKNOWN = "no effect carries it, so nothing says that it will come back"
 
 
@@ -93,7 +93,7 @@ def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bo
 def _recalibration(d: Decision, recording: Recording, accept: Accept, whole: bool, named: bool) -> Decision:
     """The simulation's own gains: terms of the mismatch where they are plain; alone they are for the simulation."""
     if whole:
-        return replace(d, reason=ANEW)
+        return replace(d, reason=REFITTED_NOTE)
     if d.reason:
         return d
     terms = parts(recording, d.component) if named else ()
@@ -121,7 +121,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accep
         return replace(decision, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
     if worse:
         detail = f"{holdout.rms_before_um:.3g} -> {holdout.rms_after_um:.3g} {response.unit}"
-        return replace(decision, reason=f"rows that sat out are no better explained with it ({detail})")
+        return replace(decision, reason=f"held-out rows are no better explained with it ({detail})")
     if not terms:
         return replace(decision, reason="it names no term")
     if f.where.runs:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from errpipe.diagnosis.applied import Corrected, Held, Part
     from errpipe.domain.diagnosis import Diagnosis
 
-LEAST_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
+MIN_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
 SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
 OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the patch of the machine's simulation"
 IN_SOME_RUNS = "it acted in some runs only: no equation says in which runs to come"
@@ -54,7 +54,7 @@ def apply_findings(
     (see `diagnosis.applied`); parameters: of a simulating FMU, as they were set right.
     """
     recording = in_order_of_time(recording)
-    results = applied.corrected(recording, diagnosis, LEAST_CONFIDENCE, held)
+    results = applied.corrected(recording, diagnosis, MIN_CONFIDENCE, held)
     frame = recording.frame.assign(**{c.column: c.simulated for c in results})
     corrected = Recording(recording.manifest, frame, recording.between)
     read = applied.causal(recording)

@@ -48,7 +48,8 @@ def source_in(folder: Path) -> Source | None:
     if not rows:
         return None
     ends, complete = manifest_folder.extremes(folder)
-    return Source(rows, ends, partial(manifest_folder.iter_batches, folder), complete)
+    batches, runs = partial(manifest_folder.iter_batches, folder), manifest_folder.runs_written(folder)
+    return Source(rows, ends, batches, complete, runs)
 
 
 def recordings_in(context: Context) -> dict[str, Recording]:

@@ -10,15 +10,19 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, Curve, ReadBack
+from errpipe.targets._base import TURN, ByHand, Curve, ReadBack
 from errpipe.targets._loss import at_most, losses, unit_of
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
 
 PUSH = 100.0  # N: the force of an example
-LEAST_BEND = 0.1  # um: a curve that is straighter is checked in its middle
-LEAST_ZERO = 5e-5  # mm (deg): a smaller shift of a zero is not listed
+MIN_BEND = 0.1  # um: a curve that is straighter is checked in its middle
+AS_MEASURED = (
+    "the files and numbers hold for axes that were measured with the control's own compensation and backlash off, and "
+    "take their place: what was on then must be added to them, or measured again with it off"
+)
+MIN_ZERO_SHIFT = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 
 
 def checklist(
@@ -34,11 +38,11 @@ def checklist(
             "",
         ]
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
-    numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others))
+    numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     lines += [f"- {says}." for says in dict.fromkeys(happens)] + ["", "## Switch it on", ""]
-    lines += [f"{n}. {step}" for n, step in enumerate((*_numbered(target, table), *target.activation), 1)]
+    lines += [f"{n}. {step}" for n, step in enumerate((AS_MEASURED, *_numbered(target, table), *target.activation), 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
     lines += ["", "## Three-point check", ""]
@@ -83,25 +87,41 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
     for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):
         if axis not in _sample.positions_of(table):
             continue
-        unit, (low, high) = "deg" if axis[0] in "ABC" else "mm", _sample.span(table, axis)
+        unit, (low, high) = _sample.unit_of(axis), _sample.span(table, axis)
         x = np.append(np.linspace(low, high, 41), np.clip(0.0, low, high))
         curves = [c for c in read.curves if c.axis == c.over == axis]
         in_file = np.sum(
             [(np.interp(x, c.positions, c.up) + np.interp(x, c.positions, c.down)) / 2 for c in curves], axis=0
         )
-        if target.keeps_level and abs(in_file[-1]) > LEAST_ZERO:
+        if target.keeps_level and abs(in_file[-1]) > MIN_ZERO_SHIFT:
             text = f"at {axis} = {x[-1]:g} {unit} the file says {in_file[-1]:+.4f} {unit}"
             out.append(ByHand(f"reference zero: {text}, so the zero of {axis} moves by it"))
         elif not target.keeps_level and not others:
             in_table = _sample.curve(table, axis, axis, x[:-1])
             level = float(np.mean((in_table.up + in_table.down) / 2 - in_file[:-1]))
-            if abs(level) > LEAST_ZERO:
+            if abs(level) > MIN_ZERO_SHIFT:
                 says = (
                     f"reference zero: the file is 0 there; the datum of {axis} keeps the constant {level:+.4f} {unit}"
                 )
                 part = Curve(axis, axis, np.array([low, high]), np.full(2, level), np.full(2, level))
                 out.append(ByHand(says, part))
     return out
+
+
+def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
+    """Over axes that turn on, what a file that ends after one turn asks of the control's way of counting."""
+    parts = [(c.over, c.positions) for c in read.curves if np.ptp(c.up) or np.ptp(c.down)]
+    parts += [pair for p in read.products for pair in zip(p.over, p.positions, strict=True)]
+    parts += [pair for p in read.planes for pair in zip(p.over, (p.first, p.second), strict=True)]
+    known, out = _sample.positions_of(table), []
+    for over in dict.fromkeys(over for over, x in parts if x[-1] - x[0] < 2 * TURN):
+        if over in known and _sample.turns(table, over):
+            low, high = _sample.span(table, over)
+            out.append(
+                f"{over}: the file holds one turn, {low:g} to {high:g} deg, and its ends beyond: the control must "
+                f"count {over} so, every turn anew; counted on, or from another place, the error can double"
+            )
+    return [ByHand(says) for says in out]
 
 
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:
@@ -201,7 +221,7 @@ def _moves(read: Any) -> list[str]:
             {k: np.full(x.size, v) for k, v in cold.items()},
         )
         off = np.abs(value - np.interp(x, (low, high), value[[0, -1]]))
-        return float(x[off.argmax()]) if 1e3 * off.max() > LEAST_BEND else (low + high) / 2
+        return float(x[off.argmax()]) if 1e3 * off.max() > MIN_BEND else (low + high) / 2
 
     lines = []
     for axis, over in dict.fromkeys((c.axis, c.over) for c in read.curves):

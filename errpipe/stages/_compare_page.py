@@ -12,12 +12,12 @@ from errpipe.reporting import svg
 if TYPE_CHECKING:
     from errpipe.validation.changes import Change
 
-MOST_PANELS = 12  # of one figure: a page
+MAX_PANELS = 12  # of one figure: a page
 
 
 def draw(changes: Sequence[tuple[str, Change]]) -> str:
     """SVG: mean of new less old in parts of the input's range, and the band from its least to its largest value."""
-    shown = [(name, c) for name, c in changes if c.by_bin][:MOST_PANELS]
+    shown = [(name, c) for name, c in changes if c.by_bin][:MAX_PANELS]
     with svg.figure(7.2, 2.4 * max(len(shown), 1), max(len(shown), 1)) as (canvas, axes):
         for panel, (name, c) in zip(np.atleast_1d(axes), shown, strict=False):
             at, mean, least, most = np.array(c.by_bin).T

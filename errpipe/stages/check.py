@@ -15,9 +15,9 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from errpipe import files
-from errpipe.domain import components
+from errpipe.domain import components, protocols
 from errpipe.domain.recording import Manifest, Recording
-from errpipe.errors import ConfigError, ErrpipeError, Problem, did_you_mean
+from errpipe.errors import ConfigError, DataError, ErrpipeError, Problem, did_you_mean
 
 SAMPLE_BYTES = 1 << 20  # of each table that are looked at; a header row has less, too
 RAW_TABLES = (".csv", ".tsv", ".xlsx", ".xls", ".ods", ".parquet", ".tdms", ".h5", ".hdf5", ".mat", ".xml")
@@ -38,7 +38,7 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
             recording, of_source = _source(stage, pipeline, seen, data)
             all_problems += of_source
             seen[stage.label] = recording
-            places = [*_machine(stage, data), *_of_stage(stage, recording)]
+            places = [*_machine(stage, data), *_of_stage(stage, recording), *_tests(stage, pipeline, seen)]
         except ErrpipeError as err:
             places = [((), str(err))]
         for place, text in places:
@@ -50,7 +50,7 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
 
 def unjudged(pipeline: Any) -> list[Problem]:
     """Stages that export what nothing judges and do not say so: the gate of a run refuses them (exit code 4)."""
-    why = "nothing before it judges its model on rows that sat out: add a `validate` stage, or say ungated: true"
+    why = "nothing before it judges its model on held-out rows: add a `validate` stage, or say ungated: true"
     return [
         pipeline.document.problem(("stages", number), why)
         for number, stage in enumerate(pipeline.stages)
@@ -198,6 +198,22 @@ def _machine(stage: Any, data: bool) -> Iterator[tuple[Place, str]]:
             components.parse(name)
         except ValueError as err:
             yield ("without", k), str(err)
+
+
+def _tests(stage: Any, pipeline: Any, seen: Mapping[str, Recording | None]) -> Iterator[tuple[Place, str]]:
+    """Recordings that a machine is identified from say which test they are, and hold its readings."""
+    if not getattr(stage, "reads_tests", False):
+        return
+    for name in pipeline.links.get(stage.label, {}).get("recordings", ()):
+        recording = seen.get(name)
+        if recording is None or any(components.is_error_motion(c) for c in recording.components()):
+            continue
+        try:
+            text = protocols.missing_readings(recording)
+        except DataError as err:
+            text = str(err)
+        if text:
+            yield (), f"recording of {name}: {text}"
 
 
 def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, str]]:

@@ -19,7 +19,7 @@ else:
     AnyRule = RULES
 
 
-LOUD = ("blank cells", "set column aside")  # what a user is told at once; all else stands in cleaning.json
+ANNOUNCED = ("blank cells", "set column aside")  # what a user is told at once; all else stands in cleaning.json
 
 
 class Clean(Stage):
@@ -50,7 +50,9 @@ class Clean(Stage):
             cleaned, report = clean(_artefacts.recording_in(folder), self.rules)
             manifest_folder.write(cleaned, context.folder)
         context.write_json("cleaning.json", {**report.plain(), "inputs": context.fingerprint})
-        done = {d.column: f"{d.what}: {d.reason}" for r in report.rules for d in r.done if d.what in LOUD and d.column}
+        done = {
+            d.column: f"{d.what}: {d.reason}" for r in report.rules for d in r.done if d.what in ANNOUNCED and d.column
+        }
         return {"rows": report.rows_after, "removed": report.rows_before - report.rows_after, **done}
 
     def _in_pieces(self, folder: Path) -> bool:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
-LONGEST_LIST = 12  # lines of one kind in a text; the JSON document has all
+MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
 
 @dataclass
@@ -333,8 +333,8 @@ def _keys(out: Comparison, what: str, old: Mapping[str, Any], new: Mapping[str, 
     out.parts.setdefault("only_in_new", {})[what] = added
     for names, word in ((gone, "only in the old one"), (added, "only in the new one")):
         if names:
-            more = f" and {len(names) - LONGEST_LIST} more" if len(names) > LONGEST_LIST else ""
-            out.says.append(f"{what} {word}: {', '.join(names[:LONGEST_LIST])}{more}")
+            more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
+            out.says.append(f"{what} {word}: {', '.join(names[:MAX_LISTED])}{more}")
 
 
 def _ranges(out: Comparison, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:

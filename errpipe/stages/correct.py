@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,10 @@ MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
 MOVED = ("X", "Y", "Z")
 CHUNK = 1_000_000  # bytes of the program read at a time
 MAX_PRINTED_BYTES = 8_000_000  # of a program that goes to standard output
-BEYOND = 1.0  # mm; a program may overrun the ends of what was measured by so much without a remark
+MAX_OVERRUN = 1.0  # mm; a program may overrun the ends of what was measured by so much without a remark
+_TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)", re.IGNORECASE)  # surface speed, its largest rpm
+_WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
+_COMMENT = re.compile(r"\([^)]*\)?|;.*")
 MAX_LENGTH = 1e5  # mm; of an offset, a tool, a start
 
 
@@ -69,16 +73,20 @@ def correct(
         "largest_correction_um": 1e3 * summary.largest_correction,
         "largest_chord_error_um": 1e3 * summary.largest_chord_error,
     }
-    if knows_direction(compensation_table):
+    if depends_on_direction(compensation_table):
         result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
-    if not offsets:
-        result["offsets"] = "no --offset was given: G54 is taken as 0,0,0, machine coordinates"
+    if not any(option.startswith("G54=") for option in offsets):
+        result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
     beyond = [outside_validity(compensation_table, readings), outside_travel(compensation_table, low, high)]
     if any(beyond):
         result["outside_what_was_measured"] = "; ".join(filter(None, beyond))
+    beginning = next(chunks_of(program), b"").decode()
+    if whole := whole_numbers(beginning):
+        result["whole_numbers"] = whole
+    if turned := diameters(beginning):
+        result["diameters"] = turned
     if out is None:
-        corrected = b"".join(parts).decode()
-        return {**result, "program": corrected, "says": corrected.rstrip("\n")}
+        return {**result, "program": b"".join(parts).decode()}
     return {**result, "written": str(out)}
 
 
@@ -103,6 +111,29 @@ def chunks_of(program: Path) -> Iterator[bytes]:
         raise DataError("there is no such file (an NC program is needed)") from None
     except OSError as err:
         raise DataError(files.why(err)) from None
+
+
+def whole_numbers(text: str) -> str:
+    """The first length without a decimal point, in words; '' where there is none. 0 is the same in every unit."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if match := _WHOLE.search(_COMMENT.sub("", line)):
+            return (
+                f"line {number}: {match[0]} has no decimal point and is taken as a whole length, as LinuxCNC does: a "
+                "control that counts it in least increments (Fanuc 3401#0 DPI = 0) would go 1000 times further by the "
+                "corrected program"
+            )
+    return ""
+
+
+def diameters(text: str) -> str:
+    """The first word of a turning program, whose X may be a diameter, in words; '' where there is none."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if match := _TURNING.search(_COMMENT.sub("", line)):
+            return (
+                f"line {number}: {match[0].strip()} is a lathe's, and X was taken as a radius, as LinuxCNC does: where "
+                "the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the corrected program"
+            )
+    return ""
 
 
 def _refuse_large(program: Path) -> None:
@@ -158,7 +189,7 @@ def outside_travel(table: CompensationTable, low: np.ndarray, high: np.ndarray) 
     outside = []
     for axis in (a for a in MOVED if a in _sample.positions_of(table)):
         n, (first, last) = MOVED.index(axis), _sample.span(table, axis)
-        if low[n] < first - BEYOND or high[n] > last + BEYOND:
+        if low[n] < first - MAX_OVERRUN or high[n] > last + MAX_OVERRUN:
             way = f"from {round(low[n], 1):g} to {round(high[n], 1):g} mm of the machine"
             outside.append(f"{axis} goes {way}, the table from {first:g} to {last:g}: beyond, its ends hold")
     return "; ".join(outside)
@@ -175,7 +206,7 @@ def _watched(deviation: Deviation, low: np.ndarray, high: np.ndarray) -> Deviati
     return watched
 
 
-def knows_direction(table: CompensationTable) -> bool:
+def depends_on_direction(table: CompensationTable) -> bool:
     """Whether corrections depend on the direction of travel."""
     return any(n.op in ("direction", "approach") for n in table.nodes) or any(
         i.kind == "direction" for i in table.inputs
@@ -194,7 +225,7 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
 
     Where the table knows directions of travel, the mean of both.
     """
-    variants = [_in_direction(table, side) for side in (1, -1)] if knows_direction(table) else [table]
+    variants = [_in_direction(table, side) for side in (1, -1)] if depends_on_direction(table) else [table]
 
     axes = {i.axis: i.name for i in table.inputs if i.kind == "position"}
     angular = [o.name for o in table.outputs if o.axis in MOVED and o.correction_unit not in MM]

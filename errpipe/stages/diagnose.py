@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from errpipe import __version__, jsonfile
 from errpipe.diagnosis import against as earlier_findings
 from errpipe.diagnosis import diagnose as judge
+from errpipe.diagnosis.derived import with_responses
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.formats import manifest_folder
@@ -113,6 +114,7 @@ def with_simulation(
 
     Tunable parameters of an FMU are calibrated on the recording first, so that no effect is named for their errors.
     """
+    recording = with_responses(recording)
     if simulation is None:
         return recording, (), []
     file = Path(simulation)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 STATES = 500  # random poses at which table and identified machine are compared
 ROUNDING = 2e-3  # um, as `verify` allows: gridding errors are the largest seen, and profiles are rounded to 1 nm
 LATTICE = "lattice.csv"
-BEYOND = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
+OVERRUN = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
 
 
 class ExportVolumetric(SignOptions, Stage):
@@ -232,8 +232,8 @@ def _inputs(chain: Any) -> list[TableInput]:
             kind="position",
             axis=axis,
             unit=unit(axis),
-            low=low - BEYOND,
-            high=high + BEYOND,
+            low=low - OVERRUN,
+            high=high + OVERRUN,
             default=min(max(0.0, low), high),
         )
         for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True)

@@ -18,7 +18,8 @@ MACHINE = "machine.yaml"
 class Identify(Stage):
     """Solve for all components of a machine from the readings of every ingested test together.
 
-    A recording of error motions (EXX, EBX ...) is a laser or level record; any other says its protocol.
+    A recording of error motions (EXX, EBX ...) is a laser or level record; any other says its protocol
+    (docs/recordings.md lists them).
     """
 
     kind: Literal["identify"]
@@ -39,6 +40,7 @@ class Identify(Stage):
     gives: ClassVar[tuple[str, ...]] = ("identified_machine",)
     writes: ClassVar[tuple[str, ...]] = (IDENTIFICATION, MACHINE, "identification.html")
     code_version: ClassVar[int] = 3
+    reads_tests: ClassVar[bool] = True  # `errpipe check` asks each recording which test it is
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.stages import _machine_page

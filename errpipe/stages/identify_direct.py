@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
+from errpipe.domain.components import is_error_motion
 from errpipe.pipeline.stage import Context, Need
 from errpipe.stages import _artefacts
 from errpipe.stages.identify import IDENTIFICATION, Identify
@@ -28,7 +29,8 @@ class IdentifyDirect(Identify):
         from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
         from errpipe.errors import DataError
-        from errpipe.kinematics import direct, direct_model, records
+        from errpipe.kinematics import direct_model, records
+        from errpipe.kinematics.chain import compile_chain
         from errpipe.models.direct import Direct
 
         tests = _artefacts.recordings_in(context)
@@ -37,11 +39,12 @@ class IdentifyDirect(Identify):
                 raise DataError(f"{self.label}: {name} holds no error motion such as EXX or EBX; `identify` reads it")
         out = super().run(context)
         *_, last = tests.values()
-        motions = [c for c in last.components() if direct.is_motion(c)]
+        motions = [c for c in last.components() if is_error_motion(c)]
         document = jsonfile.read(context.folder / IDENTIFICATION)
-        model = direct_model.error_model(last, document, document["noise_of"])
+        machine: Machine = yamlfile.load(self.machine, Machine)
+        model = direct_model.error_model(compile_chain(machine), last, document, document["noise_of"])
         family = Direct(
-            machine=yamlfile.load(self.machine, Machine),
+            machine=machine,
             modes=document["procedure"]["modes"],
             components=tuple(motions),
             lasers={n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},

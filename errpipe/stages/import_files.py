@@ -16,8 +16,9 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import together
+from errpipe.importing import signs, together
 from errpipe.importing.across import upright
+from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from errpipe.importing.sheet import DoorOptions
 
 TABLE = "recording.csv"
-MOST_NAMED = 6  # other sheets that are named beside the one that is imported
+MAX_SHEETS_NAMED = 6  # other sheets that are named beside the one that is imported
 DIGITS = 12  # of a number in the table: more than any instrument has
 
 
@@ -91,10 +92,11 @@ def _of_any_sheet(
     out: list[tuple[Proposal, str]] = []
     problems = []
     for sheet in sheets:
-        if len(out) > MOST_NAMED:
+        if len(out) > MAX_SHEETS_NAMED:
             break
         try:
-            out.append((propose(lay_out(upright(unstacked(sheet)), door.names), options, may_be_log), sheet.name))
+            layout = with_period(lay_out(upright(unstacked(sheet)), door.names), door.period)
+            out.append((propose(layout, options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
     if not out:
@@ -181,8 +183,8 @@ def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:
     if idle:
         raise UsageError(
             f"{file}: of the format {name}, whose columns, units and sign are known: --{idle[0].replace('_', '-')} "
-            "would be ignored (allowed: --axis, --title, --machine). Where the file is wrong, mend the recording.yaml "
-            "that is written"
+            "would be ignored (allowed: --axis, --title, --machine). Where the file is wrong, correct the "
+            "recording.yaml that is written"
         )
 
 
@@ -232,7 +234,7 @@ def _commented(text: str, proposal: Proposal) -> str:
         name = line.strip().split(":", 1)[0].strip('"')
         why = proposal.guesses.get(name) if line.startswith("  ") else None
         lines.append(f"{line}  # guess, confirmed: {' '.join(why.split())}" if why else line)
-    head = ["# Written by errpipe import. Comments say what was guessed and confirmed; mend a line where it is wrong."]
+    head = ["# Written by errpipe import. Comments say what was guessed and confirmed; correct wrong lines."]
     return "\n".join([*head, *(f"# {' '.join(note.split())}" for note in proposal.notes), *lines, ""])
 
 
@@ -262,7 +264,10 @@ def _derivation(derived: dict[str, Any]) -> str:
 
 
 def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
-    """Everything implausible about the proposed recording, in words."""
+    """Everything implausible about the proposed recording, in words.
+
+    Raises DataError where the readings speak against a sign that nobody said: the other one doubles an error.
+    """
     import pandas as pd
 
     manifest = _manifest(proposal, options, [Path("x")])
@@ -276,6 +281,12 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
         out[name] = values if convert is None else convert(values)
     columns = _derived.derive(out, raw, proposal.rows, manifest)
     findings = plausibility.findings(Recording(manifest_folder.canonical(manifest), pd.DataFrame(columns)))
+    against = next((f for f in findings if f.of_sign and signs.ASSUMED in proposal.guesses.get(f.column, "")), None)
+    if against is not None:
+        raise DataError(
+            f"{against}. The file does not say its sign: say it with --sign (commanded-minus-actual, or "
+            "actual-minus-commanded)"
+        )
     return [str(f) for f in findings]
 
 

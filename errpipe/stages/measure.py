@@ -33,7 +33,7 @@ def measure(machine: Path, out: Path, without: Sequence[str], positions: int) ->
         "blocks": len(proposal.blocks),
         "positions": sum(len(b.q) for b in proposal.blocks),
         "minutes": round(proposal.minutes, 1),
-        "unseen": [u.says() for u in proposal.open],
+        "unseen": [u.sentence() for u in proposal.open],
     }
 
 

@@ -16,7 +16,8 @@ from errpipe.simulation import spindle_bar
 if TYPE_CHECKING:
     from errpipe.fitting.placement import Chosen
 
-SURE = 2.0  # standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
+# Standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
+MIN_STANDARD_ERRORS = 2.0
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
 
 
@@ -37,9 +38,7 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     for name in (error, *(n for n in (group, time) if n)):
         if name not in frame.columns:
             hint = did_you_mean(name, list(frame.columns))
-            hint = (
-                hint or " (--group names the column of duty cycles, of which some sit out)" if name == group else hint
-            )
+            hint = hint or " (--group names the column of duty cycles)" if name == group else hint
             raise DataError(f"{file}: no column {name!r}{hint}")
     remaining = [n for n in frame.columns if n not in (error, group, time)]
     names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
@@ -89,7 +88,7 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -
     best = min(s.rms_left_out for s in sets)
     smallest = next(s for s in sets if s.rms_left_out <= best * placement.ENOUGH)
     gain = np.array([np.mean(error[labels == n] ** 2) - smallest.groups[str(n)] ** 2 for n in np.unique(labels)])
-    significant = gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(gain.size)
+    significant = gain.mean() > MIN_STANDARD_ERRORS * gain.std(ddof=1) / np.sqrt(gain.size)
     chosen = [names[k] for k in smallest.places] if significant else []
     document: dict[str, Any] = {
         "place": 1,
@@ -120,5 +119,5 @@ def _undecided(best: Chosen, nothing: float, cycles: int) -> str:
         return "no sensor is better than doing nothing"
     return (
         f"choose none: {cycles} duty cycles are too few or too unlike to show that {best.rms_left_out:.4g} "
-        f"instead of {nothing:.4g} is more than chance (a gain of {SURE:g} standard errors is asked for)"
+        f"instead of {nothing:.4g} is more than chance (a gain of {MIN_STANDARD_ERRORS:g} standard errors is asked for)"
     )

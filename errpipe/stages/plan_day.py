@@ -17,7 +17,7 @@ from errpipe.fitting.noise_floor import noise_floor
 from errpipe.formats import manifest_folder
 
 NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
-LEAST_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
+MIN_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
 MOST_LINES = 12  # candidates that are printed; the document has all
 
 
@@ -152,7 +152,7 @@ def from_speeds(
     used = np.vstack([design.basis(p, options) for p in design.usage(options)])
     before = design.uncertainty(design.information(days, options), used)
     after = design.uncertainty(design.information([*days, proposed], options), used)
-    worth = after < (1.0 - LEAST_GAIN) * before and before > noise
+    worth = after < (1.0 - MIN_GAIN) * before and before > noise
     document: dict[str, Any] = {
         "plan_day": 1,
         "days_done": len(days),

@@ -9,11 +9,13 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from errpipe import jsonfile
+from errpipe.domain.protocols import PROTOCOLS
 from errpipe.domain.recording import ROLE_UNITS, Column, Constant, Manifest
 from errpipe.errors import UsageError, did_you_mean
 from errpipe.terms import example_of
@@ -192,6 +194,39 @@ def _recordings() -> Iterator[str]:
     yield ""
     yield "## Constants of the set-up"
     yield from _options(Constant)
+    yield ""
+    yield from _protocols()
+
+
+def _protocols() -> Iterator[str]:
+    yield "## Tests of a machine"
+    yield ""
+    yield inspect.cleandoc("""
+        `identify` reads laser and level records of error motions (columns of components EXX, EYX, EBX ... over the
+        axis' position) as they are. Any other recording names its test, and has `run`, a position for each axis that
+        moves, and the readings:
+
+        ```yaml
+        constants:
+          protocol: {value: point_cloud}
+          tool_length: {value: 120, unit: mm}      # from the spindle nose to ball or probe; default: the machine file's
+        columns:
+          run: {role: run}
+          x:   {role: position, axis: X, unit: mm}
+          y:   {role: position, axis: Y, unit: mm}
+          z:   {role: position, axis: Z, unit: mm}
+          ex:  {role: error, component: E_X, unit: um}
+          ey:  {role: error, component: E_Y, unit: um}
+          ez:  {role: error, component: E_Z, unit: um}
+        ```
+
+        Positive: the tool is too far on the positive side of the workpiece, in the workpiece's frame. Any constant may
+        be of one run: `socket_X@3` holds for run 3. Constants in mm; `seconds` is how long a run took.
+        """)
+    yield ""
+    head = ("protocol", "what is read", "error columns, one or more", "constants")
+    rows = ((f"`{n}`", p.measures, ", ".join(p.errors), p.constants) for n, p in PROTOCOLS.items())
+    yield from _table(head, rows)
 
 
 PAGES: Mapping[str, tuple[str, str, Callable[[], Iterator[str]]]] = {
@@ -283,6 +318,7 @@ columns:
 }
 
 
+@cache
 def page(name: str) -> str:
     """One reference page as Markdown. Raises UsageError for a name that is none of PAGES."""
     if name not in PAGES:

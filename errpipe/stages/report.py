@@ -357,7 +357,7 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
 
 def _next_step(exported: Mapping[str, Any], refusal: str = "") -> str:
     if refusal:
-        return "read why the export was refused; mend the recording or the model, then errpipe run again."
+        return "read why the export was refused; correct the recording or the model, then errpipe run again."
     if not exported:
         return "add an export stage to compile this model into a table that a controller runs."
     if any("/" in row["file"] for document in exported.values() for row in document["files"]):

@@ -252,7 +252,7 @@ def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
     from errpipe.validation.retraining import Gate
 
     read = sorted(d["column"] for d in drift["inputs"] if d["blamed"] and d["column"] in model.columns)
-    says = f"drifting: {', '.join(read)}; mend or replace it first" if read else "no sensor of the challenger drifts"
+    says = f"drifting: {', '.join(read)}; repair or replace it first" if read else "no sensor of the challenger drifts"
     return Gate("sensors", not read, says)
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe.errors import UsageError, VerifyError
+from errpipe.errors import GateError, UsageError, VerifyError, did_you_mean
 from errpipe.registry import minisign
 from errpipe.stages import _artefacts
 
 if TYPE_CHECKING:
+    from errpipe.domain.table import CompensationTable
     from errpipe.registry.store import Entry, Registry
 
 MAX_WHY = 500  # characters of a reason
@@ -59,9 +61,20 @@ def identity(table: Path) -> str:
 
 
 def promote(
-    registry: Path, machine: str, table: Path, why: str, secret: Path, public: Path, time: str | None
+    registry: Path,
+    machine: str,
+    table: Path,
+    why: str,
+    secret: Path,
+    public: Path,
+    time: str | None,
+    other_outputs: bool = False,
 ) -> dict[str, Any]:
-    """Put a table on record as the one of a machine. Raises GateError where another writer was first."""
+    """Put a table on record as the one of a machine.
+
+    other_outputs: the table may correct other axes, or be made for another machine, than the one that it replaces.
+    Raises GateError where it does so without, or where another writer was first.
+    """
     from errpipe import files
     from errpipe.registry.store import MAX_OBJECT_BYTES
 
@@ -69,8 +82,35 @@ def promote(
     past = store.history(machine)
     name = identity(table)
     data = files.read(table, MAX_OBJECT_BYTES, UsageError)
-    entry = store.append(machine, "promote", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
+    if past and not other_outputs:
+        _same_kind(store.table(past[-1].table), _artefacts.read_table(table), machine, table)
+    when = _time_after(past, time)
+    entry = store.append(machine, "promote", data, _why(why), when, minisign.read_secret(secret), len(past))
     return _row(entry, store) | {"says": [f"machine {machine}: table {name} is entry {entry.number}"]}
+
+
+def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
+    """Raises GateError where a table is of another machine, or corrects other axes, than the one that it replaces.
+
+    A controller runs one table: a table of Y alone in place of that of X ends the compensation of X.
+    """
+    from errpipe.tables import ect
+
+    old = ect.loads_any(before)
+    if old.machine and table.machine and old.machine != table.machine:
+        told = f"was made for {table.machine!r}, the one on record for {old.machine!r}"
+    elif _outputs(old) != _outputs(table):
+        told = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a machine's table is replaced whole"
+    else:
+        return
+    raise GateError(
+        f"machine {machine}: {path} {told}. Give it a name of its own in the registry, or say --other-outputs"
+    )
+
+
+def _outputs(table: CompensationTable) -> str:
+    """What a table corrects, in words, such as `E_X (axis X), E_Y (axis Y)`."""
+    return ", ".join(sorted(f"{o.name} (axis {o.axis})" if o.axis else o.name for o in table.outputs))
 
 
 def rollback(
@@ -92,9 +132,10 @@ def rollback(
         raise UsageError(f"machine {machine} has no history in {registry}")
     earlier = [e for e in past if e.table != past[-1].table] if to is None else [e for e in past if e.number == to]
     if not earlier:
+        store.table(past[-1].table)  # one that was changed is refused as such, whatever was asked
         raise UsageError(f"machine {machine}: no earlier table to go back to (entries: 1 to {len(past)})")
-    data = store.table(earlier[-1].table)
-    entry = store.append(machine, "rollback", data, _why(why), _time(time), minisign.read_secret(secret), len(past))
+    data, when = store.table(earlier[-1].table), _time_after(past, time)
+    entry = store.append(machine, "rollback", data, _why(why), when, minisign.read_secret(secret), len(past))
     if out is not None:
         jsonfile.write_bytes(out, data)
     return _row(entry, store) | {
@@ -103,20 +144,26 @@ def rollback(
 
 
 def log(registry: Path, machine: str | None, at: str | None, file: Path | None, public: Path) -> dict[str, Any]:
-    """A machine's history, what was on it at a time, or which entries a file found on a controller belongs to."""
+    """A machine's history, what was on it at a time, or which entries a file found on a controller belongs to.
+
+    Raises UsageError where there is no registry, or no machine of that name in it.
+    """
     store = _registry(registry, public)
-    rows = [
-        _row(e, store) for name in ([machine] if machine is not None else store.machines()) for e in store.history(name)
-    ]
+    known = store.machines()
+    if not known:
+        raise UsageError(f"{registry}: no registry here (`errpipe promote` begins one)")
+    if machine is not None and machine not in known:
+        raise UsageError(f"machine {machine} has no history in {registry}.{did_you_mean(machine, known)}")
+    rows = [_row(e, store) for name in ([machine] if machine is not None else known) for e in store.history(name)]
     if file is not None:
         wanted = identity(file)
-        rows = [row for row in rows if row["identity"] == wanted]
-        if not rows:
+        if all(row["identity"] != wanted for row in rows):
             raise VerifyError(f"{file}: table {wanted} was never on record in {registry}")
-    if at is not None:
+    if at is not None:  # before the file: another table may have taken its place by then
         then = _time(at)
         last = {row["machine"]: row for row in rows if row["time"] <= then}
         rows = list(last.values())
+    rows = [row for row in rows if file is None or row["identity"] == wanted]
     lines = [
         f"{r['machine']} {r['number']:>4}  {r['time']}  {r['action']:<8}  table {r['identity']}  {r['why']}"
         for r in rows
@@ -133,18 +180,24 @@ def _registry(folder: Path, public: Path) -> Registry:
 def _row(entry: Entry, store: Registry) -> dict[str, Any]:
     from errpipe.tables import ect
 
-    data = store.table(entry.table)
-    try:
-        name = ect.fingerprint(ect.loads(data))
-    except VerifyError:  # a JSON twin
-        name = entry.table[:8]
-    return entry.plain() | {"identity": name}
+    return entry.plain() | {"identity": ect.fingerprint(ect.loads_any(store.table(entry.table)))}
 
 
 def _why(text: str) -> str:
     if not text.strip() or len(text) > MAX_WHY or not text.isprintable():
         raise UsageError(f"--why: one printable line of at most {MAX_WHY} characters is needed")
     return text.strip()
+
+
+def _time_after(past: Sequence[Entry], text: str | None) -> str:
+    """The time of a new entry. Raises UsageError where this host's clock has not come to that of the last one."""
+    time = _time(text)
+    if text is None and past and time < past[-1].time:
+        raise UsageError(
+            f"this host's clock says {time}, which is before entry {past[-1].number} ({past[-1].time}): one of them"
+            " is wrong, and `log --at` would go by it. Set the clock, or say --time."
+        )
+    return time
 
 
 def _time(text: str | None) -> str:

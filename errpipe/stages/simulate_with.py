@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -37,7 +38,7 @@ class SimulateWith(Stage):
             recording, self.by, self.file, self._model(context), context.progress
         )
         manifest_folder.write(with_twins, context.folder)
-        document = {"twin": 1, "by": self.by.kind, "twins": [t.plain() for t in twins], "figures": figures}
+        document = {"twin": 1, "by": self.by.kind, "twins": [asdict(t) for t in twins], "figures": figures}
         context.write_json("twin.json", {**document, "inputs": context.fingerprint})
         return {t.component: f"{t.with_twin} of {t.rows} rows simulated by {t.source}" for t in twins}
 

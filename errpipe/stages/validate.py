@@ -23,7 +23,7 @@ class Validate(Stage):
     """
 
     kind: Literal["validate"]
-    holdout: HoldOut | None = Field(None, description="Who sits out of an error model's fit; default: as the fit says.")
+    holdout: HoldOut | None = Field(None, description="Rows held out of an error model's fit; default: as in the fit.")
     iso230_2: bool = Field(False, description="Add the figures of ISO 230-2 (bidirectional positioning tests).")
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
@@ -85,7 +85,7 @@ def _of_machine(context: Context, folder: Path) -> dict[str, Any]:
 
 def _between(figures: Mapping[str, Any]) -> str:
     groups = len(figures["groups"])
-    return f"{figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on readings that sat out, {groups} groups"
+    return f"{figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on held-out readings, {groups} groups"
 
 
 def headline(component: Mapping[str, Any]) -> str:

@@ -100,7 +100,7 @@ def _report(file: Path) -> dict[str, Any] | None:
     return {"kind": "report", "title": html.unescape(title.group(1)), "errpipe": version.group(1)}
 
 
-MOST_CONTROLLER_BYTES = 4 << 20  # a larger file is not tried as a controller's
+MAX_CONTROLLER_BYTES = 4 << 20  # a larger file is not tried as a controller's
 
 
 def controller_curves(file: Path) -> list[tuple[Any, list[Any]]]:
@@ -109,7 +109,7 @@ def controller_curves(file: Path) -> list[tuple[Any, list[Any]]]:
 
     if file.suffix in TABLE_SUFFIXES and file.parent.name not in [t.name for t in TARGETS]:
         return []  # any table of numbers would pass
-    if file.stat().st_size > MOST_CONTROLLER_BYTES:
+    if file.stat().st_size > MAX_CONTROLLER_BYTES:
         return []
     text = file.read_bytes().decode("utf-8", "replace")
     readings = []

@@ -49,11 +49,7 @@ def write_json(table: t.CompensationTable, path: Path) -> bool:
 
 def read_json(path: Path) -> t.CompensationTable:
     """Read the JSON twin. Raises VerifyError saying what is wrong with it."""
-    content = jsonfile.read(path)
-    try:
-        return t.CompensationTable.model_validate(content)
-    except ValidationError as err:
-        raise VerifyError(f"{path}: {first_problem(err)}") from None
+    return _of_json(jsonfile.read(path), path)
 
 
 def read_any(path: Path) -> t.CompensationTable:
@@ -66,6 +62,18 @@ def read_any(path: Path) -> t.CompensationTable:
     except OSError as err:
         raise VerifyError(f"{path}: {files.why(err)}") from None
     return read_json(path) if start == b"{" else read(path)
+
+
+def loads_any(data: bytes) -> t.CompensationTable:
+    """The table in the bytes of either twin. Raises VerifyError."""
+    return _of_json(jsonfile.loads(data, "JSON twin"), "JSON twin") if data[:1] == b"{" else loads(data)
+
+
+def _of_json(content: Any, path: Path | str) -> t.CompensationTable:
+    try:
+        return t.CompensationTable.model_validate(content)
+    except ValidationError as err:
+        raise VerifyError(f"{path}: {first_problem(err)}") from None
 
 
 def fingerprint(table: t.CompensationTable) -> str:

@@ -27,6 +27,9 @@ CAUTION = "experimental: rests on experience, not on a manual or a run; prove th
 # Unit of formats whose numbers a control reads in the unit that the axis is set to.
 AS_THE_AXIS = "mm (deg for rotary axes): the axis must count in mm (deg); set to inches it would take them 25.4 times"
 
+# Of a control's own backlash value, where the table of an axis is the same in both directions.
+KEPT_BACKLASH = "stays as it was while measuring (the table knows no lost motion)"
+
 REMARK = "errpipe remark: "  # prefix of the comment with a file's origin
 
 

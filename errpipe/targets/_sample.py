@@ -225,6 +225,11 @@ def spread(low: float, high: float, count: int) -> np.ndarray:
     return np.sort(np.r_[low, high, low + (high - low) * (np.arange(1, count - 1) * 0.6180339887498949 % 1.0)])
 
 
+def unit_of(axis: str) -> str:
+    """Unit of the positions and corrections of an axis."""
+    return "deg" if axis[0] in "ABC" else "mm"
+
+
 def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
     """`span`, or (0, 0) for an axis whose position the table does not read."""
     return span(table, axis) if axis in positions_of(table) else (0.0, 0.0)
@@ -249,6 +254,14 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
             c = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
             means[axis] = float((c.up - c.down).mean())
     return {axis: value for axis, value in means.items() if abs(value) >= LEAST_REVERSAL}
+
+
+def knows_sides(table: CompensationTable, axis: str) -> bool:
+    """Whether the correction of an axis over its own position depends on the direction of travel."""
+    if axis not in positions_of(table):
+        return False
+    sampled = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
+    return float(np.abs(sampled.up - sampled.down).max()) > 0.0
 
 
 def reversal(axis: str, lost: float, low: float, high: float) -> Curve:

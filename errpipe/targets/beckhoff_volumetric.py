@@ -41,6 +41,7 @@ class BeckhoffVolumetric(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
+        _refuse_other_signs(table)
         blocks = []
         for axis, name in _sample.positions_of(table).items():
             own = [c for c in table.components if _axis_of(c.name) == axis]
@@ -63,6 +64,17 @@ class BeckhoffVolumetric(Target):
                     value = -rows[:, column] * _sample.MACHINE_UNITS["rad" if parsed.unit == "urad" else "mm"]
                     curves.append(Curve(names[0], names[0], rows[:, 0], value, value))
         return ReadBack(curves=tuple(curves))
+
+
+def _refuse_other_signs(table: CompensationTable) -> None:
+    """Raise GateError for components that count against their axis: the controller would move it the wrong way."""
+    for output in table.outputs:
+        for term in (t for t in output.terms if output.axis and not t.factors and t.weight < 0):
+            if _axis_of(term.component) == output.axis == term.component[1:2]:
+                raise GateError(
+                    f"beckhoff_volumetric: {term.component} of this machine file counts against the motion of "
+                    f"{output.axis} (errors_of: carriage, or a direction against its letter), in the file it would not"
+                )
 
 
 def _axis_of(component: str) -> str | None:

@@ -36,7 +36,7 @@ class FagorLscrw(ScrewMap):
     source = "Fagor CNC 8055 / 8055i installation manual V02.2X, 7.5.7 (p. 328)"
     activation = (
         "axis parameters: LSCRWCOM (P15) = ON, NPOINTS (P16) = the number of points; enter the table; reset",
-        "BACKLASH (P14) = 0 where the minus column is in use, else lost motion acts twice",
+        "BACKLASH (P14), the control's backlash value, as below",
         "home; compare three points from both sides with a gauge",
     )
 
@@ -48,10 +48,10 @@ class FagorLscrw(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        return tuple(
-            ByHand(f"{c.axis}: NPOINTS (P16) = {points_in_file(c)}, BACKLASH (P14) = 0, and each line of the file")
-            for c in read.curves
+        lines = (
+            ByHand(f"{c.axis}: NPOINTS (P16) = {points_in_file(c)}, and each line of the file") for c in read.curves
         )
+        return (*lines, *super().by_hand(table, read, others))
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -9,24 +9,29 @@ Points    parameter 3620 is the number of the point at the reference position (m
           that of the reference position and holds the value of the highest, and the values behind it add up to
           nothing (same manual, p. 100: 45 deg apart from point 60 on, points 60 to 68, equal values at 60 and 68).
 Rounding  the running sum is rounded, not each step, so errors do not add up.
+Steps     a control that does not interpolate puts all pulses of a point out at once, so that as much is wrong between
+          points: the interval is made so short that a point has one pulse, where the number of points and the rapid
+          traverse allow it (shortest interval in mm: rapid traverse in mm/min / 7500, parameter 3624).
 Limits    -7..+7 per point (16i, 0i), 1024 points in all; direction needs parameter 3605#0 and a second set.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import VerifyError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, Curve, Points, ReadBack, every_turn, expect, too_many
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, every_turn, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
 LARGEST, MOST = 7, 1024  # pulses of one increment; points
+TO_INTERVAL = 7500  # mm/min (deg/min) of rapid traverse per mm (deg) of the interval, parameter 3624
+SHORTEST = {"mm": 4.0, "deg": 2.0}  # interval for 30 m/min and 42 rpm; shorter only where values need it
 SPARE = 3  # points that a grid laid around the reference may need more than one laid from the end of travel
 FILE = "PITCH.TXT"
 
@@ -54,6 +59,10 @@ class FanucPitch(ScrewMap):
     )
 
     @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        return (*super().by_hand(table, read, others), *(ByHand(_steps(c)) for c in read.curves))
+
+    @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         axes = cls.own_axes(table)
         most = MOST // (2 * len(axes))
@@ -78,24 +87,51 @@ class FanucPitch(ScrewMap):
 
 
 def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int, left: float) -> Curve:
-    """A grid so fine that no step between points exceeds the format's largest; a point of it is the reference, 0."""
+    """A grid so fine that no point has more than one pulse, or as few as can be; one of it is the reference, 0."""
     low, high = _sample.span(table, axis)
-    count = points.count
+    turns, count = _sample.turns(table, axis), points.count
+    best, largest = None, LARGEST + 1
     while True:
-        if _sample.turns(table, axis):
-            count = 1 + min(n for n in _sample.TURN_INTERVALS if n >= count - 1)
-            numbers, step = np.arange(count), TURN / (count - 1)
-        else:
-            step = np.ceil((high - low) / (count - 1) * 1e3) / 1e3  # the interval is a whole number of micrometres
-            # A reference outside the travel is reached by points that change nothing; one point lies below it always.
-            numbers = _sample.around_zero(low, high, float(step))
-        below, x = int(numbers[0]), step * numbers
+        count = _of_turn(count) if turns else count
+        x = _around_reference(low, high, count, turns)
+        enough = best is not None and float(x[1] - x[0]) < SHORTEST[_sample.unit_of(axis)]
+        if x.size > most or enough:
+            break
         curve = _sample.at_nodes(table, axis, axis, x)
-        if max(np.abs(np.diff(_pulses(v, -below))).max() for v in (curve.up, curve.down)) <= LARGEST and x.size <= most:
-            return curve
-        if count >= most - SPARE or x.size > most:
-            raise too_many("fanuc_pitch", max(count + 1, x.size), most, left)
+        zero = int(np.abs(x).argmin())
+        pulses = max(int(np.abs(np.diff(_pulses(v, zero))).max()) for v in (curve.up, curve.down))
+        if pulses < largest:
+            best, largest = curve, pulses
+        if largest <= 1 or count >= most - SPARE:
+            break
         count = min(most - SPARE, count + max(1, count // 4))
+    if best is None:
+        raise too_many("fanuc_pitch", max(count + 1, x.size), most, left)
+    return best
+
+
+def _of_turn(count: int) -> int:
+    """Points that divide a turn into whole micrometres, at least so many."""
+    return 1 + min((n for n in _sample.TURN_INTERVALS if n >= count - 1), default=_sample.TURN_INTERVALS[-1])
+
+
+def _around_reference(low: float, high: float, count: int, turns: bool) -> np.ndarray:
+    """Positions in whole intervals from the reference, which is one of them, mm (deg); at least so many over travel."""
+    if turns:
+        return TURN / (count - 1) * np.arange(count)
+    step = float(np.ceil((high - low) / (count - 1) * 1e3) / 1e3)  # the interval is a whole number of micrometres
+    # A reference outside the travel is reached by points that change nothing; one point lies below it always.
+    return step * _sample.around_zero(low, high, step)
+
+
+def _steps(curve: Curve) -> str:
+    """How long the interval is, and how many pulses come at once, in words."""
+    interval = float(curve.positions[1] - curve.positions[0])
+    pulses = max(float(np.abs(np.diff(v)).max()) for v in (curve.up, curve.down)) / UNIT
+    return (
+        f"{curve.axis}: rapid traverse at most {interval * TO_INTERVAL:.0f} {_sample.unit_of(curve.axis)}/min (3624); "
+        f"a point has at most {pulses:.0f} pulses: so much more is left where the control does not interpolate"
+    )
 
 
 def _pulses(correction: np.ndarray, reference: int) -> np.ndarray:

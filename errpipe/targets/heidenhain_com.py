@@ -19,7 +19,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, ByHand, Curve, Points, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, KEPT_BACKLASH, ByHand, Curve, Points, ReadBack, Target, expect
 
 MOST = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
@@ -65,8 +65,10 @@ class HeidenhainCom(Target):
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         own = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over)
+        says = {True: "= 0, else lost motion acts twice", False: KEPT_BACKLASH}
         return tuple(
-            ByHand(f"{axis}: the control's own backlash (iTNC: MP710) = 0, else lost motion acts twice") for axis in own
+            ByHand(f"{axis}: the control's own backlash (iTNC: MP710) {says[_sample.knows_sides(table, axis)]}")
+            for axis in own
         )
 
     @classmethod

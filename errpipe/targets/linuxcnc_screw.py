@@ -40,9 +40,13 @@ class LinuxcncScrew(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        out = [ByHand(f"[JOINT_n] of {c.axis}: no BACKLASH (the file holds both directions)") for c in read.curves]
+        says = {
+            True: "no BACKLASH (the file holds both directions)",
+            False: "no BACKLASH acts beside COMP_FILE, and the table knows no lost motion: measure both directions",
+        }
+        out = [ByHand(f"[JOINT_n] of {c.axis}: {says[_sample.knows_sides(table, c.axis)]}") for c in read.curves]
         out += [
-            ByHand(f"{c.axis}: WRAPPED_ROTARY counts on beyond a turn, where the file holds its end; unwind the joint")
+            ByHand(f"{c.axis}: with WRAPPED_ROTARY the joint counts on: unwind it, or take the HAL component")
             for c in read.curves
             if _sample.turns(table, c.axis)
         ]

@@ -33,13 +33,15 @@ class Mach4ScrewMap(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        return tuple(
-            ByHand(
-                f"{c.axis}: start {c.positions[0]:g}, length {c.positions[-1] - c.positions[0]:g}, "
-                f"{c.positions.size} points, backlash 0, and each Error line of the file"
-            )
+        numbers = (
+            f"start {c.positions[0]:g}, length {c.positions[-1] - c.positions[0]:g}, {c.positions.size} points"
             for c in read.curves
         )
+        lines = (
+            ByHand(f"{c.axis}: {says}, and each Error line of the file")
+            for c, says in zip(read.curves, numbers, strict=True)
+        )
+        return (*lines, *super().by_hand(table, read, others))
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

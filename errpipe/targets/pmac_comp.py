@@ -5,7 +5,8 @@ Value     whole sixteenths of a count. COMP: added to the motor in both directio
           so what the correction upwards exceeds that downwards. That a positive COMP entry moves the motor in plus is
           read off "adds its correction to this motor" (user manual, Leadscrew Compensation): prove it on the machine.
 Order     entry 1 belongs to one spacing from the motor's zero, the last one to zero itself; a position below zero is
-          rolled over by the length of the table, so positions below zero are the upper entries.
+          rolled over by the length of the table, so positions below zero are the upper entries. Beyond its ends the
+          table begins again: one entry at either end holds the value there, further the axis must not go.
 Turns     the table of an axis that turns on is one turn long and rolls over (user manual p. 80).
 Limits    10000 counts per mm (deg) are taken: for another resolution multiply lengths and entries. Tables are defined
           from the highest motor to the lowest. I51 = 1 enables them.
@@ -59,7 +60,8 @@ class PmacComp(ScrewMap):
             low, high = _sample.span(table, axis)
             step = int(np.ceil(points.step * COUNTS - 1e-6))
             turns = _sample.turns(table, axis)
-            at = np.arange(points.count - 1) if turns else _sample.around_zero(low, high, step / COUNTS)
+            way = step / COUNTS  # one entry more at either end holds its value; behind that the table begins again
+            at = np.arange(points.count - 1) if turns else _sample.around_zero(low - way, high + way, way)
             if at.size > 2 * cls.most:
                 raise too_many(cls.name, at.size, 2 * cls.most, error)
             blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))
@@ -67,10 +69,15 @@ class PmacComp(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        return tuple(
-            ByHand(f"{axis}: leave I{number}86, the motor's backlash, as the file sets it: its tables count from there")
-            for number, axis in cls.own_axes(table)
-        )
+        out = []
+        for number, axis in cls.own_axes(table):
+            says = f"leave I{number}86, the motor's backlash, as the file sets it: its tables count from there"
+            out.append(ByHand(f"{axis}: {says}"))
+            if not _sample.turns(table, axis):
+                low, high = next((c.positions[0], c.positions[-1]) for c in read.curves if c.axis == axis)
+                says = f"software limits (I{number}13, I{number}14) within {low:g} to {high:g} {_sample.unit_of(axis)}"
+                out.append(ByHand(f"{axis}: {says}: beyond, the table begins again at its other end"))
+        return tuple(out)
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:

@@ -29,6 +29,7 @@ from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import (
     CAUTION,
+    KEPT_BACKLASH,
     ByHand,
     Curve,
     NothingToAddError,
@@ -126,12 +127,16 @@ class SinumerikCec(Target):
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         most = max([points_in_file(c) for c in read.curves] + [x.size for p in read.products for x in p.positions])
         out = [ByHand(f"MD18342 MM_CEC_MAX_POINTS of each table = {most} or more")]
-        both = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over and not np.array_equal(c.up, c.down))
-        out += [ByHand(f"{axis}: MD32450 BACKLASH = 0 (the tables hold both directions)") for axis in both]
+        both = {c.axis: _sample.knows_sides(table, c.axis) for c in read.curves if c.axis == c.over}
+        says = {True: "= 0 (the tables hold both directions)", False: KEPT_BACKLASH}
+        out += [ByHand(f"{axis}: MD32450 BACKLASH {says[knows]}") for axis, knows in both.items()]
         for axis in read.axes():
             own = [np.abs([c.up, c.down]).max() for c in read.curves if c.axis == axis]
             out.append(
-                ByHand(f"{axis}: MD32720 CEC_MAX_SUM above {float(sum(own)):.4f} mm (the tables' largest values)")
+                ByHand(
+                    f"{axis}: MD32720 CEC_MAX_SUM above {float(sum(own)):.4f} {_sample.unit_of(axis)} (the tables' "
+                    "largest values)"
+                )
             )
         return tuple(out)
 

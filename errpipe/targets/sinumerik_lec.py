@@ -17,7 +17,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, Curve, ReadBack, every_turn, expect, points_in_file
+from errpipe.targets._base import KEPT_BACKLASH, ByHand, Curve, ReadBack, every_turn, expect, points_in_file
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -52,10 +52,14 @@ class SinumerikLec(ScrewMap):
         for number, axis in cls.own_axes(table):
             curve = next(c for c in read.curves if c.axis == axis)
             out.append(ByHand(f"AX{number} ({axis}): MD38000 MM_ENC_COMP_MAX_POINTS = {points_in_file(curve)} or more"))
+            if not _sample.knows_sides(table, axis):
+                out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH {KEPT_BACKLASH}"))
+                continue
             value = 0.0 if "sinumerik_cec" in others else lost.get(axis, 0.0)  # its tables hold both directions
             side = "; above 0: the encoder runs ahead of the table" if value > 0 else ""
             part = _sample.reversal(axis, value, *_sample.span(table, axis)) if value else None
-            out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH = {value + 0.0:.4f} mm{side}", part))
+            unit = _sample.unit_of(axis)
+            out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH = {value + 0.0:.4f} {unit}{side}", part))
         return tuple(out)
 
     @classmethod

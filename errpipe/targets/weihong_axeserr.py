@@ -34,7 +34,7 @@ class WeihongAxeserr(ScrewMap):
     source = "EasyRoute manufacturer's manual p. 68; NK200 manual p. 64, 65 (table 3-2)"
     activation = (
         "copy the file to the installation folder (NK200: from a USB disk); restart the software",
-        "parameter: screw error compensation 2 (both directions); the separate backlash value off, else it acts twice",
+        "parameter: screw error compensation 2 (both directions); the separate backlash value as below",
         "compare three points from both sides with a gauge",
     )
 

@@ -10,7 +10,7 @@ from errpipe.domain.driver import Affine, Clip, Driver, Input, Lookup
 
 STEEP = 1e9  # slope at which a clipped line is a sign: inputs are never as small as 1e-9 of their unit, unless 0
 CURVE_POINTS = 1200  # linear interpolation then leaves less than 1e-4 of a tanh or a bell over its range
-FAR = 1e12  # no input is larger
+MAX_INPUT = 1e12  # no input is larger
 
 
 def times(driver: Driver, weight: float, offset: float = 0.0) -> Affine:
@@ -25,7 +25,7 @@ def sign(name: str) -> Clip:
 
 def magnitude(name: str) -> Lookup:
     """Absolute value of an input."""
-    return Lookup(start=-FAR, step=FAR, values=(FAR, 0.0, FAR), of=Input(name=name))
+    return Lookup(start=-MAX_INPUT, step=MAX_INPUT, values=(MAX_INPUT, 0.0, MAX_INPUT), of=Input(name=name))
 
 
 def curve(name: str, shape: Callable[[np.ndarray], np.ndarray], reach: float) -> Lookup:

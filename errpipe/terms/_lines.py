@@ -7,19 +7,23 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
-FEWEST_TURNS = 2.5  # turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
+# Turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
+MIN_TURNS_OF_WAVE = 2.5
 STRONGEST = 12  # waves kept of each signal
 MOST_LINES = 6  # waves of one signal
-APART = 1.0  # turns over the positions covered by which two lines differ at least: nearer ones would cancel each other
-LEAST = 30.0  # power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
-LEAST_BASE = 6.0  # turns of the base within the positions covered: with fewer every line is near some multiple of it
-MOST_ORDER = 100  # highest multiple of a base that is looked for
+# Turns over the positions covered by which two lines differ at least: nearer ones would cancel each other
+MIN_SEPARATION = 1.0
+# Power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
+MIN_POWER_RATIO = 30.0
+# Turns of the base within the positions covered: with fewer every line is near some multiple of it
+MIN_BASE_TURNS = 6.0
+MAX_ORDER = 100  # highest multiple of a base that is looked for
 NEAR = 0.35  # turns over the positions covered by which a line may miss a multiple of the base
 NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
 FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
-FASTEST_WAVE = 2.0  # waves within the mean step between places, the most that uneven places are asked about
+MAX_WAVES_PER_STEP = 2.0  # waves within the mean step between places, the most that uneven places are asked about
 FOLDED = 0.5  # share of the residual of longer waves that one shorter than two steps, an alias else, must go below
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
@@ -39,8 +43,8 @@ def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...
 def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
     """Frequencies (1/length) of the strongest waves along `at`, strongest first, to a quarter turn over the span.
 
-    From twice the step between places to the positions covered over FEWEST_TURNS. Periodogram of the means of narrow
-    cells, padded fourfold; a cubic is subtracted first.
+    From twice the step between places to the positions covered over MIN_TURNS_OF_WAVE. Periodogram of the means of
+    narrow cells, padded fourfold; a cubic is subtracted first.
     """
     places = np.unique(at)
     span = float(places[-1] - places[0]) if places.size > 1 else 0.0
@@ -59,7 +63,7 @@ def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
     weight = np.sqrt(rows_in)
     if inside.sum() > 4:
         mean[inside] -= np.polyval(np.polyfit(place[inside], mean[inside], 3, w=weight[inside]), place[inside])
-    allowed = (frequency >= FEWEST_TURNS / span) & (frequency <= 1 / shortest)
+    allowed = (frequency >= MIN_TURNS_OF_WAVE / span) & (frequency <= 1 / shortest)
     power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
     tops = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
     return frequency[tops[np.argsort(-power[tops], kind="stable")][:most]]
@@ -70,8 +74,9 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
 
     Rows of one place share its error, so places are counted, not rows: beside a cubic, P places and a wave that leaves
     the share q of the sum of squares, chance leaves as little with q^((P - 6) / 2) times the number of frequencies
-    (F test; Lomb-Scargle false-alarm probability). From FEWEST_TURNS to half the mean step between places: uneven ones
-    tell apart what even ones alias. A wave shorter than two steps must leave less than FOLDED of what longer ones do.
+    (F test; Lomb-Scargle false-alarm probability). From MIN_TURNS_OF_WAVE to half the mean step between places: uneven
+    places distinguish waves that even places alias. A wave shorter than two steps must leave less than FOLDED of what
+    longer ones do.
     """
     places, index = np.unique(at, return_inverse=True)
     free = places.size - 6
@@ -79,8 +84,8 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
         return np.zeros(0)
     mean = np.bincount(index, signal) / np.bincount(index)
     span = float(places[-1] - places[0])
-    highest = FASTEST_WAVE * (places.size - 1) / span
-    frequency = np.arange(FEWEST_TURNS / span, highest * (1 + 1e-9), 0.125 / span)
+    highest = MAX_WAVES_PER_STEP * (places.size - 1) / span
+    frequency = np.arange(MIN_TURNS_OF_WAVE / span, highest * (1 + 1e-9), 0.125 / span)
     cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
     rest = _residual(cubic, mean)
     left = np.array([_squares(_residual(_residual(cubic, waves(places, f)), rest)) for f in frequency])
@@ -121,9 +126,9 @@ def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
             trial = best + reach / span * np.linspace(-1, 1, 21)
             best = float(max(trial[trial > 0], key=lambda f: power(at, rest, f)))
         gained = power(at, rest, best)
-        if gained < LEAST * (float(rest @ rest) - gained) / at.size:
+        if gained < MIN_POWER_RATIO * (float(rest @ rest) - gained) / at.size:
             break
-        if any(abs(best - f) * span < APART for f in frequencies):
+        if any(abs(best - f) * span < MIN_SEPARATION for f in frequencies):
             break  # a wave that is stronger here than there, or no wave
         frequencies.append(best)
         block = np.column_stack([base, *(waves(at, f) for f in frequencies)])
@@ -156,7 +161,7 @@ def combs(
     """
     best: tuple[float, float, tuple[int, ...]] | None = None
     bases = {f / m for f, _ in lines for m in range(1, MISSING_BASE + 1)}
-    for base in sorted((b for b in bases if b * span >= LEAST_BASE), reverse=True):
+    for base in sorted((b for b in bases if b * span >= MIN_BASE_TURNS), reverse=True):
         orders = _orders(lines, base, NEAR / span)
         total = sum(a**2 for _, _, a in orders)
         if len(orders) > 1 and (best is None or total > CLEARLY * best[0]):
@@ -164,7 +169,7 @@ def combs(
             best = (total, refined, tuple(k for k, _, _ in orders))
     if best is not None:
         yield best[1], best[2], False
-    every = [(f, a) for f, a in lines if f * span >= LEAST_BASE]
+    every = [(f, a) for f, a in lines if f * span >= MIN_BASE_TURNS]
     if len(every) > 1 and (best is None or len(best[2]) < len(every)):
         yield every[0][0], tuple(_ratio(f / every[0][0], f * span) for f, _ in every), False
     for base in known:
@@ -184,6 +189,6 @@ def _orders(lines: list[tuple[float, float]], base: float, near: float) -> list[
     out: dict[int, tuple[int, float, float]] = {}
     for f, a in sorted(lines, key=lambda line: -line[1]):
         k = round(f / base)
-        if 1 <= k <= MOST_ORDER and abs(f - k * base) < near:
+        if 1 <= k <= MAX_ORDER and abs(f - k * base) < near:
             out.setdefault(k, (k, f, a))
     return list(out.values())

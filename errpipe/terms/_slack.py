@@ -49,12 +49,13 @@ def uneven_waves(waves: np.ndarray, x: np.ndarray) -> Slack:
         yield wave * polynomials[:, 2], 0.15
 
 
-LEAST_TURNS = 6.0  # of a wave, from which its harmonics are offered: with fewer turns they could fit any bump
+# Of a wave, from which its harmonics are offered: with fewer turns they could fit any bump
+MIN_TURNS_FOR_HARMONICS = 6.0
 
 
 def higher_harmonics(x: np.ndarray, period: float) -> Slack:
     """Multiples of a wave along x: a wave that is no sine is one finding."""
-    for k in (2, 3, 4) if np.ptp(x) > LEAST_TURNS * period else ():
+    for k in (2, 3, 4) if np.ptp(x) > MIN_TURNS_FOR_HARMONICS * period else ():
         angle = 2 * np.pi * k / period * x
         yield np.sin(angle), 0.4
         yield np.cos(angle), 0.4

@@ -33,6 +33,7 @@ class AirRefraction(Term):
     pressure: str | None = Field(None, description="Column of the air's pressure.")
     reports_as = "air_refraction"
     family = "measurement"
+    form = "any reference"
     rowwise = True
     compensable = False
     of_nature = True

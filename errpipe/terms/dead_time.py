@@ -9,14 +9,14 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import position_name
+from errpipe.drivers.motion import path_name
 from errpipe.drivers.simulated import Late
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Delays, Signals, resolved_times
 
-SLOWEST_STEP = 0.1  # s; clocks of slower logs differ by seconds and minutes: see `clock_offset`
+MAX_SAMPLE_INTERVAL = 0.1  # s; clocks of slower logs differ by seconds and minutes: see `clock_offset`
 LEAST, MOST = 0.02, 60.0  # sampling steps
 
 
@@ -44,12 +44,12 @@ class DeadTime(Term):
     searched = (Parameter("delay", "s", (0.0005, 0.02), (-10.0, 10.0), "recorded late", search=Delays()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (position_name(recording, self.axis),) if self.axis else (str(self.column),)
+        return (path_name(recording, self.axis),) if self.axis else (str(self.column),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[DeadTime]:
         step, _ = resolved_times(recording)
-        if recording.name("time") is None or step > SLOWEST_STEP or is_radial(component):
+        if recording.name("time") is None or step > MAX_SAMPLE_INTERVAL or is_radial(component):
             return
         for column in recording.names("simulated", component=component):
             yield cls(column=column)

@@ -21,13 +21,13 @@ from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Listed, Resonances, Signals, resolved_times
 from errpipe.terms._slack import Slack
 
-SLOWEST_STEP = 0.1  # s; structures vibrate at some Hz and more
+MAX_SAMPLE_INTERVAL = 0.1  # s; structures vibrate at some Hz and more
 RATIO = 1.03  # between trial frequencies; lightly damped modes are followed by the finer steps around the best
 DAMPINGS = (0.01, 0.03, 0.1)  # damping ratios tried
 LEAST_DAMPING, HIGHEST_DAMPING = 1e-4, 0.25  # steel alone has more; beyond it no resonance shows in a spectrum
 BLOCKS = 40  # stretches of rows, for the spread of a spectrum
 CHANCE = 1e-4  # false-alarm probability; some hundred frequencies are tried
-KEPT = 3  # resonances offered of each binding
+MAX_RESONANCES = 3  # resonances offered of each binding
 
 
 class FlexibleMode(Term):
@@ -65,7 +65,7 @@ class FlexibleMode(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FlexibleMode]:
         step, _ = resolved_times(recording)
-        if recording.name("time") is None or step > SLOWEST_STEP or is_radial(component):
+        if recording.name("time") is None or step > MAX_SAMPLE_INTERVAL or is_radial(component):
             return
         on_force = component.startswith("F_")
         for axis in (component[2:],) if on_force else axes_acting(recording, component):
@@ -114,7 +114,7 @@ class FlexibleMode(Term):
         gained = np.array([self._explained(recording, signals, f, 0.05) for f in trial])
         peak = np.flatnonzero((gained >= np.r_[0, gained[:-1]]) & (gained >= np.r_[gained[1:], 0]))
         out = []
-        for f in trial[peak[np.argsort(-gained[peak])][:KEPT]]:
+        for f in trial[peak[np.argsort(-gained[peak])][:MAX_RESONANCES]]:
             finer = f * RATIO ** np.linspace(-1, 1, 13)
             out.append(float(max(finer, key=lambda v: self._explained(recording, signals, v, 0.02))))
         return out

@@ -20,7 +20,7 @@ from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Signals, resolved_times
 from errpipe.terms._warm import scaled
 
-SLOWEST_STEP = 0.1  # s; of slower logs rows show a loop that has settled
+MAX_SAMPLE_INTERVAL = 0.1  # s; of slower logs rows show a loop that has settled
 
 
 class FollowingError(Term):
@@ -65,7 +65,7 @@ class FollowingError(Term):
         from scipy.optimize import minimize_scalar
 
         step, _ = resolved_times(recording)
-        if recording.name("time") is None or step > SLOWEST_STEP or not signals.values:
+        if recording.name("time") is None or step > MAX_SAMPLE_INTERVAL or not signals.values:
             return
         y = signals.whole() - signals.whole().mean()
         for plain in cls.bind(recording, component):

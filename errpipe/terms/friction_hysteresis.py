@@ -21,7 +21,7 @@ from errpipe.terms._slack import Slack, bent
 from errpipe.yamlfile import quantity
 
 OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (chosen in 0.1..1),
-LARGEST_OVERRUN = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
+MAX_OVERRUN_SHARE = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
 
 
 class FrictionHysteresis(Term):
@@ -65,7 +65,7 @@ class FrictionHysteresis(Term):
     @staticmethod
     def _overrun(recording: Recording, axis: str) -> float:
         low, high = travel(recording, axis)
-        return min(OVERRUN, LARGEST_OVERRUN * (high - low))
+        return min(OVERRUN, MAX_OVERRUN_SHARE * (high - low))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         if self.overrun:

@@ -17,7 +17,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.yamlfile import quantity
 
-MOST_STARTS = 4000  # trial periods: about one second of search on 10 000 rows
+MAX_STARTS = 4000  # trial periods: about one second of search on 10 000 rows
 
 
 class Harmonics(Term):
@@ -58,7 +58,7 @@ class Harmonics(Term):
         """Trial periods, equally spaced in 1/mm so that none is missed over the travel."""
         low, high = self.search
         step = self.spacing or 1e-3
-        count = int(min(MOST_STARTS, max(8, np.ceil((1 / low - 1 / high) / step))))
+        count = int(min(MAX_STARTS, max(8, np.ceil((1 / low - 1 / high) / step))))
         return tuple(1.0 / np.linspace(1 / high, 1 / low, count))
 
     def _profile(self, period: float) -> shapes.Harmonics:

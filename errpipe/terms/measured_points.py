@@ -18,7 +18,7 @@ from errpipe.yamlfile import quantity
 
 SAME_TARGET = 1e-3  # of the span: positions closer than this are readings of one target (0.5 mm on 500 mm)
 WIDEST = 2.0  # of that distance: readings of one target; more are several, each near the next
-MOST_TARGETS = 400  # more places than any list of targets has: a log; `smooth_curve` fits one
+MAX_TARGETS = 400  # more places than any list of targets has: a log; `smooth_curve` fits one
 
 
 class MeasuredPoints(Term):
@@ -104,13 +104,13 @@ def _targets(x: np.ndarray, axis: str) -> tuple[float, ...]:
     if wide is not None:
         raise DataError(
             f"measured_points: readings from {wide[0]:g} to {wide[-1]:g} of {axis} follow each other within {near:g} "
-            f"(a thousandth of the span): no list of targets (at most {MOST_TARGETS}); smooth_curve fits a curve "
+            f"(a thousandth of the span): no list of targets (at most {MAX_TARGETS}); smooth_curve fits a curve "
             "through them"
         )
-    if len(groups) > MOST_TARGETS or 2 * len(groups) > sorted_x.size:
+    if len(groups) > MAX_TARGETS or 2 * len(groups) > sorted_x.size:
         raise DataError(
             f"measured_points: {sorted_x.size} readings at {len(groups)} places of {axis} are no list of targets (at "
-            f"most {MOST_TARGETS}, each measured at least twice); smooth_curve fits a curve through them"
+            f"most {MAX_TARGETS}, each measured at least twice); smooth_curve fits a curve through them"
         )
     return tuple(float(np.round(np.median(g), 4)) for g in groups)
 

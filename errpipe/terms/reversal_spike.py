@@ -23,7 +23,7 @@ from errpipe.terms._place import axes_acting, driven_axes, is_radial
 from errpipe.terms._search import Listed, Times
 from errpipe.terms._slack import Slack
 
-LONGEST_SHARE = 1 / 3  # of the time between turns: a longer one is a step between directions
+MAX_SHARE_OF_TURN = 1 / 3  # of the time between turns: a longer one is a step between directions
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
 
 
@@ -39,7 +39,7 @@ class GoneBeforeTheNextTurn(Times):
         gaps = gaps[gaps > 0]
         if not gaps.size:
             return low, high
-        return low, min(high, LONGEST_SHARE * float(np.quantile(gaps, 0.9)))  # at rest the sign may alternate
+        return low, min(high, MAX_SHARE_OF_TURN * float(np.quantile(gaps, 0.9)))  # at rest the sign may alternate
 
 
 class ReversalSpike(Term):

@@ -42,7 +42,7 @@ class ScaleError(Term):
             yield cls(axis=axis, radial=is_radial(component))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return (position(recording, self.axis) * 1e-3 * share(recording, self.axis, self.radial))[:, None]
+        return (position(recording, self.axis) * (1e-3 * share(recording, self.axis, self.radial)))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:  # a lead error is not quite straight

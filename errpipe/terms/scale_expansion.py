@@ -35,6 +35,7 @@ class ScaleExpansion(Term):
     radial: Radial = False
     reports_as = "scale_expansion"
     family = "thermal"
+    form = "any reference"
     rowwise = True
     gains = (Parameter("coefficient", "um/m/K", (5.0, 20.0), (-100.0, 100.0), "growth per metre and kelvin"),)
 
@@ -49,9 +50,8 @@ class ScaleExpansion(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         rise = drive(rise_driver(self.sensor, self.reference), recording)
-        column = position(recording, self.axis) * 1e-3
+        column = position(recording, self.axis) * (1e-3 * share(recording, self.axis, self.radial))
         column *= rise  # in place: new memory for each product costs as much as the product
-        column *= share(recording, self.axis, self.radial)
         return column[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
@@ -59,10 +59,10 @@ class ScaleExpansion(Term):
             return
         x = position(recording, self.axis)
         yield x, 0.7
-        yield from bent(base[:, 0], x)
         # the growth is counted from the fixed end, wherever that is
         level = base[:, 0] / np.where(np.abs(x) > 1e-9, x, 1e-9) * (np.nanmax(x) - np.nanmin(x))
         yield np.where(np.abs(x) > 1e-6, level, 0.0), 0.3
+        yield from bent(base[:, 0], x)
         rise = recording.array(self.sensor)
         for tau, most in ((400.0, 0.05), (1500.0, 0.2)):
             yield (lagged(recording, rise, tau, most) - rise) * x, 0.3

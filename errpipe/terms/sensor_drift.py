@@ -11,7 +11,8 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter, Term
 
-ANEW = -30.0  # log prior odds; an effect that has the same form and may stray from it pays about as much for that
+# Log prior odds; an effect that has the same form and may stray from it pays about as much for that
+LOG_ODDS_OF_DRIFT = -30.0
 
 
 class SensorDrift(Term):
@@ -43,7 +44,7 @@ class SensorDrift(Term):
 
     def log_prior_odds(self) -> float:
         """An instrument does not know that a run began: what starts anew there is wear or warmth in all likelihood."""
-        return ANEW if self.restarts else 0.0
+        return LOG_ODDS_OF_DRIFT if self.restarts else 0.0
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         t = recording.time()

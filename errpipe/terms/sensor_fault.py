@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Literal
 
@@ -9,17 +10,24 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.responses import lag
 from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import sensors
+
+BESIDE = 5  # rows on either side of a jump whose medians tell its step
+ALIKE = 2.0  # factor between a jump off and the jump back
+STILL = 0.05  # of a jump, within which a reading stands still before it
 
 
 class SensorFault(Term):
     """A sensor that the simulation reads lied for a while: stuck, dead or stepped.
 
-    Equation   deviation = gain * (T_true - T_read) on rows first..last, 0 elsewhere; T_true drawn through the gap
+    Equation   deviation = gain * (T_true - T_read) on rows first..last, 0 elsewhere; T_true drawn through the gap,
+               or T_read less the step with which the stretch begins and ends
     Assumes    the simulation follows that sensor with `gain`
     Typical    any
     Moves      nothing outside the faulty stretch
@@ -30,35 +38,53 @@ class SensorFault(Term):
     sensor: str = Field(description="Column of the faulty sensor.")
     first: int = Field(description="First faulty row.")
     last: int = Field(description="Last faulty row.")
+    axis: str | None = Field(None, description="Axis along which it acts, where the simulation makes a slope of it.")
+    stepped: bool = Field(False, description="Off by one step all along: it jumps off and back.")
     reports_as = "sensor_fault"
     family = "measurement"
     compensable = False
     artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"
     simulated_log_odds = NEVER
     in_part = "never"
-    gains = (Parameter("gain", "um/K", (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
     prior_log_odds = -3.0
+
+    def linear(self) -> tuple[Parameter, ...]:
+        unit = "um/m/K" if self.axis else "um/K"
+        return (Parameter("gain", unit, (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return (self.sensor,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
         if component.startswith("E"):
             for sensor in recording.names("temperature"):
                 for first, last in suspicious(recording.array(sensor), recording.time()):
-                    yield cls(sensor=sensor, first=first, last=last)
+                    stepped = (False, True) if step_of(recording.array(sensor), first, last) else (False,)
+                    for axis, how in itertools.product((None, *linear_axes_acting(recording, component)), stepped):
+                        yield cls(sensor=sensor, first=first, last=last, axis=axis, stepped=how)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         read = recording.array(self.sensor)
         rows = np.arange(len(read))
         inside = (rows >= self.first) & (rows <= self.last)
-        true = reconstructed(recording, self.sensor, inside)
-        before = read[: self.first][np.isfinite(read[: self.first])]
-        held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
-        return np.where(inside, true - held, 0.0)[:, None]
+        if self.stepped:
+            lie = np.full(len(read), -step_of(read, self.first, self.last))
+        else:
+            before = read[: self.first][np.isfinite(read[: self.first])]
+            held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
+            lie = reconstructed(recording, self.sensor, inside) - held
+        return np.where(inside, lie * self._reach(recording), 0.0)[:, None]
+
+    def _reach(self, recording: Recording) -> np.ndarray | float:
+        """What a kelvin acts on: the length from the axis' zero in m, or 1."""
+        return 1.0 if self.axis is None else position(recording, self.axis) * 1e-3
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         rows = np.arange(len(recording))
-        inside = ((rows >= self.first) & (rows <= self.last)).astype(float)
-        yield inside, 0.3
+        inside = ((rows >= self.first) & (rows <= self.last)) * self._reach(recording)
+        if not self.stepped:
+            yield inside, 0.3
         yield inside * (rows - self.first) / max(self.last - self.first, 1), 0.3
 
     def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
@@ -69,6 +95,16 @@ class SensorFault(Term):
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[SensorFault]:
         """Bindings to the sensors as they were read, in which failures show; those left out as unusable are no use."""
         return (term for term in cls.bind(raw, component) if term.sensor in recording.frame.columns)
+
+
+def step_of(values: np.ndarray, first: int, last: int) -> float:
+    """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0."""
+    a, b = first, last + 1
+    ends = (max(a - BESIDE, 0), a), (a, a + BESIDE), (b - BESIDE, b), (b, b + BESIDE)
+    level = [np.median(read) if (read := values[low:high]).size else np.nan for low, high in ends]
+    on, off = level[1] - level[0], level[2] - level[3]
+    off = on if b == values.size else off
+    return float(on + off) / 2 if on * off > 0 and max(on / off, off / on) < ALIKE else 0.0
 
 
 def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.ndarray:
@@ -111,19 +147,23 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     wide = _rolling_median(step, 25)
     pause = np.diff(t)
     beside = np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
-    jumps = np.flatnonzero((step > 10 * np.maximum(wide, usual)) & (step > 0.35) & (pause <= 2.0 * beside)) + 1
+    jumps = np.flatnonzero((step > 10 * np.maximum(wide, usual)) & (step > 0.35)) + 1
     jumps = jumps[finite[np.minimum(jumps, n - 1)] & finite[np.maximum(jumps - 1, 0)]]
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
         out += [ab for ab in _stretches(finite & (np.abs(values) < 0.05 * typical)) if ab[1] - ab[0] + 1 >= least]
     stuck = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
     stuck_stretches = [ab for ab in _stretches(stuck & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
-    strongest = jumps[np.argsort(-step[jumps - 1], kind="stable")][:5]
-    edges = np.sort(strongest)
+    paused = pause[jumps - 1] > 2.0 * beside[jumps - 1]  # bodies cool by themselves then: such jumps come last
+    strongest = jumps[np.lexsort((-step[jumps - 1], paused))][:5]
+    edges, calm = np.sort(strongest), _rolling_median(filled, 9)
     for i, a in enumerate(edges):
         out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
         out += [(int(a), n - 1)] if n - a >= least else []
-        out += [(int(s), int(a) - 1) for s, e in stuck_stretches if s < a <= e + least]
+        off = np.abs(calm[:a] - np.median(filled[max(a - BESIDE, 0) : a]))
+        away = np.flatnonzero(off > usual + STILL * step[a - 1])
+        start = int(away[-1]) + 1 if away.size else 0  # stood still until it jumped
+        out += [(start, int(a) - 1)] if a - start >= max(4 * least, n // 30) else []
     out += stuck_stretches[:3]
     return sorted(set(out))[:24]
 

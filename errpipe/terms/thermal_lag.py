@@ -21,7 +21,7 @@ from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 RATIO, APART = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
-WORTH = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
+MAX_RESIDUAL_SHARE = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
 
 
 class ThermalLag(Term):
@@ -149,7 +149,10 @@ def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...],
     block = block - known @ np.linalg.lstsq(known, block, rcond=None)[0]
     products = block.T @ block
     single = float(products[-2, -1] ** 2 / max(products[-2, -2], 1e-300))
-    best: tuple[float, tuple[int, int] | None] = (products[-1, -1] - (products[-1, -1] - single) * WORTH, None)
+    best: tuple[float, tuple[int, int] | None] = (
+        products[-1, -1] - (products[-1, -1] - single) * MAX_RESIDUAL_SHARE,
+        None,
+    )
     for i in range(states.shape[1]):
         for j in range(i + apart, states.shape[1]):
             b = np.linalg.lstsq(products[np.ix_([i, j], [i, j])], products[[i, j], -1], rcond=1e-12)[0]

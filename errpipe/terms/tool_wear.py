@@ -18,7 +18,7 @@ from errpipe.terms._slack import Slack
 from errpipe.terms._warm import scaled
 from errpipe.yamlfile import quantity
 
-MOST_TOOLS = 40  # runs; more are not tools
+MAX_TOOLS = 40  # runs; more are not tools
 OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools (chosen, not measured)
 
 
@@ -83,7 +83,7 @@ class ToolWear(Term):
         yield self.basis(recording, min(nonlinear[0] * 1.6, 3.0))[:, 0], 0.3
         run = recording.run_codes() if self.tool is None else tool_numbers(recording, self.tool)
         codes = np.unique(run)
-        for code in codes if 2 <= codes.size <= MOST_TOOLS else ():
+        for code in codes if 2 <= codes.size <= MAX_TOOLS else ():
             own = base[:, 0] * ((run == code) - 1.0 / codes.size)  # less the mean of all: that is the form
             yield own, OWN_RATE * float(np.sqrt(np.mean(own**2) / max(np.var(base[:, 0]), 1e-300)))
 
@@ -99,7 +99,7 @@ def labels_over(recording: Recording, column: str) -> tuple[str, ...]:
     if np.any(np.diff(cut[np.isfinite(cut)]) < 0):
         return ()
     names = (*recording.names("group"), *recording.names("run"))
-    return tuple(n for n in names if 2 <= recording.frame[n].nunique() <= MOST_TOOLS)
+    return tuple(n for n in names if 2 <= recording.frame[n].nunique() <= MAX_TOOLS)
 
 
 def tool_numbers(recording: Recording, label: str) -> np.ndarray:

@@ -39,7 +39,7 @@ def held_out(
     """Refit a family without each group and judge on it: the document of `validation.json` for one scheme.
 
     folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
-    where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can sit out.
+    where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can be held out.
     """
     return judged(recording, family, scheme, folds=folds, progress=progress)[0]
 
@@ -52,7 +52,7 @@ def judged(
     folds: Sequence | None = None,
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
-    """`held_out`, and per component the rows that sat out with what was left on them."""
+    """`held_out`, and per component the held-out rows with what was left on them."""
     if folds is None:
         label, folds = family.folds(recording, scheme)
     else:
@@ -139,7 +139,9 @@ def component_figures(
     gains = gains or {f"{g:g}": _pooled(folds, g) for g in GAINS}
     rows = np.concatenate([f.rows for f in folds])
     after = np.concatenate([f.after for f in folds])
-    floor = noise_floor(recording, rows[np.argsort(rows)], after[np.argsort(rows)])
+    order = np.argsort(rows)
+    readings = recording.array(name)[rows[order]] if name else None
+    floor = noise_floor(recording, rows[order], after[order], readings)
     best = _least_that_ties(gains)
     chance = significance.p_value(recording, folds, best) if best > 0.0 else 1.0
     chosen = best if chance <= significance.LEVEL else 0.0

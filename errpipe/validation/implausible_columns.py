@@ -11,9 +11,9 @@ from errpipe.domain import components
 from errpipe.domain.recording import Recording
 from errpipe.validation.plausibility_finding import Finding
 
-FEWEST_MOVES = 10  # steps or rows; with fewer a check returns nothing
+MIN_MOVES = 10  # steps or rows; with fewer a check returns nothing
 AT_REST = 1e-3  # of the largest travel: an axis that moves less than that stands still
-FASTEST = {"mm": 10_000.0, "deg": 36_000.0}  # mm/s (linear motors reach 5 m/s), deg/s (100 rev/s)
+MAX_SPEED = {"mm": 10_000.0, "deg": 36_000.0}  # mm/s (linear motors reach 5 m/s), deg/s (100 rev/s)
 ROOM = (-30.0, 150.0)  # degC: what a sensor of a machine tool can read
 COPY = 1e-6  # of its range: largest rms residual of an affine copy
 OUTSIDE = 0.1  # of the travel: by how much positions may exceed a travel that was stated as a round number
@@ -66,11 +66,11 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
         x, d, run = recording.array(place), recording.array(side), recording.run_codes()
         good = np.isfinite(x) & np.isfinite(d)
         x, d, run = x[good], d[good], run[good]
-        if x.size < FEWEST_MOVES:
+        if x.size < MIN_MOVES:
             continue
         step = np.where(np.diff(run) == 0, np.diff(x), 0.0)
         moved = np.abs(step) > AT_REST * np.ptp(x)
-        if moved.sum() < FEWEST_MOVES:
+        if moved.sum() < MIN_MOVES:
             continue
         if np.unique(d).size < 2:
             if BOTH_WAYS < (falling := float(np.mean(step[moved] < 0))) < 1 - BOTH_WAYS:
@@ -131,7 +131,7 @@ def run_per_row(recording: Recording) -> Iterator[Finding]:
     """A run column with a new label in every row: held-out runs would be single rows."""
     name = recording.name("run")
     rows = len(recording)
-    if name is not None and rows >= FEWEST_MOVES and len(recording.run_labels()) > 0.9 * rows:
+    if name is not None and rows >= MIN_MOVES and len(recording.run_labels()) > 0.9 * rows:
         evidence = f"{len(recording.run_labels())} labels in {rows} rows"
         yield Finding("run-per-row", name, evidence, "another column (this one looks like a row number)")
 
@@ -147,7 +147,7 @@ def speed(recording: Recording) -> Iterator[Finding]:
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.abs(np.diff(x) / np.diff(t))[np.diff(run) == 0]
         rate = rate[np.isfinite(rate) & (rate > 0)]
-        if rate.size >= FEWEST_MOVES and float(np.median(rate)) > FASTEST.get(unit, np.inf):
+        if rate.size >= MIN_MOVES and float(np.median(rate)) > MAX_SPEED.get(unit, np.inf):
             evidence = f"half of all steps of {name} are faster than {np.median(rate):.4g} {unit}/s"
             yield Finding(
                 "too-fast", time, evidence, "a time in ms, min or h that was declared as s, or a position in um"
@@ -206,7 +206,7 @@ def fahrenheit(recording: Recording) -> Iterator[Finding]:
         for other in names:
             u = recording.array(other)
             good = np.isfinite(t) & np.isfinite(u)
-            if name == other or good.sum() < FEWEST_MOVES:
+            if name == other or good.sum() < MIN_MOVES:
                 continue
             if float(np.median(t[good])) > 50 and np.abs(t[good] - (1.8 * u[good] + 32)).max() < 4.0:
                 evidence = f"it is 1.8 times {other} plus 32"
@@ -220,7 +220,7 @@ def fahrenheit(recording: Recording) -> Iterator[Finding]:
 
 
 COLD_START, WARMING = 3.0, 1.0  # K: between two sensors of a cold machine; least rise of one that warms up
-ALIKE = 0.9  # correlation of two sensors that warm up together
+MIN_CORRELATION = 0.9  # correlation of two sensors that warm up together
 
 
 def _is_cold_in_fahrenheit(t: np.ndarray, other: np.ndarray) -> bool:
@@ -231,7 +231,7 @@ def _is_cold_in_fahrenheit(t: np.ndarray, other: np.ndarray) -> bool:
     celsius = (t - 32) / 1.8
     if np.min(t) < COLDEST or np.max(other) > COLDEST or np.ptp(celsius) < WARMING or np.ptp(other) == 0:
         return False
-    together = float(np.corrcoef(_spread(celsius), _spread(other))[0, 1]) > ALIKE
+    together = float(np.corrcoef(_spread(celsius), _spread(other))[0, 1]) > MIN_CORRELATION
     return together and abs(celsius[np.argmin(other)] - np.min(other)) < COLD_START
 
 
@@ -248,7 +248,7 @@ def temperature_of_position(recording: Recording) -> Iterator[Finding]:
             for k in np.unique(run[good]):
                 rows = good & (run == k)
                 turns = np.count_nonzero(np.diff(np.sign(np.diff(x[rows]))))
-                if rows.sum() >= FEWEST_MOVES and turns and np.ptp(t[rows]) > 2.0 and np.ptp(x[rows]) > 0:
+                if rows.sum() >= MIN_MOVES and turns and np.ptp(t[rows]) > 2.0 and np.ptp(x[rows]) > 0:
                     matches.append(abs(float(np.corrcoef(_spread(t[rows]), _spread(x[rows]))[0, 1])))
             if matches and float(np.median(matches)) > 0.8:
                 evidence = f"it follows {place} back and forth (correlation {np.median(matches):.2f} within the runs)"
@@ -272,7 +272,7 @@ def copies(recording: Recording) -> Iterator[Finding]:
         for other in (n for role in roles for n in recording.names(role)):
             u = recording.array(other)
             good = np.isfinite(d) & np.isfinite(u)
-            if good.sum() < FEWEST_MOVES or np.ptp(u[good]) == 0 or np.ptp(d[good]) == 0:
+            if good.sum() < MIN_MOVES or np.ptp(u[good]) == 0 or np.ptp(d[good]) == 0:
                 continue
             x, y = _spread(u[good]), _spread(d[good])
             slope = float(x @ y) / float(x @ x)

@@ -16,15 +16,15 @@ from errpipe.validation.plausibility_finding import (
 
 ABSOLUTE_SLOPE = 0.1  # of the position: no axis is wrong by 10 %; a belt with a wrong pulley reaches 3 %
 FILLED_SHARE, FEWEST_FILLED = 0.3, 10  # of the rows; a run that is set to zero at one target has fewer equal ones
-LARGEST_SHARE = 0.03  # of the travel, offsets of runs and directions removed: a belt with a wrong pulley reaches 3 %
-SMALLEST_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is what air of 1 degC more does to a laser
+# Of the travel, offsets of runs and directions removed: a belt with a wrong pulley reaches 3 %
+MAX_SHARE_OF_TRAVEL = 0.03
+MIN_SCATTER_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is what air of 1 degC more does to a laser
 QUIETEST = 5e-9  # of the travel: half of what the best interferometer repeats to in air
-STRAIGHT = (
-    3e-4  # rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
-)
+# rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
+STRAIGHT = 3e-4
 UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
-FEWEST_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
-MOST_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
+MIN_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
+MAX_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
 ROUNDING = 1e-12  # of a position: a difference of positions that varies by less is constant
 COMMON_SLOPES = (
@@ -65,7 +65,7 @@ def as_large_as_travel(r: Response) -> Finding | None:
         return None
     shape = r.deviation - _means(r.deviation, _group(r))
     size = float(np.percentile(shape, 97.5) - np.percentile(shape, 2.5))
-    if r.span == 0 or size <= LARGEST_SHARE * r.span * r.per_unit:
+    if r.span == 0 or size <= MAX_SHARE_OF_TRAVEL * r.span * r.per_unit:
         return None
     evidence = f"the deviation spans {size:.4g} {r.component.unit} over a travel of {r.span:.4g}"
     if _regular(r.deviation) and not _regular(r.position):
@@ -81,8 +81,8 @@ def too_small(r: Response) -> Finding | None:
     """Deviations below the instrument's own wavelength: millimetres declared as micrometres."""
     if r.component.unit != "um" or r.per_unit is None or r.span < 1.0:
         return None
-    largest, least = float(np.abs(r.deviation).max()), max(SMALLEST_UM, SMALLEST_SHARE * 1e3 * r.span)
-    if largest == 0.0 or largest >= least or (largest >= SMALLEST_UM and _noise(r) > QUIETEST * 1e3 * r.span):
+    largest, least = float(np.abs(r.deviation).max()), max(MIN_SCATTER_UM, SMALLEST_SHARE * 1e3 * r.span)
+    if largest == 0.0 or largest >= least or (largest >= MIN_SCATTER_UM and _noise(r) > QUIETEST * 1e3 * r.span):
         return None
     evidence = (
         f"no deviation exceeds {largest:.3g} um over {r.span:.4g} mm of travel, finer than a laser can read in air"
@@ -113,7 +113,7 @@ def jump(r: Response) -> Finding | None:
     if r.component.unit != "um":
         return None
     steps = np.diff(r.deviation)[np.diff(r.run) == 0]
-    if steps.size < FEWEST_STEPS:
+    if steps.size < MIN_STEPS:
         return None
     usual = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
     for size, name in ((1000.0, "1 mm, one turn of a dial gauge"), (25400.0, "one inch"), (2540.0, "0.1 inch")):
@@ -165,7 +165,7 @@ def reversed_sign(r: Response) -> Finding | None:
     true = r.per_unit * (rec.array(actual) - rec.array(command))[r.rows]
     good = np.isfinite(true)
     rounding = ROUNDING * r.per_unit * float(np.abs(rec.array(command)[r.rows][good]).max(initial=0.0))
-    if good.sum() < FEWEST_STEPS or min(np.ptp(true[good]), np.ptp(r.deviation[good])) <= rounding:
+    if good.sum() < MIN_STEPS or min(np.ptp(true[good]), np.ptp(r.deviation[good])) <= rounding:
         return None
     match = float(np.corrcoef(true[good], r.deviation[good])[0, 1])
     slope = _slope(true[good], r.deviation[good])
@@ -188,7 +188,7 @@ def expansion_of_no_material(r: Response) -> Finding | None:
             f"the axis gets {-sorted(rates)[0][1]:.3g} um/m shorter for each kelvin of warmth",
             "error = actual - commanded: turn the sign (steel, iron and glass get longer)",
         )
-    if rates and all(match > 0.9 and rate > MOST_EXPANSION for match, rate in rates):
+    if rates and all(match > 0.9 and rate > MAX_EXPANSION for match, rate in rates):
         return Finding(
             "expands-too-much",
             r.column,
@@ -204,7 +204,7 @@ def _expansion_rates(r: Response) -> list[tuple[float, float]]:
     runs = np.unique(r.run)
     if r.component.kind != "positioning" or not warm or runs.size < 3 or r.position is None:
         return []
-    wide = [k for k in runs if np.ptp(r.position[r.run == k]) > 0.3 * r.span and (r.run == k).sum() >= FEWEST_STEPS]
+    wide = [k for k in runs if np.ptp(r.position[r.run == k]) > 0.3 * r.span and (r.run == k).sum() >= MIN_STEPS]
     if len(wide) < 3:
         return []
     slopes = np.array([_slope(r.position[r.run == k], r.deviation[r.run == k]) for k in wide]) * 1e3  # um/m
@@ -227,7 +227,7 @@ def worse_with_compensation(r: Response) -> Finding | None:
             continue
         label = rec.frame[name].astype(str).str.lower().to_numpy()[r.rows]
         on, off = np.isin(label, ("on", "after", "1")), np.isin(label, ("off", "before", "0"))
-        if on.sum() < FEWEST_STEPS or off.sum() < FEWEST_STEPS:
+        if on.sum() < MIN_STEPS or off.sum() < MIN_STEPS:
             continue
         before, after = (float(np.sqrt(np.mean(r.deviation[k] ** 2))) for k in (off, on))
         if after > 1.3 * before:
@@ -258,7 +258,7 @@ def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
         1
     ].ravel()
     shared = np.intersect1d(place[on], place[off])
-    if shared.size < FEWEST_STEPS:
+    if shared.size < MIN_STEPS:
         return None
     a, b = (np.array([r.deviation[k & (place == p)].mean() for p in shared]) for k in (off, on))
     if np.ptp(a) == 0 or np.ptp(b) == 0 or abs(np.corrcoef(a, b)[0, 1]) < 0.9:
@@ -294,7 +294,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
     if r.direction is None or r.component.kind != "positioning":
         return None
     up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
-    if min(up.size, down.size) < FEWEST_STEPS:
+    if min(up.size, down.size) < MIN_STEPS:
         return None
     step = float(np.median(up) - np.median(down))
     spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in (up, down))
@@ -306,6 +306,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         f"approached from below the axis stands {step:.3g} um further than from above",
         "the same with the sign or the direction turned, unless the control already corrects backlash too much",
         level="ask",
+        of_sign=True,
     )
 
 

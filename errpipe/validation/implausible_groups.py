@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from errpipe.validation.plausibility_finding import (
-    FEWEST,
+    MIN_FINITE_ROWS,
     Check,
     Finding,
     Response,
@@ -20,8 +20,8 @@ from errpipe.validation.plausibility_finding import (
 
 FEWEST_TARGETS = 10  # shared targets; chance reaches a correlation of -0.8 on ten once in 200 tries
 OPPOSITE = -0.8  # correlation of a curve with the mean of the others
-ALIKE = 0.6  # correlation of the others among themselves
-SMALLEST_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign says nothing
+MIN_CORRELATION = 0.6  # correlation of the others among themselves
+MIN_SCATTER_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign says nothing
 
 
 def mixed_sign(r: Response) -> Finding | None:
@@ -53,7 +53,7 @@ def _of_the_other_sign(match: np.ndarray) -> list[np.ndarray]:
     if group.all():
         return []
     opposite = match[np.ix_(group, ~group)].max() < OPPOSITE
-    alike = min(match[np.ix_(g, g)].min() for g in (group, ~group)) > ALIKE
+    alike = min(match[np.ix_(g, g)].min() for g in (group, ~group)) > MIN_CORRELATION
     return [np.flatnonzero(~group if 2 * group.sum() >= group.size else group)] if opposite and alike else []
 
 
@@ -92,7 +92,7 @@ def mixed_positions(r: Response) -> Finding | None:
     for k in labels:
         others = np.unique(np.concatenate([targets[j] for j in labels if j != k]))
         own = targets[k]
-        if own.size < FEWEST or others.size != own.size or not np.ptp(own) or not np.ptp(others):
+        if own.size < MIN_FINITE_ROWS or others.size != own.size or not np.ptp(own) or not np.ptp(others):
             continue
         ratio = float(np.ptp(others) / np.ptp(own))
         for factor, meant in FACTORS.items():
@@ -130,7 +130,7 @@ UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; ratio of von Neumann: 2 f
 def shuffled_rows(r: Response) -> Finding | None:
     """One run without the shape of the others, which are smooth and alike, and as jagged as rows in a random order.
 
-    Where all runs are shuffled, nobody can know: what holds on a run that sat out is little more than their mean.
+    Where all runs are shuffled, nobody can know: what holds on a held-out run is little more than their mean.
     """
     labels = np.unique(r.run)
     if r.position is None or r.component.kind == "force" or labels.size < 4:
@@ -146,7 +146,7 @@ def shuffled_rows(r: Response) -> Finding | None:
         match = np.corrcoef(curves)
         for k in np.flatnonzero(ratio > JAGGED):
             rest = np.arange(labels.size) != k
-            alike = np.min(match[np.ix_(rest, rest)]) > ALIKE and np.max(ratio[rest]) < SMOOTH
+            alike = np.min(match[np.ix_(rest, rest)]) > MIN_CORRELATION and np.max(ratio[rest]) < SMOOTH
             if (
                 alike
                 and np.max(match[k][rest]) < UNLIKE
@@ -171,7 +171,7 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
         mean = np.array([r.deviation[rows & (levels == x)].mean() for x in shared])
         out.append(mean - np.polyval(np.polyfit(shared, mean, 1), shared))
     curves = np.array(out)
-    return curves if curves.std(axis=1).min() > SMALLEST_UM else None
+    return curves if curves.std(axis=1).min() > MIN_SCATTER_UM else None
 
 
 CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows, shuffled_rows)

@@ -34,13 +34,12 @@ REFERENCE = 1.0  # of a standard error: half of the shift that is to be found qu
 FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/registry.md
 HORIZON = 365  # runs for which that holds: a year of nights
 SIMULATED = 4000  # simulated years without drift behind a threshold
-LEAST_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
-LEAST_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
+MIN_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
+MIN_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
 QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
 SIGNS = np.array([1.0, -1.0])  # up and down
-RATIO = (
-    10.0  # likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
-)
+# Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
+RATIO = 10.0
 FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 
 
@@ -94,7 +93,7 @@ def sensor_drift(
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
     """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
     off = np.nan_to_num(apparent[new] - np.nanmean(apparent[old]))
-    alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), LEAST_SD))
+    alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
     if alarm < threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
         return 0.0, 0, 0.0
     good = np.isfinite(readings).all(axis=1)
@@ -154,7 +153,7 @@ def _recursive_residuals(
 
     # leave-one-run-out: each reference run is predicted from the other reference runs
     reference_residuals = [mean_residual(n, a - normal[n], b - moment[n]) for n in range(references)]
-    sd = max(float(np.sqrt(np.mean(np.square(reference_residuals)))), LEAST_SD)
+    sd = max(float(np.sqrt(np.mean(np.square(reference_residuals)))), MIN_SD)
     z, cusums = np.zeros(len(rows) - references), np.zeros(2)
     for number in range(references, len(rows)):
         leverage = float(means[number] @ _solve_normal(spans, means[number]))
@@ -179,12 +178,12 @@ def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 @lru_cache
-def threshold(freedom: int, share: float, seed: int = 1) -> float:
+def threshold(freedom: int, share: float) -> float:
     """Threshold of the CUSUM, standard errors: a year of runs without drift exceeds it in a share of the years.
 
     freedom: degrees of freedom of the scatter by which residuals are divided.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     freedom = max(freedom, 1)
     sd = np.sqrt(rng.chisquare(freedom, SIMULATED) / freedom)
     most, totals = np.zeros(SIMULATED), np.zeros((2, SIMULATED))
@@ -192,7 +191,7 @@ def threshold(freedom: int, share: float, seed: int = 1) -> float:
         z = rng.standard_normal(SIMULATED) / sd
         totals = np.maximum(0.0, totals + np.stack([z, -z]) - REFERENCE)
         most = np.maximum(most, totals.max(axis=0))
-    return max(float(np.quantile(most, 1.0 - share)), LEAST_THRESHOLD)
+    return max(float(np.quantile(most, 1.0 - share)), MIN_THRESHOLD)
 
 
 def cusum(z: np.ndarray) -> tuple[float, int]:

@@ -24,7 +24,7 @@ from errpipe.errors import DataError
 FULL_CIRCLE = 300.0  # deg of arc from which circle figures are given
 NORMAL = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
 # Sign that turns "second axis leans to minus the first" into the ISO component: +B turns +Z towards +X.
-LEAN = {"XY": 1.0, "XZ": -1.0, "YZ": 1.0}
+SQUARENESS_SIGN = {"XY": 1.0, "XZ": -1.0, "YZ": 1.0}
 
 
 @dataclass(frozen=True)
@@ -256,8 +256,8 @@ def _effect(kind: str, plane: tuple[str, str], value: float, error: float, size:
     a, b = plane
     name = a + b
     if kind == "squareness":
-        value *= LEAN.get(name, 1.0)
-        lean = "minus" if value * LEAN.get(name, 1.0) > 0 else "plus"
+        value *= SQUARENESS_SIGN.get(name, 1.0)
+        lean = "minus" if value * SQUARENESS_SIGN.get(name, 1.0) > 0 else "plus"
         sentence = f"{NORMAL.get(name, 'squareness')} = {value:.1f} urad: +{b} leans towards {lean} {a}"
         effect, where, unit = "squareness", NORMAL.get(name, name), "urad"
     elif kind == "scale":

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from errpipe.domain.components import is_error_motion
 from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.fitting.judging import HeldOut
-from errpipe.kinematics import held_out, identify, readings, records, remaining, synthesis
+from errpipe.kinematics import held_out, identify, readings, remaining, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.direct import Laser
-from errpipe.kinematics.remaining import MOST_HARM
+from errpipe.kinematics.remaining import MAX_HARM_PROBABILITY
 from errpipe.models.direct import Direct
 
 TIE = 0.01  # of the uncompensated rms: within it doing nothing wins
@@ -79,7 +80,7 @@ def _rms(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
 
 
 def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> Direct:
-    motions = tuple(c for c in recording.components() if records.direct.is_motion(c))
+    motions = tuple(c for c in recording.components() if is_error_motion(c))
     lasers = {n: beam for n, beam in how["lasers"].items() if n in motions}
     return Direct(machine=machine, modes=how["modes"], components=motions, lasers=lasers)
 
@@ -133,7 +134,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     """
     if not validations:
         raise GateError(
-            "export: nothing has judged this identification on measurements that sat out (add a `validate` stage "
+            "export: nothing has judged this identification on held-out measurements (add a `validate` stage "
             "after it, or say `ungated: true` to export it all the same)"
         )
     volumetric = document["volumetric"]
@@ -141,13 +142,13 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     kept = {n: a for n, a in axes.items() if a["effect_rms_um"] > document["noise_um"]}
     wrong = [] if kept else ["no axis has an identified error above the noise of a reading"]
     for name, figures in ({"the machine": volumetric} | kept).items():
-        wrong += [] if figures["probability_worse"] <= MOST_HARM else [_harmful(name, figures)]
+        wrong += [] if figures["probability_worse"] <= MAX_HARM_PROBABILITY else [_harmful(name, figures)]
     for test, figures in (item for validation in validations for item in validation.items()):
         parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}
         wrong += [_not_better(name, part) for name, part in parts.items() if _not_improved(part)]
     if wrong:
         raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}")
-    return tuple(n for n, a in axes.items() if n in kept or a["probability_worse"] <= MOST_HARM)
+    return tuple(n for n, a in axes.items() if n in kept or a["probability_worse"] <= MAX_HARM_PROBABILITY)
 
 
 def _not_improved(figures: Mapping[str, float]) -> bool:
@@ -158,12 +159,12 @@ def _harmful(name: str, figures: Mapping[str, float]) -> str:
     return (
         f"{name}: identified {figures['effect_rms_um']:.3g} um rms over the travel, "
         f"{figures['left_rms_um']:.3g} left open; worse with it than without with a probability of "
-        f"{figures['probability_worse']:.2g} (allowed: {MOST_HARM})"
+        f"{figures['probability_worse']:.2g} (allowed: {MAX_HARM_PROBABILITY})"
     )
 
 
 def _not_better(name: str, figures: Mapping[str, float]) -> str:
-    return f"{name}: {figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on measurements that sat out"
+    return f"{name}: {figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on held-out measurements"
 
 
 def _help(document: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.validation import implausible_columns, implausible_deviations, implausible_groups
-from errpipe.validation.plausibility_finding import FEWEST, Finding, responses
+from errpipe.validation.plausibility_finding import MIN_FINITE_ROWS, Finding, responses
 
 RESPONSE_CHECKS = (*implausible_deviations.CHECKS, *implausible_groups.CHECKS)
 
@@ -24,7 +24,7 @@ def findings(recording: Recording) -> list[Finding]:
     """Everything implausible about a recording, refusals first; at most one finding per code and column."""
     results: list[Finding] = []
     for response in responses(recording):
-        if response.deviation.size >= FEWEST:
+        if response.deviation.size >= MIN_FINITE_ROWS:
             results += filter(None, (check(response) for check in RESPONSE_CHECKS))
     for check in implausible_columns.CHECKS:
         results += check(recording)
@@ -66,7 +66,7 @@ def too_large(name: str, largest: float, unit: str, travel: float | None, limit:
     fits = [text for factor, text in SCALES if largest / factor <= allowed / 2]
     meant = fits[0] if fits else "absolute readings instead of deviations, or a wrong column"
     if largest < 5 * allowed:  # no unit is wrong by less than 25
-        meant = "a true error that large (mend the machine, or allow it), or readings from an axis out of reference"
+        meant = "a true error that large (repair the machine, or allow it), or readings from an axis out of reference"
     basis = "set by `limit`" if limit is not None else "the larger of 0.5 mm and 1/1000 of the travel"
     basis = "1 mm/m" if limit is None and unit == "urad" else basis
     return Finding(
@@ -97,7 +97,7 @@ def consequence(
     approached = {1.0: " approached from below", -1.0: " approached from above"}.get(float(np.sign(side)), "")
     who = "the axis" if axis == over else f"the axis {axis}"
     size = f"{abs(deviation):.1f} {unit}"
-    place = f"at {over} = {position + 0.0:.6g} {over_unit}{approached}"
+    place = f"at {over} = {round(position, 9) + 0.0:.6g} {over_unit}{approached}"
     if f"{abs(deviation):.1f}" == "0.0":
         return f"{place} {who} stands where it should and is left alone"
     if deviation > 0:

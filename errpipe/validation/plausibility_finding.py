@@ -16,18 +16,22 @@ RARE = 1e-4  # chance that two equal variances give such a ratio; four orders ar
 RARE_NOISE = 1e-3  # chance that rows in their right order differ by more than the repeats allow
 SINGLE_RUN_RATIO = 16.0  # of variances: of 1023 sound single runs none passes even the F test alone
 FINE = 200.0  # levels within the span; a dial of 0.01 mm has 30 of them over an error of 0.3 mm
-FEWEST = 6  # finite rows; fewer say nothing about a slope
+MIN_FINITE_ROWS = 6  # finite rows; fewer say nothing about a slope
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: what was probably meant."""
+    """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: what was probably meant.
+
+    of_sign: whether it speaks against the sign of the whole column.
+    """
 
     code: str
     column: str
     found: str
     meant: str
     level: Literal["refuse", "ask"] = "refuse"
+    of_sign: bool = False
 
     def __str__(self) -> str:
         return f"{self.column}: {self.found}. Probably meant: {self.meant} [{self.code}]"
@@ -123,7 +127,7 @@ def level_of_rearranged(r: Response, as_declared: float, rearranged: float) -> L
 
 
 Check = Callable[[Response], Finding | None]
-LARGEST = 1e15  # of a position or a deviation in its unit; sums of squares of larger ones overflow
+MAX_MAGNITUDE = 1e15  # of a position or a deviation in its unit; sums of squares of larger ones overflow
 
 
 def responses(recording: Recording) -> list[Response]:
@@ -134,9 +138,9 @@ def responses(recording: Recording) -> list[Response]:
         d = recording.array(name)
         place = _own(recording, ("command", "position"), component.axis)
         side = _own(recording, ("direction",), component.axis)
-        good = np.abs(d) < LARGEST
+        good = np.abs(d) < MAX_MAGNITUDE
         if place is not None:
-            good &= np.abs(recording.array(place)) < LARGEST
+            good &= np.abs(recording.array(place)) < MAX_MAGNITUDE
         rows = np.flatnonzero(good)
         out.append(
             Response(

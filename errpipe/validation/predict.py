@@ -20,7 +20,7 @@ from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
-from errpipe.fitting.validity import distance
+from errpipe.fitting.validity import LONGEST_HELD, distance
 
 _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
 Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]
@@ -123,11 +123,14 @@ def predict_parts(source: Predictor, parts: Iterable[Recording]) -> Iterator[pd.
 
 
 class _Run:
-    """What lasts of a run from one of its parts to the next: its evaluator, and the last value of each input."""
+    """What lasts of a run from one of its parts to the next: its evaluator, the last value of each input, and how many
+    rows ago it was read, with the rows from the reading before it to it.
+    """
 
     def __init__(self, evaluator: Evaluate):
         self.evaluate = evaluator
         self.last: dict[str, float] = {}
+        self.read: dict[str, tuple[int, int]] = {}
 
 
 def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iterator[pd.DataFrame]:
@@ -143,8 +146,8 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             label = labels[code] if code >= 0 else ""
             run = runs[label] = runs.get(label) or _Run(begin(len(part)))
             alone = part.take(rows)
-            far[rows] = distance(source.validity, alone)
             kept = held(alone, run.last)
+            far[rows] = distance(source.validity, _without_old(alone, kept, source.validity, run.read))
             known = _inputs_known(source, kept)
             for component, match in run.evaluate(kept).items():
                 values[component][rows] = match
@@ -199,6 +202,33 @@ def held(recording: Recording, last: dict[str, float] | None = None) -> Recordin
         if not np.isnan(t[-1]):
             last[time] = float(t[-1])
     return recording.with_values(changes)
+
+
+def _without_old(alone: Recording, kept: Recording, validity: Validity, read: dict[str, tuple[int, int]]) -> Recording:
+    """The held rows, without values of the validity box that are held for longer than such a sensor pauses.
+
+    A temperature logged every tenth row is known in between; a sensor that stops is not. read: see `_Run`; brought up
+    to date.
+    """
+    old: dict[str, np.ndarray] = {}
+    for name in validity.ranges:
+        known = np.isfinite(alone.array(name))
+        if known.size > 1 and known.all():
+            read[name] = (0, 1)
+            continue
+        at = np.flatnonzero(known)
+        steps = np.ones(at.size, dtype=np.int64)
+        if name in read:
+            at, steps = np.r_[-1 - read[name][0], at], np.r_[read[name][1], steps]
+        steps[1:] = np.diff(at)
+        if at.size:
+            read[name] = (known.size - 1 - int(at[-1]), int(steps[-1]))
+        if not known.all():
+            row = np.arange(known.size)
+            latest = np.searchsorted(at, row, side="right") - 1
+            rows_ago, step = row - np.r_[at, 0][latest], np.r_[steps, 0][latest]
+            old[name] = np.where((latest >= 0) & (rows_ago <= LONGEST_HELD * step), kept.array(name), np.nan)
+    return kept.with_values(old) if old else kept
 
 
 def _filled(values: np.ndarray, before: float) -> np.ndarray:

@@ -21,7 +21,8 @@ from errpipe.fitting.quantiles import student_tail
 from errpipe.models import Family
 
 ALPHA = 0.05  # chance of ever promoting a challenger that is no better than the champion
-BETS = (0.1, 0.25, 0.5, 0.75, 0.9)  # shares of the stake; the mean over them needs no guess of the size of the gain
+# Shares of the stake; the mean over them needs no guess of the size of the gain
+STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
 BATCHES = 10  # fits at most for the new runs of one look
 TOLERANCE = 1.02  # a group may be this much worse than no compensation: rounding of small groups, not a real loss
 LEAST_COVERAGE = 0.8  # of the 90 % interval; ISO/IEC Guide 98-3 asks for the stated one, ten groups scatter by 0.1
@@ -179,7 +180,7 @@ def champion_residual(recording: Recording, component: str, left: HeldOut, predi
 
 def e_value(scores: Sequence[float]) -> float:
     """Evidence after these scores (in their order): the mean over the bets of the stake's product; 1 for none."""
-    stakes = np.outer(BETS, np.clip(np.asarray(scores, dtype=float), -1.0, 1.0))
+    stakes = np.outer(STAKE_SHARES, np.clip(np.asarray(scores, dtype=float), -1.0, 1.0))
     logs = np.log1p(stakes).sum(axis=1)
     highest = float(logs.max())
     return float(np.exp(min(highest, 700.0)) * np.mean(np.exp(logs - highest)))

@@ -19,13 +19,13 @@ from errpipe.fitting.quantiles import student_tail
 # the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
 LEVEL = 0.02
 QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it hardly count there
-FEWEST = 2  # runs; one alone says nothing about the next
+MIN_RUNS = 2  # runs; one alone says nothing about the next
 
 
 def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> float:
     """Probability that chance alone makes the correction at this gain look as good on the held-out runs; 0..1."""
     before, after = _mean_squares(recording, folds, gain)
-    if before.size < FEWEST:
+    if before.size < MIN_RUNS:
         return 1.0
     floor = (QUIET**2) * float(before.mean()) + 1e-30
     ratio = np.log((before + floor) / (after + floor))

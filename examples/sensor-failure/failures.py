@@ -18,11 +18,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+import sensor_failures
+import sensor_watch
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting import holdout, thermal_arithmetic
 from errpipe.formats import manifest_folder
-from errpipe.guard import learn, trials, watch
+from errpipe.guard import learn
 from errpipe.models import FAMILIES
 
 SCHEMES = ("season", "run")
@@ -47,7 +49,7 @@ def judge(
 ) -> tuple[dict, dict]:
     """Sums over the runs of each season: healthy squares, and per sensor and way what failing it makes of them.
 
-    pairs: what is learnt from, and what is judged; how: drift, step and start of `trials.fail`.
+    pairs: what is learnt from, and what is judged; how: drift, step and start of `sensor_failures.fail`.
 
     Result: season -> [runs, runs with an alarm, squares, rows, squares guarded]; (season, sensor, way) -> [detected,
     rows to detection, runs in which another sensor was blamed, squares unguarded, squares guarded].
@@ -61,8 +63,8 @@ def judge(
         run = rows.run_codes()
         season = rows.frame["season"].to_numpy()
         labels = {code: season[run == code][0] for code in np.unique(run)}
-        late = trials.rows_after(rows, how["start"])
-        healthily = watch.watch(guard, rows)
+        late = sensor_failures.rows_after(rows, how["start"])
+        healthily = sensor_watch.watch(guard, rows)
         alarms = healthily.fault
         left = truth - model.values(rows)
         names = guard.names()
@@ -76,10 +78,10 @@ def judge(
             total[3] += int(np.count_nonzero(mine))
             total[4] += float(np.nansum(held[late & (run == code)] ** 2))
         for i, name in enumerate(names):
-            for way in trials.WAYS:
+            for way in sensor_failures.WAYS:
                 guilty = [i, (i + 1) % len(names)] if way == "swap" else [i]
-                spoilt = trials.fail(rows, name, way, beside=names[guilty[-1]], **how)
-                seen = watch.watch(guard, spoilt)
+                spoilt = sensor_failures.fail(rows, name, way, beside=names[guilty[-1]], **how)
+                seen = sensor_watch.watch(guard, spoilt)
                 bare = truth - model.values(spoilt)
                 guarded = truth - model.values(_with(rows, names, seen.reading))
                 for code, label in labels.items():
@@ -105,7 +107,7 @@ def show(healthy: dict, failed: dict, how: str) -> None:
         worst = 0.0
         for name in dict.fromkeys(n for _, n, _ in failed):
             cells = []
-            for way in trials.WAYS:
+            for way in sensor_failures.WAYS:
                 value, wait, wrong, bare, guarded = failed[label, name, way]
                 ratios = [float(np.sqrt(s / rows)) / base for s in (bare, guarded)]
                 worst = max(worst, ratios[1])
@@ -124,9 +126,9 @@ def main() -> None:
     parser.add_argument("--component", default="E_D")
     parser.add_argument("--family", default="season")
     parser.add_argument("--judge", type=Path, help="another recording, of the same sensors, that is judged")
-    parser.add_argument("--drift", type=float, default=trials.DRIFT, help="K/h")
-    parser.add_argument("--step", type=float, default=trials.STEP, help="K")
-    parser.add_argument("--start", type=float, default=trials.START, help="share of a run, 0..1")
+    parser.add_argument("--drift", type=float, default=sensor_failures.DRIFT, help="K/h")
+    parser.add_argument("--step", type=float, default=sensor_failures.STEP, help="K")
+    parser.add_argument("--start", type=float, default=sensor_failures.START, help="share of a run, 0..1")
     told = parser.parse_args()
     recording = manifest_folder.read(told.folder)
     how = {"drift": told.drift, "step": told.step, "start": told.start}

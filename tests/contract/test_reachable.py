@@ -25,10 +25,7 @@ KNOWN = {
     "extrapolation": "examples/placement",
 }
 # Modules that no other module of errpipe imports, entry points apart.
-KNOWN_MODULES = {
-    "errpipe.guard.trials": "sensors failed on purpose: tests and examples/sensor-failure",
-    "errpipe.simulation.fmu_worker": "run as a process of its own",
-}
+KNOWN_MODULES = {"errpipe.simulation.fmu_worker": "run as a process of its own"}
 
 
 def unreached(trees: Mapping[str, ast.Module], templates: str = "") -> set[str]:

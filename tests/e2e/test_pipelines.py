@@ -241,7 +241,7 @@ class TestReal:
             assert guarded < 0.5 * bare, sensor
 
     def test_drilled_plates(self, tmp_path, at_root):
-        """Whole plates sit out: the map of one plate does not carry over to another one, and the gate says so."""
+        """Whole plates are held out: the map of one plate does not carry over to another one, and the gate says so."""
         document = run("pipelines/drilled-plates.yaml", tmp_path / "out")
         assert document["scheme"] == "leave-one-run-out"
         for component in ("E_X", "E_Y"):

@@ -159,11 +159,11 @@ def test_started_by_root_it_has_no_rights(built: tuple[Path, Path], monkeypatch:
 
     child = os.fork()
     if child == 0:
-        fmu_worker.become(fmu_process.NOBODY)
+        fmu_worker.become(fmu_process.UID_NOBODY)
         with contextlib.suppress(PermissionError):
             os.setuid(0)
         mine = (*os.getresuid(), *os.getresgid(), *os.getgroups())
-        os._exit(0 if set(mine) == {fmu_process.NOBODY} else 1)
+        os._exit(0 if set(mine) == {fmu_process.UID_NOBODY} else 1)
     assert os.waitpid(child, 0)[1] == 0
     shut = built[0].parent / "shut"
     shut.mkdir(mode=0o700)
@@ -173,7 +173,7 @@ def test_started_by_root_it_has_no_rights(built: tuple[Path, Path], monkeypatch:
     monkeypatch.setattr(fmu_process.sys, "executable", "/bin/sh")
     monkeypatch.setattr(fmu_process.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(fmu_process, "__file__", "/bin/sh")
-    assert fmu_process.unprivileged_user() == fmu_process.NOBODY
+    assert fmu_process.unprivileged_user() == fmu_process.UID_NOBODY
 
 
 def test_one_that_starts_processes_without_end_is_ended(built: tuple[Path, Path]) -> None:

@@ -532,6 +532,13 @@ static ect_error load_inputs(ect *e, const sections *s)
     if (used != s->count[SUBSTITUTES]) {
         return ECT_SUBSTITUTE;
     }
+    e->quick = s->count[INPUTS];
+    for (i = s->count[INPUTS]; i-- > 0;) {
+        if (!e->inputs[i].slow) {
+            e->inputs[i].next = (uint8_t)e->quick;
+            e->quick = i;
+        }
+    }
     for (i = 0; i < s->count[INPUTS]; i++) {
         for (k = e->inputs[i].first; k < e->inputs[i].first + e->inputs[i].count; k++) {
             const uint8_t *r = s->at[SUBSTITUTES] + k * RECORD[SUBSTITUTES];
@@ -608,10 +615,27 @@ static int is_node_sound(const ect *e, const ect_node *n, const uint8_t *r, cons
     }
 }
 
+/* The first cycle of a run is slow and evaluates every node: a constant needs no other. */
+static void list_fast(ect *e, uint32_t count)
+{
+    uint32_t i;
+    e->fast_count = 0;
+    for (i = 0; i < count; i++) {
+        if (e->nodes[i].op == INPUT && !(e->nodes[i].flags & SLOW)) {
+            e->fast[e->fast_count++] = i;
+        }
+    }
+    e->fast_inputs = e->fast_count;
+    for (i = 0; i < count; i++) {
+        if (e->nodes[i].op > INPUT && !(e->nodes[i].flags & SLOW)) {
+            e->fast[e->fast_count++] = i;
+        }
+    }
+}
+
 static ect_error load_nodes(ect *e, const sections *s)
 {
     uint32_t i, k, used = 0, values = 0;
-    e->fast_count = 0;
     for (i = 0; i < s->count[NODES]; i++) {
         const uint8_t *r = s->at[NODES] + i * RECORD[NODES];
         ect_node *n = &e->nodes[i];
@@ -646,14 +670,12 @@ static ect_error load_nodes(ect *e, const sections *s)
             }
             values += n->others;
         }
-        if (!(n->flags & SLOW)) {
-            e->fast[e->fast_count++] = i;
-        }
     }
     e->where = used;
     if (used != s->count[OPERANDS]) {
         return ECT_OPERAND;
     }
+    list_fast(e, s->count[NODES]);
     for (i = 0; i < s->count[LOOKUPS]; i++) {
         e->where = i;
         e->lookups[i] = real_at(s->at[LOOKUPS] + i * RECORD[LOOKUPS]);
@@ -671,10 +693,10 @@ static int is_error_bound(const uint8_t *p)
     return (high & 0x7FF00000u) != 0x7FF00000u && (high < 0x80000000u || (high == 0x80000000u && u32_at(p) == 0));
 }
 
-static int is_turn_count_small(const ect *e, const ect_profile *p, ect_real step)
+static int is_turn_count_small(const ect_input *in, const ect_profile *p, ect_real step)
 {
     ect_real period = (ect_real)p->last * step;
-    ect_real below = e->inputs[p->input].low - p->start, above = e->inputs[p->input].high - p->start, far;
+    ect_real below = in->low - p->start, above = in->high - p->start, far;
     below = below < R(0) ? -below : below;
     above = above < R(0) ? -above : above;
     far = below > above ? below : above;
@@ -689,8 +711,9 @@ static ect_error load_profiles(ect *e, const sections *s)
         ect_profile *p = &e->profiles[i];
         uint32_t flags = u32_at(r + 4), count = u32_at(r + 12);
         ect_real step = real_at(r + 24);
+        int32_t input;
         e->where = i;
-        p->input = i32_at(r);
+        input = i32_at(r);
         p->periodic = (uint8_t)(flags & 1u);
         p->start = real_at(r + 16);
         p->inverse_step = real_at(r + 32);
@@ -701,8 +724,7 @@ static ect_error load_profiles(ect *e, const sections *s)
         }
         p->values = s->at[VALUES] + 4u * used;
         p->last = (int32_t)count - 1;
-        if (p->input < -1 || (p->input == -1) != (count == 1)
-            || (p->input >= 0 && (uint32_t)p->input >= s->count[INPUTS])) {
+        if (input < -1 || (input == -1) != (count == 1) || (input >= 0 && (uint32_t)input >= s->count[INPUTS])) {
             return ECT_PROFILE;
         }
         if (!is_number(p->start) || !is_positive(step) || !is_positive(p->scale) || !is_error_bound(r + 56)
@@ -731,12 +753,13 @@ static ect_error load_profiles(ect *e, const sections *s)
         }
         if (p->periodic
             && (count < 3 || i32_at(p->values) != i32_at(p->values + 4u * (count - 1))
-                || !is_turn_count_small(e, p, step))) {
+                || !is_turn_count_small(&e->inputs[input], p, step))) {
             return ECT_PROFILE;
         }
+        p->at = input < 0 ? NULL : &e->inputs[input].value;
         p->value = (ect_real)i32_at(p->values) * p->scale;
         p->alike = 0;
-        if (i > 0 && p->input >= 0 && same_bytes(r, before, 8) && same_bytes(r + 12, before + 12, 20)) {
+        if (i > 0 && input >= 0 && same_bytes(r, before, 8) && same_bytes(r + 12, before + 12, 20)) {
             e->profiles[first].alike += 1;
         } else {
             first = i;
@@ -745,6 +768,65 @@ static ect_error load_profiles(ect *e, const sections *s)
     }
     e->where = used;
     return used == s->count[VALUES] ? ECT_OK : ECT_VALUE;
+}
+
+/* Pairs that a cycle sums, those of a component one after another in the order of the table. A component of one pair
+ * that is a constant times its profile, never faded, needs no sum: of a constant 1 its place holds -1 - the profile's
+ * number until the terms are loaded, which then point at the profile; of a profile without an input it holds -BIG until
+ * its value is put there. Before that a place holds how many pairs it has, and then where the next of them goes. */
+static void place_pairs(ect *e, const sections *s)
+{
+    uint32_t i;
+    e->pair_count = 0;
+    for (i = 0; i < s->count[COMPONENTS]; i++) {
+        uint32_t count = (uint32_t)e->components[i];
+        e->components[i] = count == 1 ? -BIG : count == 0 ? R(0) : (ect_real)e->pair_count;
+        e->pair_count += count == 1 ? 0u : count;
+    }
+    for (i = 0; i < s->count[PAIRS]; i++) {
+        const uint8_t *r = s->at[PAIRS] + i * RECORD[PAIRS];
+        ect_profile *profile = &e->profiles[u32_at(r + 4)];
+        const ect_node *n = &e->nodes[u32_at(r + 8)];
+        ect_real *component = &e->components[u32_at(r)];
+        uint32_t keep = u16_at(r + 12);
+        ect_pair *p;
+        if (*component < R(0)) {
+            if (keep && n->op == CONSTANT && is_equal(n->a, R(1))) {
+                *component = R(-1) - (ect_real)u32_at(r + 4);
+                continue;
+            }
+            if (keep && n->op == CONSTANT && profile->at == NULL) {
+                continue;
+            }
+            *component = (ect_real)e->pair_count++;
+        }
+        p = &e->pairs[(uint32_t)*component];
+        *component = *component + R(1);
+        p->profile = &profile->value;
+        p->node = &n->value;
+        p->component = component;
+        p->keep = keep;
+    }
+    for (i = 0; i < e->pair_count; i++) { /* the last of each component only */
+        if (i + 1 < e->pair_count && e->pairs[i].component == e->pairs[i + 1].component) {
+            e->pairs[i].component = NULL;
+        } else {
+            *e->pairs[i].component = R(0);
+        }
+    }
+}
+
+/* Components that never change get their value. */
+static void fix_components(ect *e, const sections *s)
+{
+    uint32_t i;
+    for (i = 0; i < s->count[PAIRS]; i++) {
+        const uint8_t *r = s->at[PAIRS] + i * RECORD[PAIRS];
+        ect_real *component = &e->components[u32_at(r)];
+        if (*component <= -BIG) {
+            *component = R(0) + e->profiles[u32_at(r + 4)].value * e->nodes[u32_at(r + 8)].a;
+        }
+    }
 }
 
 static ect_error load_sums(ect *e, const sections *s)
@@ -761,19 +843,14 @@ static ect_error load_sums(ect *e, const sections *s)
     }
     for (i = 0; i < s->count[PAIRS]; i++) {
         const uint8_t *r = s->at[PAIRS] + i * RECORD[PAIRS];
-        ect_pair *p = &e->pairs[i];
         e->where = i;
         if (u32_at(r) >= s->count[COMPONENTS] || u32_at(r + 4) >= s->count[PROFILES] || u32_at(r + 8) >= s->count[NODES]
             || u32_at(r + 12) > 1) {
             return ECT_PAIR;
         }
-        p->keep = (uint16_t)u16_at(r + 12);
-        p->component = &e->components[u32_at(r)];
-        p->first = *p->component <= R(0);
-        *p->component = R(1); /* until the first cycle: it has a pair */
-        p->profile = &e->profiles[u32_at(r + 4)].value;
-        p->node = &e->nodes[u32_at(r + 8)].value;
+        e->components[u32_at(r)] += R(1); /* until its pairs are placed: how many it has */
     }
+    place_pairs(e, s);
     return ECT_OK;
 }
 
@@ -809,6 +886,7 @@ static ect_error load_outputs(ect *e, const sections *s)
         o->flags = u32_at(r + 44);
         o->first = u32_at(r + 48);
         o->count = u32_at(r + 52);
+        o->simple = 1;
         o->factor = real_at(r + 56);
         o->magnitude = real_at(r + 64);
         o->slew = real_at(r + 72);
@@ -841,6 +919,9 @@ static ect_error load_outputs(ect *e, const sections *s)
             return ECT_TERM;
         }
         t->component = &e->components[u32_at(r)];
+        if (*t->component < R(0) && *t->component > -BIG) {
+            t->component = &e->profiles[(uint32_t)(R(-1) - *t->component)].value;
+        }
         for (k = 0; k < 4; k++) {
             uint32_t number = u32_at(r + 8 + 4 * k);
             if (k < t->count ? number >= s->count[NODES] : number != 0xFFFFFFFFu) {
@@ -849,6 +930,13 @@ static ect_error load_outputs(ect *e, const sections *s)
             t->node[k] = k < t->count ? &e->nodes[number].value : &one;
         }
     }
+    for (i = 0; i < s->count[OUTPUTS]; i++) {
+        ect_output *o = &e->outputs[i];
+        for (k = o->first; k < o->first + o->count; k++) {
+            o->simple = o->simple && e->terms[k].count <= 1;
+        }
+    }
+    fix_components(e, s);
     return ECT_OK;
 }
 
@@ -909,7 +997,6 @@ ect_error ect_load_any(ect *e, const void *table, size_t size, void *work, size_
     e->node_count = s.count[NODES];
     e->profile_count = s.count[PROFILES];
     e->component_count = s.count[COMPONENTS];
-    e->pair_count = s.count[PAIRS];
     e->output_count = s.count[OUTPUTS];
     ect_reset(e);
     e->rules = s.rules;
@@ -1072,26 +1159,53 @@ static uint32_t stand_in(ect *e, ect_input *in)
     return ECT_DEFAULTED | (in->flags & FADE_ON_DEFAULT ? LOST : 0u);
 }
 
+/* A new reading in its range that follows the one before: nothing else is to be judged. */
+static int is_plain(const ect *e, const ect_input *in, ect_real reading)
+{
+    ect_real reach, moved;
+    if (!(reading >= in->low && reading <= in->high)) {
+        return 0;
+    }
+    if (!(in->flags & HAS_MAX_RATE)) {
+        return 1;
+    }
+    reach = in->max_rate * (in->age + e->cycle);
+    moved = reading - in->anchor;
+    return in->seen && moved <= reach && moved >= -reach;
+}
+
+static void take(ect_input *in, ect_real reading)
+{
+    in->good = in->now = in->raw = reading;
+    in->age = R(0);
+    in->seen = 1; /* four bytes side by side: one store */
+    in->usable = 1;
+    in->fault = 0;
+    in->source = 0;
+}
+
 static uint32_t condition(ect *e, const ect_real *readings, const uint8_t *fresh)
 {
     uint32_t i, status = 0, doubtful = 0;
-    int is_new;
     for (i = 0; i < e->input_count; i++) {
         ect_input *in = &e->inputs[i];
-        in->age = in->age + e->cycle;
-        is_new = fresh == NULL || fresh[i];
+        int is_new = fresh == NULL || fresh[i];
         if (is_new) {
-            in->raw = readings[i];
             in->wait = R(0);
+            if (is_plain(e, in, readings[i])) {
+                in->anchor = readings[i];
+                take(in, readings[i]);
+                continue;
+            }
+            in->raw = readings[i];
         } else {
             in->wait = in->wait + e->cycle;
         }
+        in->age = in->age + e->cycle;
         in->fault = judge(e, in, is_new);
         in->source = 0;
         if (in->fault == 0) {
-            in->good = in->now = in->raw;
-            in->age = R(0);
-            in->seen = in->usable = 1;
+            take(in, in->raw);
         } else {
             doubtful = 1;
         }
@@ -1104,30 +1218,40 @@ static uint32_t condition(ect *e, const ect_real *readings, const uint8_t *fresh
     return status;
 }
 
+/* What the table sees of an input; the lesser of `least` and what its validity leaves of the correction. */
+static ect_real show_one(const ect *e, ect_input *in, ect_real least)
+{
+    ect_real v = in->now, o;
+    if (in->flags & HAS_VALID) {
+        in->left = R(1);
+        o = v < in->valid_low ? in->valid_low - v : v - in->valid_high;
+        if (o > R(0)) {
+            in->left = R(1) - o / in->margin;
+            if (e->rules > 1) {
+                v = v < in->valid_low ? in->valid_low : in->valid_high;
+            }
+        }
+    }
+    in->value = v;
+    return in->left < least ? in->left : least;
+}
+
 /* What the table sees of the inputs; the least that the validity of one leaves of the correction. */
 static ect_real show(ect *e, int thermal)
 {
     uint32_t i;
-    ect_real least = R(1);
-    for (i = 0; i < e->input_count; i++) {
-        ect_input *in = &e->inputs[i];
-        ect_real v = in->now, o;
-        if (!in->slow || thermal) {
-            if (in->flags & HAS_VALID) {
-                in->left = R(1);
-                o = v < in->valid_low ? in->valid_low - v : v - in->valid_high;
-                if (o > R(0)) {
-                    in->left = R(1) - o / in->margin;
-                    if (e->rules > 1) {
-                        v = v < in->valid_low ? in->valid_low : in->valid_high;
-                    }
-                }
+    ect_real least;
+    if (thermal) {
+        e->left_slow = R(1);
+        for (i = 0; i < e->input_count; i++) {
+            if (e->inputs[i].slow) {
+                e->left_slow = show_one(e, &e->inputs[i], e->left_slow);
             }
-            in->value = v;
         }
-        if (in->left < least) {
-            least = in->left;
-        }
+    }
+    least = e->left_slow;
+    for (i = e->quick; i < e->input_count; i = e->inputs[i].next) {
+        least = show_one(e, &e->inputs[i], least);
     }
     return least;
 }
@@ -1281,8 +1405,17 @@ static uint8_t is_ready(const ect *e, const ect_node *n)
 
 static uint32_t run_nodes(ect *e, int slow)
 {
-    uint32_t i, status = 0, count = slow ? e->node_count : e->fast_count;
-    for (i = 0; i < count; i++) {
+    uint32_t i = 0, status = 0, count = slow ? e->node_count : e->fast_count;
+    for (; !slow && i < e->fast_inputs; i++) { /* a reading is sane */
+        ect_node *n = &e->nodes[e->fast[i]];
+        const ect_input *in = &e->inputs[n->other];
+        if (!n->ready && in->usable) {
+            n->ready = 1;
+            e->unready -= 1;
+        }
+        n->value = in->value;
+    }
+    for (; i < count; i++) {
         ect_node *n = &e->nodes[slow ? i : e->fast[i]];
         int started = n->ready;
         ect_real value;
@@ -1305,7 +1438,7 @@ static uint32_t run_nodes(ect *e, int slow)
 static ect_real move(const ect *e, ect_real x, ect_real goal, ect_real whole)
 {
     ect_real step;
-    if (whole <= R(0)) {
+    if (whole <= R(0) || is_equal(x, goal)) {
         return goal;
     }
     step = e->cycle / whole;
@@ -1329,10 +1462,10 @@ static uint32_t run_profiles(ect *e)
         ect_real n = (ect_real)p->last, s, f;
         int32_t j, left, right;
         last = p + p->alike + 1;
-        if (p->input < 0) {
+        if (p->at == NULL) {
             continue; /* its value is fixed */
         }
-        s = (e->inputs[p->input].value - p->start) * p->inverse_step;
+        s = (*p->at - p->start) * p->inverse_step;
         if (p->periodic) {
             ect_real t = s * p->inverse_turn;
             int32_t k = (int32_t)t;
@@ -1367,6 +1500,7 @@ static uint32_t run_sums(ect *e)
 {
     uint32_t i, m, status = 0;
     const ect_real fade = e->fade;
+    ect_real sum = R(0);
     const ect_pair *p = e->pairs, *pairs_end = p + e->pair_count;
     const ect_term *t = e->terms, *terms_end;
     for (; p < pairs_end; p++) {
@@ -1374,13 +1508,23 @@ static uint32_t run_sums(ect *e)
         if (!p->keep) {
             part = part * fade;
         }
-        *p->component = (p->first ? R(0) : *p->component) + part;
+        sum = sum + part;
+        if (p->component != NULL) {
+            *p->component = sum;
+            sum = R(0);
+        }
     }
     for (i = 0; i < e->output_count; i++) {
         ect_output *o = &e->outputs[i];
         ect_real d = R(0);
-        for (terms_end = t + o->count; t < terms_end; t++) {
-            ect_real part = t->weight * *t->component * *t->node[0]; /* 1 where it has none */
+        terms_end = t + o->count;
+        if (o->simple) {
+            for (; t < terms_end; t++) {
+                d = d + t->weight * *t->component * *t->node[0]; /* 1 where it has none */
+            }
+        }
+        for (; t < terms_end; t++) {
+            ect_real part = t->weight * *t->component * *t->node[0];
             for (m = 1; m < t->count; m++) {
                 part = part * *t->node[m];
             }

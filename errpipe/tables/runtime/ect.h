@@ -74,8 +74,9 @@ typedef struct {
     uint32_t first, count;
     uint32_t rejected;      /* readings refused because they moved too fast */
     uint16_t flags;
-    uint8_t seen, usable;
     uint8_t slow;           /* shown to the table in thermal cycles only */
+    uint8_t next;           /* input behind it that is shown in every cycle; in a slow one unused */
+    uint8_t seen, usable;
     uint8_t fault;          /* 0 none, 1 missing, 2 stale, 3 range, 4 rate */
     uint8_t source;         /* 0 reading, 1 substitute, 2 held, 3 default */
 } ect_input;
@@ -100,17 +101,17 @@ typedef struct {
 typedef struct {
     ect_real start, inverse_step, inverse_turn, scale;
     ect_real value;
+    const ect_real *at;     /* value of its input; NULL: its own value is fixed */
     const uint8_t *values;  /* in the table */
-    int32_t input, last;
+    int32_t last;
     uint8_t periodic;
     uint16_t alike; /* profiles behind it on the same grid */
 } ect_profile;
 
 typedef struct {
     const ect_real *profile, *node; /* their values */
-    ect_real *component;
-    uint16_t keep;
-    uint16_t first;         /* of its component */
+    ect_real *component;    /* where the sum goes that this pair ends; NULL: it goes on */
+    uint32_t keep;
 } ect_pair;
 
 typedef struct {
@@ -119,6 +120,7 @@ typedef struct {
     ect_real deviation;     /* um or urad */
     ect_real correction;    /* in the output's correction unit, to be added to the command */
     uint32_t first, count, flags;
+    uint32_t simple;        /* none of its terms has more than one factor */
 } ect_output;
 
 typedef struct {
@@ -137,13 +139,15 @@ typedef struct {
     ect_pair *pairs;
     ect_output *outputs;
     ect_term *terms;
-    uint32_t *fast;         /* numbers of the nodes that are not slow */
-    uint32_t input_count, node_count, fast_count, profile_count, component_count, pair_count, output_count;
+    uint32_t *fast;         /* numbers of the nodes of every cycle: those that are an input, then the others */
+    uint32_t input_count, node_count, fast_inputs, fast_count, profile_count, component_count, pair_count, output_count;
     uint32_t slow_every, until_slow, unready;
     uint32_t rules;         /* format version by whose rules the table runs */
     ect_real cycle, thermal, ramp_time, fade_time;
     ect_real ramp, fade;
+    ect_real left_slow;     /* the least that the validity of a slow input leaves */
     uint32_t status, heartbeat;
+    uint32_t quick;         /* the first input that is shown in every cycle */
     uint32_t crc;           /* the table's name */
     uint32_t where;         /* record that was refused */
 } ect;

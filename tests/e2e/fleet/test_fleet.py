@@ -212,7 +212,7 @@ def cluster_in(folder: Path) -> Iterator[str]:
         yield json.loads(file.read_text(encoding="utf-8"))["address"]
 
 
-def test_twelve_machines_and_what_they_borrow_from_their_type(
+def test_six_machines_and_what_they_borrow_from_their_type(
     tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Pooled parameters stand in a model of each machine; a bad machine is the first of the report."""
@@ -221,12 +221,12 @@ def test_twelve_machines_and_what_they_borrow_from_their_type(
         return (fleet_stage.run_machine(*task) for task in tasks)
 
     monkeypatch.setattr(fleet_stage, "_in_processes", in_this_process)
-    code, result = run(site(tmp_path / "site", 12, days=4), tmp_path / "o", capsys)
+    code, result = run(site(tmp_path / "site", 6, days=4), tmp_path / "o", capsys)
     assert code == 4 and [r["name"] for r in result["machines"] if r["state"] != "done"] == ["m001"]
-    assert (tmp_path / "o/fleet.md").read_text(encoding="utf-8").count("| m0") == 12
+    assert (tmp_path / "o/fleet.md").read_text(encoding="utf-8").count("| m0") == 6
     (kind,) = result["types"]
     pooled = kind["responses"]["EXX"]
-    assert len(pooled["machines"]) == 11
+    assert len(pooled["machines"]) == 5
     for name in pooled["machines"]:
         own = ErrorModel.model_validate_json((tmp_path / f"o/machines/{name}/fit/error_model.json").read_text())
         new = ErrorModel.model_validate_json((tmp_path / f"o/pooled/{name}/error_model.json").read_text())

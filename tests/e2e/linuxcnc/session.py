@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
-NOBODY = 65534
+UID_NOBODY = 65534
 MARK = "ERRPIPE_LINUXCNC_SESSION"
 LOCK = Path(tempfile.gettempdir()) / "errpipe-linuxcnc.lock"
 NEEDED = ("linuxcnc", "halrun", "halcmd", "halcompile", "halstreamer", "halsampler")
@@ -72,9 +72,9 @@ def environment(folder: Path) -> dict[str, str]:
         MARK: str(folder),
     }
     if os.geteuid() == 0:
-        env["RTAPI_UID"] = str(NOBODY)
+        env["RTAPI_UID"] = str(UID_NOBODY)
         for path in (folder, *folder.rglob("*")):
-            os.chown(path, NOBODY, NOBODY)
+            os.chown(path, UID_NOBODY, UID_NOBODY)
     return env
 
 

@@ -7,6 +7,8 @@ from numpy.testing import assert_allclose
 
 from errpipe.diagnosis.coloured import Colour, correlation_time, whiten
 from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, averaged, textbook_share
+from errpipe.diagnosis.hypotheses import rms_and_spread
+from errpipe.kernels import noise
 
 
 def table(rng, n=400, k=6):
@@ -46,6 +48,37 @@ def test_hypotheses_of_all_widths_at_once_have_the_evidence_of_each():
         assert_allclose(gain[k], averaged(S[None], s[None, :, None], np.array([beside.Q]), 300.0)[0, 0], rtol=1e-6)
         b = np.linalg.solve(S + np.eye(i.size) / size[k] ** 2, s)
         assert_allclose(core[k], textbook_share(freedom[k] * b, [1, 1, 2, 4, 20][k]), rtol=1e-6)
+
+
+def test_columns_are_whitened_one_by_one_as_side_by_side():
+    rng = np.random.default_rng(11)
+    for count, rows, runs in ((1, 1, 1), (2, 7, 7), (5, 300, 4), (9, 1000, 1)):
+        columns, run = rng.standard_normal((count, rows)), np.sort(rng.integers(0, runs, rows))
+        out, known = np.empty_like(columns), Colour(12.0, 0.3).filter()
+        noise.whiten_each(run, columns, out, *known)
+        assert out.tobytes() == noise.whiten(run, np.ascontiguousarray(columns.T), *known).T.tobytes()
+
+
+def test_a_fingerprint_tells_columns_apart_that_differ_in_a_bit_a_sign_or_their_order():
+    column = np.random.default_rng(12).standard_normal(1003)
+    alike = [column]
+    for k in range(column.size):
+        alike += [column.copy(), column.copy()]
+        alike[-2][k], alike[-1][k] = np.nextafter(column[k], 9.0), -column[k]
+    for a, b in ((0, 1), (0, 4), (3, 900), (1001, 1002)):
+        alike.append(column.copy())
+        alike[-1][[a, b]] = column[[b, a]]
+    assert len({noise.fingerprint(c) for c in alike}) == len(alike)
+    assert noise.fingerprint(column.copy()) == noise.fingerprint(column)
+
+
+def test_sizes_of_columns_have_the_bits_of_numpy():
+    rng = np.random.default_rng(13)
+    for shape in ((5, 1), (400, 1), (1000, 2), (999, 7)):
+        columns = rng.standard_normal(shape) * np.geomspace(1e-3, 1e3, shape[1]) + 5.0
+        rms, spread = rms_and_spread(columns)
+        assert rms.tobytes() == np.sqrt(np.mean(columns**2, axis=0)).tobytes()
+        assert spread.tobytes() == columns.std(axis=0).tobytes()
 
 
 def test_columns_added_later_have_the_same_products():

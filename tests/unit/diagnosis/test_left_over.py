@@ -96,6 +96,9 @@ def test_a_planted_effect_is_beyond_chance():
     assert case.explanation.accepted[0].hypothesis.effect in ("backlash", "friction_hysteresis")  # no short reversals
     assert probability.p == 0.01 and probability.gain > 5 * max(probability.limit, 1.0)
     assert probability.rows == pytest.approx(case.run.size, rel=0.3)  # what is left is noise: rows count
+    assert len(case.explanation.accepted) == 1  # its surrogates are those of the whole search, which are known then
+    again = significance.chance(case, 0, whole=significance.chance(case))
+    assert (again.p, again.gain, again.limit) == (probability.p, probability.gain, probability.limit)
 
 
 def test_rows_that_repeat_their_neighbours_count_for_less():

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import diagnose, empirical, own_noise, plausible
+from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausible, unnamed
+from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.shapes import shapes
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm
 from errpipe.terms.air_refraction import AirRefraction
@@ -116,3 +117,73 @@ def test_air_refracts_by_a_constant_of_nature(low, high, no_such_size):
         spans = [span, SimpleNamespace(name="coefficient", low=1e3 * low, high=1e3 * high)]
         made = SimpleNamespace(hypothesis=SimpleNamespace(terms=[term]), estimates=spans)
         assert plausible.no_such_size(made) == expected  # type: ignore[arg-type]
+
+
+def test_lost_motion_that_grows_with_a_temperature_is_a_shape():
+    """A screw that has lost its pretension: no effect of the vocabulary is a step that a temperature sizes."""
+    made = axis()
+    rise = made.array("T_nut")
+    form = made.array("dir") * np.cos(2 * np.pi * (rise - rise.min()) / np.ptp(rise))
+    every = shapes(made, "EXX", np.arange(len(made)))
+    own = next(s for s in every if s.kind == "direction and input" and s.drivers == ("x", "T_nut"))
+    assert np.std(form - own.columns @ np.linalg.lstsq(own.columns, form, rcond=None)[0]) < 1e-6
+
+
+def left_by(values: np.ndarray, sigma: float, shaped: float = 1.0, bare: float = 1.8, again: float = 1.0):
+    """A case whose names leave these values: rms, on held-out rows beside shapes and without names; noise 1."""
+    scene = SimpleNamespace(rms=lambda: 4.6)
+    case = SimpleNamespace(residual=values, run=np.zeros(values.size, int), sigma=sigma, noise_estimate=1.0)
+    case.explanation, case.chosen = SimpleNamespace(accepted=(1,)), lambda: []
+    case.search = SimpleNamespace(scene=lambda chosen: scene)
+    case.remainder = SimpleNamespace(shapes=((SimpleNamespace(of_inputs=True), 20.0),))
+    case.recording = SimpleNamespace(time=lambda: np.arange(values.size), array=lambda name: values)
+    case.pair = SimpleNamespace(rows=slice(None), error="e")
+    return case, HeldOut("40 blocks", bare, 1.0, (again,), 1.0, shaped, 1.0, bare, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sigma", "shaped", "unexplained"),
+    [
+        ("teeth", 3.0, 1.0, True),  # two fifths of what is no noise, in a rhythm
+        ("teeth", 1.5, 1.0, False),  # a real part departs by a few per cent
+        ("walk", 3.0, 1.0, False),  # noise that wanders beside an effect
+        ("white", 1.0, 0.9, True),  # shapes over inputs predict a fifth of what names leave on held-out rows
+        ("white", 1.0, 0.99, False),
+    ],
+)
+def test_what_names_must_not_leave(monkeypatch, kind, sigma, shaped, unexplained):
+    rng, rows = np.random.default_rng(2), np.arange(1000)
+    walk = np.cumsum(rng.standard_normal(1000))
+    left = {
+        "teeth": 2.0 * (rows % 13) / 13 + 0.1 * rng.standard_normal(1000),
+        "walk": walk,
+        "white": rng.normal(size=1000),
+    }
+    monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
+    case, held = left_by(left[kind], sigma, shaped)
+    assert unnamed.unexplained(case, held) == unexplained  # type: ignore[arg-type]
+
+
+def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
+    """Not where names explain 95 % of the held-out variance, nor where a fold misses a name and shapes stand in."""
+    monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
+    white = np.random.default_rng(2).standard_normal(1000)
+    for bare, again, expected in ((1.8, 1.0, True), (4.0, 1.0, False), (1.8, 0.4, False)):
+        assert unnamed.unexplained(*left_by(white, 1.0, 0.9, bare, again)) == expected  # type: ignore[arg-type]
+
+
+def test_a_rhythm_a_little_above_the_noise_is_said():
+    """Saw teeth over the order of the parts, not twice as large as the noise: no column goes with them."""
+    made = spindle(3, hidden=lambda c: 0.9 * ((np.arange(c["t"].size) % 13) / 6.0 - 1.0))
+    (response,) = diagnose(made)[0].responses
+    assert (response.verdict, response.findings[0].effect) == ("unexplained", "unknown")
+
+
+@pytest.mark.parametrize(("wandering", "reset", "jump"), [(0.0, 3.0, True), (0.4, 0.0, False), (0.0, 0.0, False)])
+def test_a_datum_that_is_lost_between_runs_is_no_wandering(wandering, reset, jump):
+    """Runs of 500 s with pauses of 2000 s; noise 1; a random walk goes on in the pauses."""
+    rng, run = np.random.default_rng(4), np.repeat(np.arange(10), 100)
+    t = 5.0 * np.arange(1000) + 2000.0 * run
+    walk = wandering * np.cumsum(rng.standard_normal(1000) * np.sqrt(np.diff(t, prepend=t[0]) / 5.0))
+    left = walk + reset * rng.standard_normal(10)[run] + rng.standard_normal(1000)
+    assert coloured.levels_jump(left, run, t) == jump

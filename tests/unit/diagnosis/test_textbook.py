@@ -20,10 +20,14 @@ def held(bare: float, textbook: float, named: float) -> HeldOut:
 
 
 @pytest.mark.parametrize(
-    ("textbook", "alone", "departs"), [(1.0, 0.2, False), (2.8, 0.2, True), (2.8, 0.9, False), (1.6, 0.2, False)]
+    ("textbook", "alone", "departs"),
+    [(1.0, 0.2, False), (2.8, 0.2, True), (2.8, 0.9, False), (1.6, 0.2, False), (3.5, 0.2, True), (8.0, 0.2, False)],
 )
 def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, departs):
-    """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well."""
+    """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well.
+
+    One that does far worse than no name was not determined by the rows that it was fitted on, and says nothing.
+    """
 
     explained = SimpleNamespace(explanation=Explanation((SimpleNamespace(),), np.zeros(1)))  # type: ignore[arg-type]
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)

@@ -68,7 +68,7 @@ def test_what_is_expected_does_not_depend_on_the_deviation_of_the_candidate():
 
 
 def test_the_expected_error_is_the_one_that_comes():
-    """The promised rms, and what fits of many machines leave of days that sat out."""
+    """The promised rms, and what fits of many machines leave of held-out days."""
     promised, came = [], []
     for seed in range(12):
         cycles = DutyCycles.of(days("htb" * 8, seed), "E_Z")

@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting.batches import Source, few_rows
+from errpipe.fitting.batches import Source, few_rows, survey
 from errpipe.formats import manifest_folder
 from errpipe.models.terms import Terms
 from errpipe.terms import TERMS, example_of
@@ -97,7 +99,7 @@ def on_disk(recording: Recording, folder, rows: int) -> Source:
     manifest_folder.write(recording, folder)
     batches = partial(manifest_folder.iter_batches, folder, rows=rows)
     ends, complete = manifest_folder.extremes(folder)
-    return Source(len(recording), ends, batches, complete)
+    return Source(len(recording), ends, batches, complete, manifest_folder.runs_written(folder))
 
 
 def same(one, other, path="", rtol=1e-9) -> None:
@@ -206,6 +208,23 @@ def test_a_run_that_comes_back_is_refused(tmp_path):
     recording.frame.loc[2900:, "run"] = "r0"
     with pytest.raises(DataError, match="run r0 comes back after run r6"):
         Terms(**MODEL).fit_batches(on_disk(recording, tmp_path, 1000))
+
+
+def test_a_table_says_of_which_runs_it_consists_so_that_they_are_not_read(tmp_path):
+    recording = log(3000).frame.assign(EXX=lambda frame: frame["EXX"].fillna(0.0))
+    source = on_disk(Recording(log(10).manifest, recording), tmp_path, 1000)
+    assert source.runs == dict(recording["run"].value_counts(sort=False))
+    read = []
+    batches = lambda names, **known: read.append(names) or source.batches(names, **known)  # noqa: E731
+    told, counted = (survey(replace(source, batches=batches, runs=r), Terms(**MODEL)) for r in (source.runs, None))
+    assert read == [["run"]]
+    assert told.runs == counted.runs and told.scheme == counted.scheme
+    np.testing.assert_array_equal(told.lengths, counted.lengths)
+    for wrong in (b"[]", b"{", b'[["a", 1]]', b'[["a", -1], ["b", 3001]]', b'[["a", 1500], ["a", 1500]]', b"3", b"[3]"):
+        table = pq.read_table(tmp_path / manifest_folder.TABLE)
+        facts = {**table.schema.metadata, b"errpipe.runs": wrong}
+        pq.write_table(table.replace_schema_metadata(facts), tmp_path / manifest_folder.TABLE)
+        assert manifest_folder.runs_written(tmp_path) is None, wrong
 
 
 PIPELINE = """\

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.fitting.noise_floor import noise_floor
+from errpipe.fitting.noise_floor import noise_floor, rounding
 
 COLUMNS = {
     "run": Column(role="run"),
@@ -48,3 +48,22 @@ def test_it_is_never_above_the_residual() -> None:
         values = np.random.default_rng(seed).standard_t(3, size=len(data))
         values[::2] *= -1.0
         assert noise_floor(data, np.arange(len(data)), values) <= np.sqrt(np.mean(values**2)) + 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_coarse_display_does_not_hide_the_noise_in_repeats_that_read_alike(seed: int) -> None:
+    """A dial gauge of 10 um that repeats within 1 um: whoever predicts its readings is 10 / sqrt(12) um off."""
+    data = bidirectional(8)
+    true = 0.05 * data.array("x") + np.random.default_rng(seed).normal(0.0, 1.0, len(data))
+    shown = 10.0 * np.round(true / 10.0)
+    floor = noise_floor(data, np.arange(len(data)), shown - true, shown)
+    assert floor == pytest.approx(10.0 / 12.0**0.5, rel=0.1)
+    assert noise_floor(data, np.arange(len(data)), shown - true) < 2.0
+
+
+def test_readings_without_steps_have_no_rounding() -> None:
+    random = np.random.default_rng(1).normal(0.0, 5.0, 400)
+    assert rounding(random) == 0.0
+    assert rounding(np.round(random, 1) + 0.03) == pytest.approx(0.1 / 12.0**0.5)
+    assert rounding(np.array([1.0, 2.0, 3.0])) == 0.0  # too few to tell
+    assert rounding(np.full(50, 7.0)) == 0.0

@@ -164,3 +164,26 @@ def test_the_evidence_that_the_file_labels_its_directions_rightly():
         later = frame[frame["run"] != "1"] if sample == "ess" else frame
         by = later.groupby("direction")["EXX"].mean()
         assert by[1.0] - by[-1.0] == pytest.approx(mean, rel=0.02)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"])
+def test_a_laser_file_in_utf_16(tmp_path, encoding):
+    path = tmp_path / "x.rtl"
+    path.write_bytes(RTL.read_text().replace("\n", "\r\n").encode(encoding))
+    np.testing.assert_array_equal(formats.read(path).frame.to_numpy(), formats.read(RTL).frame.to_numpy())
+
+
+def test_a_laser_file_with_decimal_commas(tmp_path):
+    """All of its numbers have them; one with a point beside is refused above."""
+    path = tmp_path / "x.rtl"
+    head, data = RTL.read_text().split("TARGET DATA::")
+    numbers, rest = data.split("ENVIRONMENT::")
+    path.write_text(f"{head}TARGET DATA::{numbers.replace('.', ',')}ENVIRONMENT::{rest}")
+    np.testing.assert_array_equal(formats.read(path).frame.to_numpy(), formats.read(RTL).frame.to_numpy())
+
+
+@pytest.mark.parametrize("word", ["Axe Y", "Y-Achse", "Y axis", "eje Y", "Achse Y", "y"])
+def test_the_letter_of_an_axis_beside_its_word(tmp_path, word):
+    path = tmp_path / "x.rtl"
+    path.write_text(RTL.read_text().replace("Axis:Y", f"Axis:{word}"))
+    assert formats.read(path).components() == ("EYY",)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sensor_failures as trials
+import sensor_watch as watch
 
 from errpipe import jsonfile
 from errpipe.domain import driver as d
@@ -17,7 +19,7 @@ from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_arithmetic, thermal_season
 from errpipe.guard import description as g
-from errpipe.guard import detect, learn, replace, rows, trials, watch
+from errpipe.guard import detect, learn, replace, rows
 from errpipe.tables import ComponentSource, batch, compile_table
 from tests.unit.guard import simulated_sensors
 

@@ -163,7 +163,7 @@ def test_a_remark_or_a_sensor_that_ends_costs_no_row(tmp_path: Path) -> None:
 
 
 ASKED = {
-    "a unit that is none of an error": (long("x mm,error (ppm)", lambda r, x, s, d: f"{x},{d}"), "'ppm' is no known unit"),
+    "a unit that is none of an error": (long("x mm,error (ppm)", lambda r, x, s, d: f"{x},{d}"), "readings per length"),
     "an error in volts": (long("x mm,error [V]", lambda r, x, s, d: f"{x},{d}"), "'V' is no known unit"),
     "thousands or decimals": (long("Soll [mm];Abw. [µm]", lambda r, x, s, d: f"{100 + x:.3f};{de(d)}"), "mark of thousands or of decimals"),
     "um or mm": (long("target,error", lambda r, x, s, d: f"{x},{d / 30:.4f}"), "um or mm"),

@@ -78,3 +78,31 @@ def test_a_torque_of_a_linear_axis_and_several_forces_are_asked_for(tmp_path: Pa
     lines[0] = "t [s],X [mm],v [mm/s],force [N],force model [N],cutting force [N]"
     with pytest.raises(DataError, match="several forces"):
         imported(tmp_path, lines)
+
+
+def turned(header: str, way: float) -> list[str]:
+    """Commanded minus measured; way: sign of the simulation as it is written, beside that of the recording."""
+    rows = zip(PLACES, SIMULATED, strict=True)
+    return [header, *(f"{x:g},{-s - MISSING:.5f},{-way * s:.5f}" for x, s in rows)]
+
+
+@pytest.mark.parametrize(
+    "header, way",
+    [
+        ("X [mm],error (commanded - actual) [um],simulated (commanded - actual) [um]", 1.0),
+        ("X [mm],error (commanded - actual) [um],simulated [um]", 1.0),
+        ("X [mm],error (commanded - actual) [um],simulated (actual - commanded) [um]", -1.0),
+        ("X [mm],error (commanded - actual) [um],simulated [um]", -1.0),
+    ],
+)
+def test_a_simulation_has_the_sign_of_the_recording_beside_it(tmp_path: Path, header: str, way: float) -> None:
+    """Only the recorded column was turned: twice the simulation was called missing."""
+    recording = imported(tmp_path, turned(header, way))
+    assert mismatch(recording, "EXX") == pytest.approx(np.full(PLACES.size, MISSING), abs=1e-3)
+
+
+def test_a_simulation_without_a_component_is_of_the_only_response(tmp_path: Path) -> None:
+    rows = [f"{60 * k},{k // 10 + 1},{1.2 * (k % 10)},{0.3 * (k % 10)},0" for k in range(40)]
+    recording = imported(tmp_path, ["t_s,tool,cut_length_m,diameter_error_um,simulated_um", *rows])
+    assert recording.names("simulated", component="E_D")
+    assert recording.names("cut_length") and recording.manifest.columns["tool"].of == "tool"

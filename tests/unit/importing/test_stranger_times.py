@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
+from errpipe.importing.sheet import DoorOptions
 from tests.unit.importing.test_import import imported
 
 STEP = 60.0  # s
@@ -96,3 +97,63 @@ def test_metres_or_measured(tmp_path: Path) -> None:
         imported(tmp_path, tmp_path / "f.csv")
     recording = imported(tmp_path, tmp_path / "f.csv", sets=["x_pos_m.unit=m"])
     assert np.ptp(recording.array(recording.name("position"))) == pytest.approx(480.0)
+
+
+def test_parts_of_a_log_that_overlap_are_read_once(tmp_path: Path) -> None:
+    """A logger that begins each part with the last rows of the part before: time went back, the file was refused."""
+    file = drift(tmp_path, "t_s", lambda t: f"{t:.1f}")
+    lines = file.read_text(encoding="utf-8").splitlines()
+    file.write_text("\n".join([*lines[:20], *lines[16:], ""]), encoding="utf-8")
+    recording = imported(tmp_path, file)
+    assert recording.time() == pytest.approx(TIMES)
+    assert recording.array(recording.names("error")[0]) == pytest.approx(DRIFTS)
+
+
+def test_a_run_that_begins_like_the_one_before_is_no_copy(tmp_path: Path) -> None:
+    file = drift(tmp_path, "t_s", lambda t: f"{t:.1f}")
+    lines = file.read_text(encoding="utf-8").splitlines()
+    other = [f"{line.rsplit(',', 1)[0]},9.99" for line in lines[2:]]
+    file.write_text("\n".join([*lines, lines[1], *other, ""]), encoding="utf-8")
+    with pytest.raises(DataError, match=r"recording.csv:42  t: 0 s comes after"):
+        imported(tmp_path, file)
+
+
+def log_of_an_axis(header: str, row: Callable[[int, float, float], str]) -> str:
+    """A log at 2 ms: 600 rows of command and actual position, 10 um apart and more."""
+    time = 0.002 * np.arange(600)
+    command = 100.0 + 80.0 * np.sin(1.3 * time)
+    actual = command + 0.01 * np.cos(1.3 * time)
+    return "\n".join([header, *(row(i, x, y) for i, (x, y) in enumerate(zip(command, actual, strict=True)))])
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "period"),
+    [
+        ("time_ns,X cmd (mm),X act (mm)", lambda i, x, y: f"{2_000_000 * i},{x:.6f},{y:.6f}", None),
+        (
+            "t [ns],X cmd (mm),X act (mm)",
+            lambda i, x, y: f"{1772438280000000000 + 2_000_000 * i},{x:.6f},{y:.6f}",
+            None,
+        ),
+        ("Sample,X cmd (mm),X act (mm)", lambda i, x, y: f"{i},{x:.6f},{y:.6f}", 0.002),
+        ("Time (ms)\ts noml X (mm)\ts actl X (mm)", lambda i, x, y: f"{2 * i}\t{x:.6f}\t{y:.6f}", None),
+    ],
+)
+def test_nanoseconds_and_a_period_that_a_person_says(
+    tmp_path: Path, header: str, row: Callable[[int, float, float], str], period: float | None
+) -> None:
+    """Nanoseconds were seconds, and --period of a CSV was ignored."""
+    (tmp_path / "f.csv").write_text(log_of_an_axis(header, row), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv", DoorOptions(period=period))
+    assert np.diff(recording.array(recording.name("time"))) == pytest.approx(0.002, abs=1e-6)
+    assert np.abs(recording.array(recording.name("error", component="EXX"))).max() == pytest.approx(10.0, abs=0.01)
+
+
+def test_a_scale_beside_an_encoder_is_no_command(tmp_path: Path) -> None:
+    """Which of them is right, nobody says; as a command it would turn the sign."""
+    text = log_of_an_axis(
+        "t [s],X motor encoder [mm],X linear scale [mm]", lambda i, x, y: f"{0.002 * i},{x:.6f},{y:.6f}"
+    )
+    (tmp_path / "f.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(DataError, match="no two hold an actual and a commanded position"):
+        imported(tmp_path, tmp_path / "f.csv")

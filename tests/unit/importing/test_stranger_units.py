@@ -164,3 +164,51 @@ def test_a_clock_of_minutes_and_seconds(tmp_path: Path) -> None:
     rows = [f"{i // 3:02d}:{20 * (i % 3):02d},{x},{um(x)}" for i, x in enumerate(TARGETS)]
     (tmp_path / "f.csv").write_text("\n".join(["Elapsed mm:ss,Target [mm],Error [um]", *rows]))
     assert imported(tmp_path, tmp_path / "f.csv").array("t").tolist() == [20.0 * i for i in range(9)]
+
+
+@pytest.mark.parametrize(
+    "header, role, unit, canonical",
+    [
+        ("pressure [bar]", "pressure", "bar", 2000.0),
+        ("air pressure (mmHg)", "pressure", "hPa", 2 * 1.333224),
+        ("velocity [deg/s]", "velocity", "deg/s", 2.0),
+        ("velocity [in/s]", "velocity", "mm/s", 50.8),
+        ("torque [Ncm]", "torque", "N cm", 0.02),
+        ("force [lbf]", "force", "N", 8.8964432),
+        ("force (filtered)", "force", "N", 2.0),
+        ("acceleration [g]", "acceleration", "m/s2", 19613.3),
+        ("spindle speed [rad/s]", "spindle_speed", "rpm", 60 / np.pi),
+        ("spindle speed [Hz]", "spindle_speed", "1/s", 120.0),
+        ("depth of cut [inch]", "depth_of_cut", "mm", 50.8),
+        ("overhang [cm]", "overhang", "mm", 20.0),
+        ("cut length [ft]", "cut_length", "m", 0.6096),
+        ("Werkstückmasse [kg]", "load", "kg", 2.0),
+    ],
+)
+def test_a_unit_in_brackets_is_that_of_every_role(
+    tmp_path: Path, header: str, role: str, unit: str, canonical: float
+) -> None:
+    """It was dropped where the reader did not know it, and the usual one taken: a pressure of 1 bar became 1 hPa."""
+    (tmp_path / "f.csv").write_text(table(f"run,x [mm],error [um],{header}", "{r},{x},{e},2.0"), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    (name,) = recording.names(role)
+    assert recording.array(name)[0] == pytest.approx(canonical)
+    assert f"unit: {unit}" in (tmp_path / "rec" / "recording.yaml").read_text().replace('"', "")
+
+
+@pytest.mark.parametrize("header", ["torque [%]", "feed [mm/rev]", "temperature [mV/V]"])
+def test_a_column_in_a_unit_of_something_else_is_left_out(tmp_path: Path, header: str) -> None:
+    (tmp_path / "f.csv").write_text(table(f"run,x [mm],error [um],{header}", "{r},{x},{e},2.0"), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    assert not any(recording.names(role) for role in ("torque", "feed", "temperature"))
+    assert "is no unit of role" in (tmp_path / "rec" / "recording.yaml").read_text()
+
+
+def test_symbols_of_physics_are_no_axes(tmp_path: Path) -> None:
+    """`v [mm/s]` was a position of the axis V in mm/s, `a_cmd [mm/s2]` one of A: the import ended in an error."""
+    row = "{x},{e},{e},2.0"
+    (tmp_path / "f.csv").write_text(table("x [mm],error [um],v [mm/s],a_cmd [mm/s2]", row, runs=1), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    for role in ("velocity", "acceleration"):
+        (name,) = recording.names(role)
+        assert recording.manifest.columns[name].axis == "X"

@@ -48,7 +48,10 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
         told = remaining._expected(solved, np.where(used, solved.mean, 0.0), rows[own])
         assert told.harm == pytest.approx((rms(after[own]) > rms(before[own])).mean(), abs=0.02), axis
         if not whole:
-            assert shown.harm == pytest.approx(told.harm, rel=1e-6, abs=1e-12) and shown.harm <= remaining.MOST_HARM
+            assert (
+                shown.harm == pytest.approx(told.harm, rel=1e-6, abs=1e-12)
+                and shown.harm <= remaining.MAX_HARM_PROBABILITY
+            )
 
 
 def test_what_no_reading_knows_of_counts_at_its_prior_spread():

@@ -23,7 +23,7 @@ def test_one_tool_cannot_show_the_roll_of_the_last_axis():
     chain = ready("cmm")
     examination = observability.examine(chain, cloud(chain, [(120.0, (0, 0, 0))]))
     assert examination.seen["ECZ"] < 0.05 < 0.9 < examination.seen["EXX"]
-    assert any("ECZ" in u.components for u in examination.unseen)
+    assert any("ECZ" in u.components for u in examination.unobserved)
     assert examination.rank < examination.parameters
 
 
@@ -32,7 +32,7 @@ def test_three_tools_show_everything():
     examination = observability.examine(
         chain, cloud(chain, [(80.0, (0, 0, 0)), (200.0, (0, 0, 0)), (120.0, (60.0, 40.0, 0))])
     )
-    assert examination.unseen == ()
+    assert examination.unobserved == ()
     assert examination.rank == examination.parameters
     assert min(examination.seen.values()) > 0.9
 

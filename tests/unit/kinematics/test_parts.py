@@ -79,7 +79,7 @@ def test_normals_show_angles_that_centres_do_not():
     every = observability.examine(CHAIN, protocols.observations(CHAIN, recording))
     plain = recording.with_columns({}, {n: Column(role="ignore") for n in ("E_A", "E_B")})
     points = observability.examine(CHAIN, protocols.observations(CHAIN, plain))
-    assert every.unseen and every.rank > points.rank
+    assert every.unobserved and every.rank > points.rank
     assert all(every.seen[c] >= points.seen[c] - 1e-6 for c in every.seen)
 
 

@@ -233,7 +233,7 @@ def test_without_a_square_the_squareness_is_named_as_unseen():
     values = metrology.smooth_machine(chain, 2)
     recording = played.record(chain, values, played.SetUp(targets=9, cycles=1), 2)
     seen = observability.examine(chain, records.observations(chain, {"": recording}), noise=1.0)
-    assert {c for u in seen.unseen for c in u.components} == {"C0Y", "A0Z", "B0Z"}
+    assert {c for u in seen.unobserved for c in u.components} == {"C0Y", "A0Z", "B0Z"}
     extra = observability.smallest_extra(chain, records.observations(chain, {"": recording}), noise=1.0)
     assert {c for e in extra for c in e.resolves} == {"C0Y", "A0Z", "B0Z"}
 
@@ -249,7 +249,7 @@ def test_records_and_a_ball_bar_together_give_what_neither_gives():
     fitted = identify.identify(identify.Parametrisation.of(chain, 8), both)
     for row in fitted.table():
         assert row["value"] == pytest.approx(values[row["component"]], abs=2.5)
-    assert observability.examine(chain, both, noise=1.0).unseen == ()
+    assert observability.examine(chain, both, noise=1.0).unobserved == ()
 
 
 @pytest.mark.parametrize("definition", [{}, {"errors_of": "carriage"}, {"reference_on": "guideway"}])
@@ -428,3 +428,54 @@ def test_the_curve_follows_what_the_targets_show_or_says_what_it_misses(most, fo
     largest = readings.unfollowed(chain, obs, fitted.residual, largest=True)
     stated = unfollowed(chain, {"unfollowed_largest": largest})  # of a table of these curves, at the tool
     assert (stated == 0.0) if followed else (np.quantile(np.abs(off), 0.95) < stated < 2.5)
+
+
+AXES = {"tool": ["workpiece", "bed", "X", "Y", "Z", "tool"], "workpiece": ["workpiece", "X'", "bed", "Y", "Z", "tool"]}
+AGAINST = {"direction": [-1.0, 0.0, 0.0]}
+DEFINITIONS = [{}, {"errors_of": "carriage"}, AGAINST, {**AGAINST, "errors_of": "carriage"}]
+
+
+@pytest.mark.parametrize("moved", AXES)
+@pytest.mark.parametrize("definition", DEFINITIONS, ids=str)
+def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, definition):
+    """20 um too long at X = 500, approached from above 4 um more: both tables of an identification say so."""
+    from errpipe.kinematics import direct_model
+    from errpipe.validation.predict import predict
+
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    axes["X"] |= definition
+    given = {"machine": 1, "name": "m", "chain": AXES[moved], "axes": axes}
+    chain = compile_chain(Machine.model_validate(given))
+    up = np.linspace(0, 500, 11)
+    x, side = np.tile(np.r_[up, up[::-1]], 2), np.tile(np.repeat([1.0, -1.0], 11), 2)
+    columns = {
+        "run": Column(role="run"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "dir": Column(role="direction", axis="X"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    run = np.repeat(["1", "2"], 22).astype(object)
+    frame = pd.DataFrame({"run": run, "x": x, "dir": side, "EXX": 20.0 * x / 500.0 - 2.0 * side})
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
+    solution = solve(chain, recording)
+    document = summary.document(solution, records.observations(chain, {"": recording}), extra=False)
+    document["reversal"] = records.reversals(chain, solution.setup)
+    model = direct_model.error_model(chain, recording, document, {"EXX": 0.1})
+    left = predict(model, recording)["EXX_predicted"].to_numpy() - frame["EXX"].to_numpy()
+    assert np.ptp(left) < 0.2
+    q = np.zeros((2, 3))
+    q[:, chain.axes.index("X")] = 0.0, 500.0
+    deviation = synthesis.first_order(chain, q, solution.errors().at(q))
+    moved_to = synthesis.correct(chain, q, deviation)[:, chain.axes.index("X")] - q[:, chain.axes.index("X")]
+    assert 1e3 * (moved_to[1] - moved_to[0]) == pytest.approx(-20.0, abs=0.1)
+
+
+def test_an_axis_inclined_to_its_letter_is_not_measured_component_by_component():
+    """What a laser reads along a slanted Y is no EYY of the machine's frame: as such it would move Y and Z too far."""
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    axes["Y"]["direction"] = [0.0, 0.866, 0.5]
+    given = {"machine": 1, "name": "m", "chain": AXES["tool"], "axes": axes}
+    chain = compile_chain(Machine.model_validate(given))
+    with pytest.raises(DataError, match=r"EYY: Y runs along 0, 0.866, 0.5, inclined to Y"):
+        records.sense(chain, "EYY")
+    assert records.sense(chain, "EXX") == 1.0

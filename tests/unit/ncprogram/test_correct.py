@@ -152,6 +152,8 @@ def test_arc_segments_stay_within_the_chord_error(chord):
         ("G64 P0.01 G1 X1", "the word P beside a straight move"),
         ("G1 X1 R2", "the word R beside a straight move"),
         ("G1 X1 I5", "the word I beside a straight move"),
+        ("G0 Z100 H1", "the word H without G43"),
+        ("G0 X10 D1", "the word D without G41"),
     ],
 )
 def test_what_is_not_understood_is_refused_with_its_line(line, why):
@@ -201,14 +203,14 @@ def test_outside_the_table_is_refused():
 
 def test_two_outputs_of_an_axis_and_both_directions_are_counted():
     """Outputs that share an axis add up; lost motion counts with the mean of its two sides, and that is said."""
-    from errpipe.stages.correct import deviation_of, knows_direction
+    from errpipe.stages.correct import depends_on_direction, deviation_of
     from tests.unit.targets import machines
 
     at_500 = np.array([[500.0, 0.0, 0.0]])
     assert deviation_of(machines.two_outputs(), {})(at_500, 0.0)[0] == pytest.approx([0.014, 0.0, 0.0], abs=1e-5)
     wavy = machines.wavy_both_directions()
     mean = 10.0 + 12.0 * math.sin(500 / 60.0)
-    assert knows_direction(wavy) and not knows_direction(machines.two_outputs())
+    assert depends_on_direction(wavy) and not depends_on_direction(machines.two_outputs())
     assert deviation_of(wavy, {})(at_500, 0.0)[0, 0] == pytest.approx(1e-3 * mean, abs=1e-5)
 
 
@@ -225,5 +227,58 @@ def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_pa
     assert "X goes from 100 to 800 mm of the machine, the table from 0 to 500" in done["outside_what_was_measured"]
     done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G54=-350,0,0"])
     assert "X goes from -250 to 450 mm" in done["outside_what_was_measured"] and "offsets" not in done
+    done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G55=-350,0,0"])
+    assert "G54 is taken as 0,0,0" in done["offsets"]
     (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\nG1 X400 F500\n")
     assert "outside_what_was_measured" not in correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
+
+
+LONG = "N1000 G1 X99.5 Y88.25 Z70.5 A123.4567 B45.6789 C359.1234 F1500.5 S12000 M8 (finish pass of the upper pocket)"
+
+
+def test_a_printed_program_is_the_written_one_to_the_byte_and_its_remarks_go_to_standard_error(tmp_path, capsys):
+    """A block that is folded for a terminal would be two motions; a remark that nobody sees is none."""
+    from errpipe.cli.app import main
+    from errpipe.tables import ect
+    from tests.unit.targets import machines
+
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
+    (tmp_path / "p.ngc").write_text(
+        f"%\nG90 G21 G54  (two  blanks)\nG0 X0 Y0 Z0 A0 B0 C0\n\n{LONG}\nG1 X800\nM30\n%\n\n"
+    )
+    words = ["correct", str(tmp_path / "p.ngc"), "--table", str(tmp_path / "t.ect")]
+    assert main([*words, "--out", str(tmp_path / "o.ngc")]) == 0
+    said = capsys.readouterr().out
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert printed.out == (tmp_path / "o.ngc").read_text()
+    assert all(len(line) <= 80 for line in printed.err.splitlines())
+    for remark in ("offsets: no --offset", "outside_what_was_measured: X goes", "whole_numbers: line 6"):
+        assert remark in printed.err and remark in said
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("G0 X100 Y0.", "X100"),
+        ("G2 X0. Y0. I-25", "I-25"),
+        ("g1 z -5", "z -5"),
+        ("N10 G1 X1.5 (X100) Y0 Z-0 F100 S3000", ""),
+        ("G1 X10. ; then X20", ""),
+        ("G1 X.5 Y+0. Z100.", ""),
+    ],
+)
+def test_lengths_without_a_point_are_named(line, found):
+    """On a Fanuc that counts them in thousandths the corrected program, which has points, goes 1000 times further."""
+    from errpipe.stages.correct import whole_numbers
+
+    says = whole_numbers(f"G21 G90 G54\n{line}\n")
+    assert says.startswith(f"line 2: {found} has no decimal point") if found else says == ""
+
+
+@pytest.mark.parametrize("line", ["G96 S200 M3", "G50 S2000", "N5 g92 s1800"])
+def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
+    from errpipe.stages.correct import diameters
+
+    assert "do not use the corrected program" in diameters(f"G21 G18 G99 G54\n{line}\nG0 X50.")
+    assert diameters("G21 G90 G54 (G96 is a lathe's)\nG97 S1000 M3\nG0 X50.") == ""

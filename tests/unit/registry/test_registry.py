@@ -65,6 +65,69 @@ def test_what_was_on_machine_7_and_why(where: Path, capsys: Any) -> None:
     assert run(where, "log", reg, "--file", where / "stranger.ect", capsys=capsys)[0] == 6
 
 
+def test_a_table_of_another_axis_or_machine_does_not_replace_one_unasked(where: Path, capsys: Any) -> None:
+    """A controller runs one table: that of Y alone in place of X's would end the compensation of X."""
+    sound = machines.too_long_at_plus_x()
+    other_axis = [o.model_copy(update={"axis": "Y"}) for o in sound.outputs]
+    ect.write(sound.model_copy(update={"outputs": other_axis}), where / "y.ect")
+    ect.write(sound.model_copy(update={"machine": "mill 3"}), where / "three.ect")
+    ect.write_json(sound.model_copy(update={"machine": "mill 4"}), where / "four.json")
+    ect.write_json(sound.model_copy(update={"machine": ""}), where / "one.json")
+    first = ("promote", where / "reg", "7", where / "one.json", "--why", "the first")
+    assert run(where, *first, capsys=capsys)[0] == 0
+    code, document = run(where, "promote", where / "reg", "7", where / "y.ect", "--why", "Y measured", capsys=capsys)
+    assert code == 4
+    assert "(axis Y), the one on record" in document["error"]["message"]
+    assert run(where, "promote", where / "reg", "7", where / "three.ect", "--why", "moved", capsys=capsys)[0] == 0
+    code, document = run(where, "promote", where / "reg", "7", where / "four.json", "--why", "moved", capsys=capsys)
+    assert code == 4 and "made for 'mill 4', the one on record for 'mill 3'" in document["error"]["message"]
+    words = ("promote", where / "reg", "7", where / "y.ect", "--why", "X has glass scales now", "--other-outputs")
+    assert run(where, *words, capsys=capsys)[0] == 0
+    assert len(Registry(where / "reg", minisign.read_public(where / "keys/errpipe.pub")).history("7")) == 3
+
+
+def test_what_a_file_was_on_at_a_time_is_not_what_it_was_on_before(where: Path, capsys: Any) -> None:
+    """The table of January was replaced in February: in March it is on no machine."""
+    for day, table in (("2026-01-10", "one.ect"), ("2026-02-01", "two.ect")):
+        words = ("promote", where / "reg", "7", where / table, "--why", "measured", "--time", day)
+        assert run(where, *words, capsys=capsys)[0] == 0
+    for day, numbers in (("2026-01-20", [1]), ("2026-03-01", [])):
+        words = ("log", where / "reg", "--file", where / "one.ect", "--at", day)
+        _, document = run(where, *words, capsys=capsys)
+        assert [e["number"] for e in document["result"]["entries"]] == numbers
+
+
+def test_a_registry_or_machine_that_is_not_there_is_no_empty_history(where: Path, capsys: Any) -> None:
+    code, document = run(where, "log", where / "rge", "7", capsys=capsys)
+    assert code == 2 and "no registry here" in document["error"]["message"]
+    assert run(where, "promote", where / "reg", "mill-3", where / "one.ect", "--why", "new", capsys=capsys)[0] == 0
+    code, document = run(where, "log", where / "reg", "mil-3", capsys=capsys)
+    assert code == 2 and "Did you mean mill-3?" in document["error"]["message"]
+
+
+def test_a_clock_that_went_back_is_told_not_recorded(where: Path, capsys: Any) -> None:
+    first = ("promote", where / "reg", "7", where / "one.ect", "--why", "new", "--time", "2190-01-01")
+    assert run(where, *first, capsys=capsys)[0] == 0
+    again = ("promote", where / "reg", "7", where / "two.ect", "--why", "measured")
+    code, document = run(where, *again, capsys=capsys)
+    assert code == 2 and "before entry 1" in document["error"]["message"]
+    assert run(where, *again, "--time", "2026-03-01", capsys=capsys)[0] == 0
+    _, document = run(where, "log", where / "reg", "7", "--at", "2026-03-02", capsys=capsys)
+    assert [e["number"] for e in document["result"]["entries"]] == [2]
+
+
+def test_a_changed_table_is_refused_as_such_where_there_is_nothing_to_go_back_to(where: Path, capsys: Any) -> None:
+    for _ in range(2):
+        words = ("promote", where / "reg", "7", where / "one.ect", "--why", "measured")
+        assert run(where, *words, capsys=capsys)[0] == 0
+    assert run(where, "rollback", where / "reg", "7", "--why", "worse", capsys=capsys)[0] == 2
+    data = (where / "one.ect").read_bytes()
+    (object_,) = (p for p in (where / "reg/objects").rglob("*") if p.is_file() and p.read_bytes() == data)
+    object_.unlink()
+    object_.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    assert run(where, "rollback", where / "reg", "7", "--why", "worse", capsys=capsys)[0] == 6
+
+
 def filled(where: Path, key: minisign.SecretKey, entries: int = 3) -> Registry:
     store = Registry(where / "reg", key.public)
     for n in range(entries):

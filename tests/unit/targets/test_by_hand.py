@@ -196,7 +196,8 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
     """Y is the second of them; its number stands in the file, and the checklist asks to compare it."""
     table = machines.warm() if "temperature" in target.holds and len(target.holds) == 1 else only_y()
     files = target.write(table)
-    (first,) = [x for x in checklist(target, target.read_back(files), [], table).splitlines() if x.startswith("1. ")]
+    lines = checklist(target, target.read_back(files), [], table).splitlines()
+    (first,) = [x for x in lines if x.startswith("2. ")]  # behind what the axes were measured with
     letters = _sample.axes_of(table)
     for n, letter in enumerate(letters):
         assert f"{letter} is {target.numbering.format(n, n + 1)}" in first
@@ -241,3 +242,75 @@ def test_no_backlash_of_the_control_stands_beside_a_file_of_both_directions():
     assert "leave I186" in says["pmac_comp"] and "backlash value = 0" not in says["pmac_comp"]
     for name in set(says) - {"pmac_comp"}:
         assert re.search(r"(?i)backlash.*? 0\b|no BACKLASH", says[name]), (name, says[name])
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_a_fanuc_point_has_one_pulse_where_points_allow_it(machine):
+    """A control that does not interpolate puts the pulses of a point out at once: many would be wrong in between."""
+    (target,) = [t for t in TARGETS if t.name == "fanuc_pitch"]
+    text = target.write(table_of(machine))["PITCH.TXT"]
+    pulses = [abs(int(p)) for p in re.findall(r"Q0P(-?\d+);", text)]
+    intervals = [int(v) / 1e3 for v in re.findall(r"N03624Q1A\d+P(\d+);", text)]
+    assert len(pulses) <= 1024
+    assert max(pulses) <= (2 if machine == "rotary axis 0 to 360" else 1), intervals  # there 2 deg are the shortest
+    assert min(intervals) >= 2.0
+
+
+def test_a_fanuc_checklist_says_the_rapid_traverse_and_what_comes_at_once():
+    (target,) = [t for t in TARGETS if t.name == "fanuc_pitch"]
+    table = table_of("too long at +X")
+    text = checklist(target, target.read_back(target.write(table)), [], table)
+    assert re.search(r"X: rapid traverse at most \d+ mm/min \(3624\); a point has at most 1 pulses", text), text
+
+
+@pytest.mark.parametrize("ends", TURNS)
+@pytest.mark.parametrize("target", [t for t in READ if t.name not in LINEAR], ids=lambda t: t.name)
+def test_a_file_that_ends_after_a_turn_says_how_the_control_must_count(target, ends):
+    """Held beyond its ends, the file of an axis that counts on, or from another end, is wrong by twice the error."""
+    table = turning(*TURNS[ends])
+    files = target.write(table)
+    text = checklist(target, target.read_back(files), [], table)
+    moved = getattr(manual_readers, target.name)(files, "C")
+    low = TURNS[ends][0]
+    counts_on = all(abs(moved(low + x + 360.0, 1) - moved(low + x, 1)) < 1e-9 for x in (40.0, 130.0, 290.0))
+    assert (f"C: the file holds one turn, {low:g} to {low + 360:g} deg" in text) == (not counts_on), text
+
+
+@pytest.mark.parametrize("target", [t for t in READ if t.name not in LINEAR], ids=lambda t: t.name)
+def test_numbers_to_enter_for_a_rotary_axis_are_degrees(target):
+    table = table_of("rotary axis 0 to 360")
+    text = checklist(target, target.read_back(target.write(table)), [], table)
+    numbers = text.partition("## Enter by hand")[2].partition("## Three-point")[0]
+    assert not re.search(r"\d mm\b", numbers), numbers
+
+
+@pytest.mark.parametrize("machine", [name for name in MACHINES if "rotary" not in name])
+def test_a_table_that_rolls_over_holds_its_ends_first_and_says_where_it_does(machine):
+    (target,) = [t for t in TARGETS if t.name == "pmac_comp"]
+    table = table_of(machine)
+    files = target.write(table)
+    read = target.read_back(files)
+    text = checklist(target, read, [], table)
+    for letter, low, high, *_ in MACHINES[machine]:
+        moved = manual_readers.pmac_comp(files, letter)
+        step = float(np.diff(next(c.positions for c in read.curves if c.axis == letter))[0])
+        for end, out in ((low, -step), (high, step)):
+            for side in (1, -1):
+                before, there, beyond = (moved(end + share * out, side) for share in (-0.2, 0.0, 0.99))
+                slope = 5.0 * abs(there - before)  # the last interval goes on in its line up to the next entry
+                assert abs(beyond - there) < slope + 1e-3, (letter, end, out)
+        first, last = map(float, re.search(rf"{letter}: software limits .* within (\S+) to (\S+) ", text).groups())
+        assert first <= low - 0.99 * step and last >= high + 0.99 * step
+
+
+@pytest.mark.parametrize("target", [t for t in READ if "screw" in t.holds], ids=lambda t: t.name)
+def test_a_table_without_lost_motion_does_not_take_the_control_s_backlash_away(target):
+    """Measured from one side, with the control's own value at work: set to 0, the other side would lose it."""
+    table = machines.too_long_at_plus_x()
+    read = target.read_back(target.write(table))
+    says = " ".join(number.says for number in target.by_hand(table, read, ()))
+    assert not re.search(r"(?i)backlash\S*( \(\S+\))?( value)? = 0", says), says
+    if target.name not in ("beckhoff_volumetric", "pmac_comp"):
+        assert "stays as it was while measuring" in says or "measure both directions" in says, says
+    text = checklist(target, read, [], table)
+    assert "measured with the control's own compensation and backlash off" in text

@@ -181,3 +181,15 @@ def test_loss_is_reported_in_micrometres():
     assert by_curve["X"].rms > 5.0
     assert by_line["X"].largest < 0.6
     assert by_line["Z"].largest < 0.1
+
+
+def test_a_component_that_counts_against_its_axis_is_not_given_to_the_control_as_it_is():
+    """Of a machine file with errors_of: carriage: the control would move the axis the wrong way."""
+    (target,) = [t for t in TARGETS if t.name == "beckhoff_volumetric"]
+    table = machines.too_long_at_plus_x()
+    (output,) = table.outputs
+    (term,) = output.terms
+    turned = output.model_copy(update={"terms": (term.model_copy(update={"weight": -term.weight}),)})
+    assert "EXX" in target.write(table)["volumetric.csv"]
+    with pytest.raises(GateError, match="EXX of this machine file counts against the motion of X"):
+        target.write(table.model_copy(update={"outputs": (turned,)}))

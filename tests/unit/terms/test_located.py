@@ -131,6 +131,22 @@ def test_a_dead_time_is_located(delay):
     assert_allclose(basis[50:], (late - f)[50:], atol=0.02)
 
 
+def test_an_axis_comes_late_behind_its_command_not_behind_its_own_late_position():
+    """3 ms late at accelerations that 3 ms matter to: the recorded position is late already."""
+    t = 1e-3 * np.arange(1500)
+
+    def path(when):
+        return 50 * np.sin(5 * when) + 20 * np.sin(17 * when)
+
+    kinds = {name: {"role": name, "axis": "X", "unit": "mm"} for name in ("command", "position")}
+    kinds["t"] = {"role": "time", "unit": "s"}
+    case = recording({"t": t, "command": path(t), "position": path(t - 0.003)}, kinds)
+    late = 1e3 * (path(t - 0.003) - path(t))
+    ((_, (delay,)),) = DeadTime.located(case, "EXX", signals(late))
+    assert delay == pytest.approx(0.003, abs=1e-6)
+    assert_allclose(DeadTime(axis="X").basis(case, 0.003)[5:, 0], late[5:], atol=0.02)
+
+
 # ---------------------------------------------------------------- a loop that settles
 def test_a_loop_that_settles_against_a_linear_system():
     t, _, a = under_way()

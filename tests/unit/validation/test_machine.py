@@ -1,8 +1,9 @@
-"""Identified machines are judged on whole groups that sat out, and nothing that may make an axis worse is exported."""
+"""Identified machines are judged on whole held-out groups, and nothing that may make an axis worse is exported."""
 
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +114,7 @@ def test_readings_that_contradict_the_rest_are_worse_where_they_sit_out():
     second = obs.label == "tool 1"
     obs = obs.take(np.flatnonzero(second | (obs.label == "tool 0")))
     second = obs.label == "tool 1"
-    wrong = obs.with_value(np.where(second, -obs.value, obs.value))
+    wrong = replace(obs, value=np.where(second, -obs.value, obs.value))
     model = identify.Parametrisation.of(chain)
     for readings_now, better in ((obs, True), (wrong, False)):
         left = held_out.judge(model, readings_now, second.astype(int), ("0", "1"))[1]

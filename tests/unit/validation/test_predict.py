@@ -1,11 +1,17 @@
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.fitting.components import evaluate
 from errpipe.fitting.model import ModelSpec, fit
 from errpipe.simulation import spindle_drift
-from errpipe.validation.predict import predict
+from errpipe.validation.predict import of_model, predict, predict_parts
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +79,23 @@ def test_a_sensor_that_drops_out_holds_its_last_value(drift, model):
     held.loc[100:110, "T_front"] = held.loc[99, "T_front"]
     one, two = (predict(model, Recording(drift.manifest, f)) for f in (frame, held))
     assert one["E_Z_predicted"].equals(two["E_Z_predicted"])
+
+
+def test_a_sensor_that_is_logged_now_and_then_is_known_in_between_and_one_that_stops_is_not(drift, model):
+    """T_front every fourth row, silent from row 60 on: known until three such pauses are over."""
+    frame = drift.frame.copy()
+    rows = np.arange(len(frame))
+    first = drift.run_codes() == 0
+    frame.loc[first & ((rows % 4 > 0) | (rows > 60)), "T_front"] = np.nan
+    everything = Recording(drift.manifest, frame)
+    outside = predict(model, everything)["E_Z_outside"].to_numpy()
+    inside = np.flatnonzero(first & (outside == 0))
+    assert set(range(8, 73)) <= set(inside) and inside.max() == 72
+    cut = [0, 1, 2, 9, 10, 33, 61, 70, len(frame)]
+    source = replace(of_model(model), begin=lambda _: partial(evaluate, model))
+    parts = [everything.take(slice(a, b)) for a, b in pairwise(cut)]
+    in_parts = pd.concat(predict_parts(source, parts))["E_Z_outside"].to_numpy()
+    np.testing.assert_array_equal(in_parts, outside)
 
 
 def test_before_a_sensors_first_value_nothing_is_predicted(drift, model):

@@ -431,7 +431,7 @@ UNKNOWABLE = (
     "* A factor of 2 on every reading (radius and diameter, a double pass of a laser that was not halved), without the",
     "  actual position beside it. It shows as soon as runs with the compensation on are in the recording (above), and",
     "  at the three points of every checklist.",
-    "* The rows of every run in a random order. What holds on a run that sat out is little more than their mean, which",
+    "* The rows of every run in a random order. What holds on a held-out run is little more than their mean, which",
     "  is true; the noise floor of the report is then as large as the error itself.",
     "* The sign, where there are neither both positions nor temperatures nor lost motion: it is asked about.",
 )

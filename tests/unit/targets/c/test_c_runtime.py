@@ -24,6 +24,7 @@ from errpipe.kernels import table_cycle
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import bounds, ect, pack
 from errpipe.targets.c_runtime import CRuntime
+from tests.compiled import compile_once
 from tests.unit.stages.test_readings import model
 from tests.unit.tables.made import everything, follower, stimulus, ten_um_too_long
 
@@ -67,10 +68,8 @@ class Library:
 
 
 def build(folder: Path, *flags, compiler=None, name="libect.so", sources=("driver.c",)) -> Path:
-    out = folder / name
-    own = [RUNTIME / "ect.c", *(HERE / s for s in sources)]
-    run(compiler or COMPILERS[0], *STRICT, "-shared", "-fPIC", *flags, f"-I{RUNTIME}", *own, "-o", out)
-    return out
+    command = [compiler or COMPILERS[0], *STRICT, "-shared", "-fPIC", *flags, f"-I{RUNTIME}"]
+    return compile_once(command, [RUNTIME / "ect.c", *(HERE / s for s in sources)], folder / name)
 
 
 @pytest.fixture(scope="module")

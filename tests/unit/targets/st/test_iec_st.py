@@ -16,6 +16,7 @@ from bench.bench_tables import machine
 from errpipe.errors import VerifyError
 from errpipe.tables import ect
 from errpipe.targets import iec_st, twincat_nc_table
+from tests.compiled import compile_once
 from tests.faults import sequences
 from tests.unit.tables.made import everything, stimulus, ten_um_too_long
 from tests.unit.targets.c.test_c_runtime import damaged, numba_stream, python_takes
@@ -41,8 +42,7 @@ class Block:
     def __init__(self, folder, code: str, rounding: str = "lrint"):
         (folder / "st.c").write_text(code)
         flags = ["-O2", "-ffp-contract=off", "-fwrapv", "-w", f"-DROUNDING={rounding}", "-shared", "-fPIC"]
-        subprocess.run(["gcc", *flags, folder / "st.c", "-o", folder / "st.so", "-lm"], check=True)
-        self.dll = ctypes.CDLL(str(folder / "st.so"))
+        self.dll = ctypes.CDLL(str(compile_once(["gcc", *flags], [folder / "st.c"], folder / "st.so", "-lm")))
 
     def load(self, data: bytes) -> tuple[int, int]:
         where = ctypes.c_int32()

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
+from sensor_watch import watch as watched
 
 from errpipe.domain.recording import Frozen, Recording
-from errpipe.guard import watch
 from errpipe.guard.description import SensorGuard
 
 Way = Literal["dead", "stuck", "drift", "step", "swap"]
@@ -66,7 +66,7 @@ def trials(
         for i, name in enumerate(names):
             beside = names[(i + 1) % len(names)] if way == "swap" else ""
             failed = fail(recording, name, way, beside=beside, drift=drift, step=step, start=start)
-            seen = watch.watch(guard, failed)
+            seen = watched(guard, failed)
             restored = Recording(
                 failed.manifest, failed.frame.assign(**{n: seen.reading[:, k] for k, n in enumerate(names)})
             )

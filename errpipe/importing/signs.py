@@ -1,0 +1,117 @@
+"""The sign of readings: actual minus commanded, by an option, by both positions, by a header or a line of the file.
+
+A header that says a difference, an offset or a gap whose sign is not understood is asked about: a sign that is taken
+the wrong way doubles the error of the machine.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.domain import components
+from errpipe.errors import DataError
+from errpipe.importing import columns as guessing
+from errpipe.importing import words
+from errpipe.importing.layout import Layout
+from errpipe.importing.proposed import ImportOptions, Proposal
+
+SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
+ASSUMED = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
+# Quantities that count either way: what is entered in a control, or the gap between a sensor and what it looks at.
+_EITHER_WAY = re.compile(
+    r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter)\b"
+)
+_DIFFERENCE = re.compile(
+    r"\b([^\W\d_]\w*)\.?(?: - | (?:minus|less|moins|meno|menos) )(?:the )?([^\W\d_]\w*)|\b([a-z])[a-z]-\3[a-z]\b"
+)
+_ON_THE_SIGN = re.compile(
+    r"\bsign (convention|of (the )?(error|deviation|reading)s?)\b|\bvorzeichen"
+    r"|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
+)
+
+
+def leave_corrections(p: Proposal) -> None:
+    """A column of corrections beside one of deviations is left out, and a following error beside both positions."""
+    errors = [n for n, e in p.entries.items() if e["role"] == "error"]
+    for name in [n for n in errors if any(map(words.is_following_error, p.entries[n].get("_headers", (n,))))]:
+        letter = p.entries[name].get("_axis")
+        if p.first("command", letter) and (p.first("actual", letter) or p.first("position", letter)):
+            p.entries[name] = {"role": "ignore"}
+            p.guesses[name] = "a following error beside both positions: the error is derived from them"
+            errors.remove(name)
+    corrections = [n for n in errors if any(map(words.is_correction, p.entries[n].get("_headers", (n,))))]
+    for name in corrections if len(corrections) < len(errors) else []:
+        p.entries[name] = {"role": "ignore"}
+        p.guesses[name] = "corrections beside deviations: only the deviations are used"
+
+
+def turn(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Every error column as actual minus commanded. Raises DataError where the file says a sign that is not understood.
+
+    An option goes before both positions, these before the column's header, and that before the lines around the table.
+    """
+    for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
+        turned, reason = _stated(p, name, options) or _said(p, name, layout)
+        if reason:
+            p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}".strip("; ")
+        if turned:
+            entry = p.entries[name]
+            raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")
+            p.entries[name] = {**entry, "derived": {"of": raw, "factor": -1.0}}
+
+
+def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] | None:
+    """Whether a sign is turned by the option or by the recorded positions, with the reason; None: neither says it."""
+    if options.sign is not None:
+        return options.sign == "commanded-minus-actual", ""
+    component = p.entries[name]["component"]
+    for axis in {e["axis"] for e in p.entries.values() if e.get("axis")}:
+        command, actual = p.first("command", axis), p.first("actual", axis) or p.first("position", axis)
+        if component != components.positioning(axis) or command not in p.data or actual not in p.data:
+            continue
+        x, y = p.canonical(actual) - p.canonical(command), p.data[name]
+        good = np.isfinite(x) & np.isfinite(y)
+        if good.sum() < 4 or min(np.ptp(x[good]), np.ptp(y[good])) == 0:
+            continue
+        r = float(np.corrcoef(x[good], y[good])[0, 1])
+        if abs(r) > SHOWN:
+            says = f"{actual} - {command} (correlation {r:.2f})"
+            return r < 0, f"it is minus {says}: the sign is turned" if r < 0 else f"its sign is that of {says}"
+    return None
+
+
+def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
+    """Whether a sign is turned by what the file says of it, with the reason."""
+    headers = p.entries[name].get("_headers", (name,))
+    if any(map(words.is_correction, headers)) or any(map(words.titles_corrections, layout.above)):
+        return True, "a correction is minus the deviation: the sign is turned"
+    if any(map(words.is_following_error, headers)):
+        return True, "a following error is commanded minus actual: the sign is turned"
+    around = " ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
+    said = words.difference(" ".join(headers)) or words.difference(around)
+    if said is not None:
+        return said[0] < 0, f"the file says {said[1]!r}" + (": the sign is turned" if said[0] < 0 else "")
+    _ask(headers, layout)
+    return False, ASSUMED
+
+
+def _ask(headers: tuple[str, ...], layout: Layout) -> None:
+    """Raise DataError for a header, or a line on the sign, that says which way readings count and is not understood."""
+    for header in headers:
+        text = words.plain(header)
+        less = _DIFFERENCE.search(text)
+        names = [w for w in less.groups()[:2] if w] if less else []
+        plain = any(words.kind_by_name(w) in ("error", "run") or guessing.side(w) is not None for w in names)
+        if _EITHER_WAY.search(text) or (less and not plain):
+            raise DataError(
+                f"column {header!r}: does it rise where the axis (the tool) goes too far, or fall? Say it: --sign "
+                "actual-minus-commanded, or --sign commanded-minus-actual"
+            )
+    line = next((x for x in [*layout.above, *layout.below] if _ON_THE_SIGN.search(words.plain(x))), None)
+    if line is not None:
+        raise DataError(
+            f"a line says {line[:60]!r} of the sign, which is not understood: say it with --sign "
+            "actual-minus-commanded (positive: the axis goes too far), or --sign commanded-minus-actual"
+        )
