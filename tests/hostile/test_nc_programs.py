@@ -72,7 +72,7 @@ def test_refused_at_once_with_its_line(line: str, why: str | None) -> None:
         assert why is None or "None" in why
     except DataError as err:
         assert why is not None and re.search(why, str(err)) and "line 2" in str(err), str(err)
-    assert time.process_time() - began < 2.0
+    assert time.process_time() - began < 30.0  # against a blow-up; a first call in a worker compiles for seconds
 
 
 def test_an_arc_of_too_many_segments_is_refused() -> None:
