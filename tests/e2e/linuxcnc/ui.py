@@ -70,6 +70,17 @@ def run_program():
     wait("the program", idle, PLAN["program_s"])
 
 
+def settled(read):
+    """What `read` gives once it stays for a second: counts go in slowly, more slowly still on a busy machine."""
+    last, now = None, read()
+    for _ in range(30):
+        if now == last:
+            break
+        time.sleep(1.0)
+        last, now = now, read()
+    return now
+
+
 def emergency_stops(count):
     """What some pins read before the first stop, and after each one and going on; `while_stopped` in each stop too."""
     names = PLAN.get("stop_pins", ["errpipe.command-x"])
@@ -78,7 +89,7 @@ def emergency_stops(count):
         values = [hal.get_value(name) for name in names]
         return values if len(values) > 1 else values[0]
 
-    places = [read()]
+    places = [settled(read)]
     for _ in range(count):
         for state in (linuxcnc.STATE_ESTOP, linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
             command.state(state)
