@@ -45,14 +45,14 @@ def held_readings(recording: Recording) -> Recording:
     return short_holes_held(recording.each_run_alone())
 
 
-def short_holes_held(recording: Recording, roles: Iterable[str] = ("temperature",)) -> Recording:
-    """The recording with sensors of some roles as a controller has them: between two readings, the one before.
+def short_holes_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
+    """The recording with sensors (default: temperatures) as a controller has them: between readings, the one before.
 
     Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate at
     which the sensor is logged, stay empty.
     """
     held = {}
-    for name in (n for role in roles for n in recording.names(role)):
+    for name in recording.names("temperature") if names is None else names:
         values = recording.frame[name]
         known = np.flatnonzero(values.notna())
         if known.size in (0, len(values)):
@@ -63,19 +63,21 @@ def short_holes_held(recording: Recording, roles: Iterable[str] = ("temperature"
     return recording.with_columns(held, {}) if held else recording
 
 
-def longest_silence(recording: Recording, roles: Iterable[str]) -> dict[str, float]:
-    """Sensor that is logged in every second row or less often -> s after which it counts as silent.
+def seldom_logged(recording: Recording, names: Iterable[str]) -> list[str]:
+    """Those sensors that have a reading in every second row or less often."""
+    return [n for n in names if _rows_between(np.flatnonzero(np.isfinite(recording.array(n)))) > 1]
 
-    LONGEST_HELD times the usual time between two of its readings; empty for a recording without times.
+
+def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, float]:
+    """Seldom logged sensor -> s after which it counts as silent; empty for a recording without times.
+
+    LONGEST_HELD times the usual time between two of its readings.
     """
     if recording.name("time") is None:
         return {}
-    silence = {}
-    for name in (n for role in roles for n in recording.names(role)):
-        known = np.flatnonzero(np.isfinite(recording.array(name)))
-        if _rows_between(known) > 1:
-            silence[name] = LONGEST_HELD * float(np.nanmedian(np.diff(recording.time()[known])))
-    return silence
+    time, seldom = recording.time(), seldom_logged(recording, names)
+    steps = {n: np.diff(time[np.isfinite(recording.array(n))]) for n in seldom}
+    return {name: LONGEST_HELD * float(np.nanmedian(step)) for name, step in steps.items()}
 
 
 def _rows_between(known: np.ndarray) -> int:

@@ -72,7 +72,8 @@ def _of_sensors(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str,
     from errpipe.fitting.thermal_arithmetic import longest_silence, short_holes_held
     from errpipe.guard import rates
 
-    return rates.learn(short_holes_held(recording, rates.ROLES)), longest_silence(recording, rates.ROLES)
+    names = [n for role in rates.ROLES for n in recording.names(role)]
+    return rates.learn(short_holes_held(recording, names)), longest_silence(recording, names)
 
 
 def _longer_silent(channel: TableInput, silence: float) -> TableInput:

@@ -14,6 +14,7 @@ from errpipe.fitting.thermal_arithmetic import short_holes_held, since_start
 from errpipe.formats import manifest_folder
 from errpipe.models.rises import Rises
 from errpipe.models.season import Season
+from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
 from errpipe.stages import export as stage
 from errpipe.stages._compile import CompileOptions, compile_model
@@ -52,6 +53,21 @@ def test_a_run_left_out_is_as_good_by_the_table_as_was_judged(kind, sensors, rea
     table = compile_model(family.fit(learnt_from).model, CompileOptions(), recording=learnt_from)
     residual = since_start(left_out.array("E_Z"), left_out.run_codes(), 3)[0] - by_table(table, left_out)
     assert np.sqrt(np.mean(residual**2)) == pytest.approx(judged.rms(judged.after), rel=1e-3)
+
+
+def test_terms_are_judged_on_the_rows_between_two_readings_too():
+    """Rows that hold a reading alone are predicted 0.8 um off, all rows 1.3 um."""
+    terms = [{"term": "offset"}, {"term": "thermal_drift", "sensor": "T_front"}]
+    terms += [{"term": "thermal_lag", "sensor": "T_rear"}]
+    family = Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]})
+    recording = sparse(1)
+    model, (fold, *_) = family.fit(recording).model, family.folds(recording, "leave-one-run-out")[1]
+    table = compile_model(model, CompileOptions(), recording=recording)
+    assert family.judge(recording, fold)["E_Z"].rows.size == fold.test.sum()
+    columns = {i.name: recording.array(i.name) for i in table.inputs}
+    told = batch.evaluate(by_component(table), columns, recording.time(), recording.run_codes()).deviation["E_Z"]
+    left = recording.array("E_Z") - told
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(model.components[0].rms_after, rel=1e-3)
 
 
 @pytest.mark.parametrize("guard", [False, True])
