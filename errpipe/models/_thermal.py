@@ -174,9 +174,10 @@ class ThermalFamily(Family):
 
 def _said(outcome: Outcome) -> str:
     """A few words on the outcome: what the mixture leaves of groups left out, and what it is made of."""
-    from errpipe.fitting.thermal_competition import MIXTURE, NOTHING
+    from errpipe.fitting.thermal_competition import HALF, MIXTURE, NOTHING
 
-    way, left = next(iter(outcome.left.items()))
+    way = HALF if HALF in outcome.left else next(iter(outcome.left))
+    left = outcome.left[way]
     made_of = " + ".join(f"{w:.2g} {e.name}" for e, w in outcome.weights) or "nothing"
     return f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each {way} left out; {made_of}"
 
