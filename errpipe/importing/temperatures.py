@@ -55,6 +55,7 @@ _OTHER_QUANTITY = re.compile(
     r"|flow|fluss|debit|growth|displace|deviat|error|tilt|count|number|hours|stunden|volt|freq|veloc|accel|\bmass\b|weight"
     r"|length|ratio|percent|offset|setpoint|soll|strain|dehnung|gap|valve|pump"
 )
+LONGEST_WORD = 40  # letters: compounds are not longer, and what a pattern tries grows with them
 COLDEST, HOTTEST = 0.0, 120.0  # degC: of a machine that runs in a shop
 START = (5.0, 45.0)  # degC: a machine begins near the temperature of its shop; readings in degF begin above
 FEWEST = 5  # readings from which a slow change is seen
@@ -80,7 +81,7 @@ def with_temperatures(
         named, slow, usual = _named(text), _is_slow(c.values, starts), _in_range(c.values, starts)
         between = f"{known.min():.4g} to {known.max():.4g}"
         if named and slow and usual:
-            why = f"its name and values ({between}, slow); no unit is stated, taken as degC"
+            why = f"its name and values ({between}, slow)"
             out[c.header] = ColumnGuess("temperature", None, why)
         elif named + slow + usual > 1 or (_SENSOR.search(text) and np.unique(known).size > 2):
             doubt = "by its values it is none in degC" if named else "its name does not say so"
@@ -97,7 +98,7 @@ def _named(text: str) -> bool:
         return True
     words = [w for w in re.split(r"[^\w]+|(?<=[^\W\d])(?=\d)", text) if w]
     letters = any(re.fullmatch(_OF_AN_AXIS, w) for w in words)
-    places = [w for w in words if _PLACE.fullmatch(w)]
+    places = [w for w in words if len(w) <= LONGEST_WORD and _PLACE.fullmatch(w)]
     return bool(places) and all(w in places or _SIDE.fullmatch(w) or (letters and _AXIS.fullmatch(w)) for w in words)
 
 

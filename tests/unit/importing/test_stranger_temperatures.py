@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -121,3 +122,9 @@ def test_runs_of_two_seasons_keep_their_temperatures(tmp_path: Path, names: str)
     recording: Recording = test_import.imported(tmp_path, tmp_path / "log.csv", axis="Z")
     assert len(recording.names("temperature")) == 2
     assert recording.array(recording.names("temperature")[0])[12] == pytest.approx(26.0)
+
+
+def test_a_header_without_end_is_answered_at_once() -> None:
+    began = time.perf_counter()
+    assert seen("spindles" * 500 + "q", WARM)[0].kind == "ignore"
+    assert time.perf_counter() - began < 1.0
