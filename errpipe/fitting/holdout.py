@@ -20,7 +20,12 @@ from errpipe.errors import DataError, did_you_mean
 from errpipe.yamlfile import quantity
 
 CALENDAR = {"day": 10, "month": 7, "year": 4}  # characters of an ISO 8601 date that name it
+HALF_BLOCKS = 3  # of each half, so that a paired test over blocks has six observations
 MOST_RUNS = 30  # more folds cost time and do not improve the error estimate
+
+
+HALVES = "halves"
+Scheme = Literal["auto", "leave-one-run-out", "leave-one-group-out", "batches", "blocks", "halves", "forward"]
 
 
 class Fold(NamedTuple):
@@ -38,10 +43,10 @@ class HoldOut(Frozen):
     with fewer.
     """
 
-    scheme: Literal["auto", "leave-one-run-out", "leave-one-group-out", "batches", "blocks", "forward"] = Field(
+    scheme: Scheme = Field(
         "auto",
         description="leave-one-group-out leaves a day or season out; batches leave several whole groups out at once; "
-        "forward fits on the past alone.",
+        "halves of one run (or two runs) predict each other; forward fits on the past alone.",
     )
     of: str | None = Field(None, description="Group held out: a column's name or its `of` (day, season, machine).")
     blocks: int = Field(5, ge=2, description="Number of blocks or batches (batches, blocks, and forward without `of`).")
@@ -163,6 +168,9 @@ def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
 def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
     if scheme.scheme == "leave-one-group-out" and scheme.of is None and recording.names("group"):
         scheme = scheme.model_copy(update={"of": recording.names("group")[0]})
+    if scheme.scheme == HALVES:
+        yield from _halves(recording, scheme.gap)
+        return
     blocked = scheme.scheme == "blocks" or (scheme.scheme == "forward" and scheme.of is None)
     if blocked:
         codes = block_numbers(recording, scheme.blocks)
@@ -183,6 +191,24 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         train &= ~_near(recording, test, scheme.gap)
         if train.any() and test.any():
             yield Fold(label, train, test)
+
+
+def _halves(recording: Recording, gap: float) -> Iterator[Fold]:
+    """Blocks of each half of the measured rows, or of each of two runs, which the other half alone predicts."""
+    seen, run = measured(recording), recording.run_codes()
+    place = np.cumsum(seen) - seen
+    half = (2 * place >= np.count_nonzero(seen)).astype(int)
+    if np.unique(run[seen]).size == 2:
+        half = (run != run[seen][0]).astype(int)
+    for number in (0, 1):
+        own = half == number
+        first, last = place[own & seen][[0, -1]]
+        block = (place - first) * HALF_BLOCKS // (last - first + 1)
+        for k in range(HALF_BLOCKS):
+            test = own & (block == k)
+            train = ~own & ~_near(recording, test, gap)
+            if train.any() and test.any():
+                yield Fold(f"block {number * HALF_BLOCKS + k + 1} of {2 * HALF_BLOCKS}", train, test)
 
 
 def _batch(unique: list[str], codes: np.ndarray, labels: np.ndarray, number: int) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from errpipe.domain.recording import Recording
@@ -38,19 +40,49 @@ def held_readings(recording: Recording) -> Recording:
     """The recording as a prediction reads it: every run by itself, short holes of temperatures hold the reading before.
 
     Where runs follow each other within minutes, heat of the run before must not act on a fit: `predict` begins each run
-    anew, and a fit that knew more was worse there than it had been judged. Readings missing at the start of a run take
-    its first one. Holes of more than LONGEST_HELD readings, at the rate at which the sensor is logged, stay empty.
+    anew, and a fit that knew more was worse there than it had been judged.
     """
-    recording, held = recording.each_run_alone(), {}
-    for name in recording.names("temperature"):
+    return short_holes_held(recording.each_run_alone())
+
+
+def short_holes_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
+    """The recording with sensors (default: temperatures) as a controller has them: between readings, the one before.
+
+    Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate at
+    which the sensor is logged, stay empty.
+    """
+    held = {}
+    for name in recording.names("temperature") if names is None else names:
         values = recording.frame[name]
         known = np.flatnonzero(values.notna())
         if known.size in (0, len(values)):
             continue
-        limit = LONGEST_HELD * max(int(np.median(np.diff(known))) if known.size > 1 else 1, 1)
+        limit = LONGEST_HELD * _rows_between(known)
         runs = values.groupby(recording.run_codes())
         held[name] = runs.ffill(limit=limit).where(runs.ffill().notna(), runs.bfill(limit=limit)).to_numpy()
     return recording.with_columns(held, {}) if held else recording
+
+
+def seldom_logged(recording: Recording, names: Iterable[str]) -> list[str]:
+    """Those sensors that have a reading in every second row or less often."""
+    return [n for n in names if _rows_between(np.flatnonzero(np.isfinite(recording.array(n)))) > 1]
+
+
+def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, float]:
+    """Seldom logged sensor -> s after which it counts as silent; empty for a recording without times.
+
+    LONGEST_HELD times the usual time between two of its readings.
+    """
+    if recording.name("time") is None:
+        return {}
+    time, seldom = recording.time(), seldom_logged(recording, names)
+    steps = {n: np.diff(time[np.isfinite(recording.array(n))]) for n in seldom}
+    return {name: LONGEST_HELD * float(np.nanmedian(step)) for name, step in steps.items()}
+
+
+def _rows_between(known: np.ndarray) -> int:
+    """Usual number of rows from one reading to the next; known: rows that hold one, (readings,)."""
+    return max(int(np.median(np.diff(known))), 1) if known.size > 1 else 1
 
 
 def no_usable_row(recording: Recording, component: str) -> DataError:

@@ -31,6 +31,7 @@ LEVEL = 0.3  # p over runs, one-sided, above which a partial gain is not kept; 0
 LEAST_WEIGHT = 0.05  # smallest weight of an entrant in the mixture, because each costs operations in a table
 FEWEST_RUNS = 3  # on either side of a split by the warmth of the start
 RUN = "run"
+HALF = "half"  # of one run, by the other half: what the next run may be like is nearer to that than to a block
 NOTHING, MIXTURE = "nothing", "mixture"  # beside the names of entrants
 WARMTH = "cold or warm starts"
 # Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
@@ -120,6 +121,14 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], en
     if half >= FEWEST_RUNS:
         candidates.append(Grouping(WARMTH, (tuple(order[:half]), tuple(order[half:])), ("cold", "warm")))
     return tuple(candidates)
+
+
+def halves(groups: Sequence[int]) -> Grouping:
+    """Each half of the blocks of a run predicted by the other one; a block in the middle fits neither."""
+    count = len(groups) // 2
+    return Grouping(
+        HALF, tuple(tuple(g for g in groups if g not in own) for own in (groups[-count:], groups[:count])), (), False
+    )
 
 
 def _start_warmth(recording: Recording, group: np.ndarray, groups: Sequence[int]) -> dict[int, float]:

@@ -80,6 +80,11 @@ class LinearProblem:
         return np.unique(self.recording.run_codes()[self.rows]).size < len(self.triangle)
 
     @property
+    def blocks(self) -> bool:
+        """Whether the groups are blocks of runs too few to be left out, read from one start or from several."""
+        return self.one_run or len(self.recording) > self.own
+
+    @property
     def one_day(self) -> bool:
         """Whether these blocks do not even hold different days."""
         return self.one_run and self.witnesses < FEWEST_RUNS

@@ -17,6 +17,7 @@ from errpipe.importing import dates, no_reading, settle, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
+from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import in_brackets, in_role, per_length, plain_unit, unit_of
 from errpipe.importing.words import kind_by_name
 
@@ -36,11 +37,11 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     no_reading.empty(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
-    proposal = Proposal(notes=list(layout.notes))
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
-    guesses = guessing.with_place(layout.columns, guesses)
+    guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    proposal = Proposal(notes=[*layout.notes, *unsure])
     proposal.facts.update(_facts(layout.above))
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
@@ -262,8 +263,7 @@ def _figures_below(layout: Layout, p: Proposal) -> np.ndarray:
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
     """One column of the file with the role that was guessed."""
     stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
-    unit = c.unit
-    own = stated.get("axis") or g.axis or axis
+    unit, own = c.unit, stated.get("axis") or g.axis or axis
     why = "" if stated.get("role") else f"{g.kind} by {g.why}"
     if g.kind == "time":
         _time(c, unit, why, p)

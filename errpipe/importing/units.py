@@ -72,6 +72,7 @@ LETTERS = {
     "N": (("force", "N"),),
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
+_INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
@@ -103,7 +104,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     for bracket in reversed(list(_BRACKET.finditer(text))):
         if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
             return " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text, unit
-    after = _AFTER.match(text)
+    after = None if _INLET.search(text) else _AFTER.match(text)
     if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
         return after.group(1).rstrip(" _/,"), unit
     letter = _LAST_LETTER.match(text)

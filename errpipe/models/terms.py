@@ -62,14 +62,14 @@ class Terms(ModelSpec, Family):
         """Fit on every row. Raises DataError, NotIdentifiable."""
         from errpipe.fitting import model
 
-        fitted = model.fit(self._response(recording), self)
+        fitted = model.fit(self._response(_as_read(recording)), self)
         return Fitted(fitted, summary=fit_summary(fitted))
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Select and fit on one side of a fold, judge on the other."""
         from errpipe.fitting import judging
 
-        return judging.judge(self._response(recording), self, fold)
+        return judging.judge(self._response(_as_read(recording)), self, fold)
 
     def in_batches(self, source: Source) -> bool:
         """Longer than `rows_in_memory`. Raises DataError where that was asked for and something cannot be done so."""
@@ -110,6 +110,16 @@ class Terms(ModelSpec, Family):
 
     def _response(self, recording: Recording) -> Recording:
         return mismatch(recording, self) if self.less_simulated else recording
+
+
+def _as_read(recording: Recording) -> Recording:
+    """The recording with temperatures that are logged more seldom than rows as a table reads them: the one before.
+
+    Where every tenth row holds one, nine of ten rows of production are of that kind; single empty cells stay empty.
+    """
+    from errpipe.fitting.thermal_arithmetic import seldom_logged, short_holes_held
+
+    return short_holes_held(recording, seldom_logged(recording, recording.names("temperature")))
 
 
 def mismatch(recording: Recording, spec: ModelSpec) -> Recording:

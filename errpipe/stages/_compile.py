@@ -75,7 +75,6 @@ def _table_of(
     from errpipe.domain import driver as d
     from errpipe.errors import GateError
     from errpipe.fitting.lowering import left_behind, lower
-    from errpipe.guard import rates
     from errpipe.stages import _inputs
 
     lowered = lower(model)
@@ -99,7 +98,7 @@ def _table_of(
     table = tables.compile_table(
         sources,
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
-        inputs=_inputs.table_inputs(placed, guard, rates.learn(recording) if recording is not None else None),
+        inputs=_inputs.table_inputs(placed, guard, recording),
         travel=_inputs.travel(placed),
         turning=_inputs.turning(placed),
         error_bound=options.error_bound,

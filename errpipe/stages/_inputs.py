@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,11 +45,11 @@ FADE_SHARE = 0.5  # where the model states no margin: half the width of what was
 
 
 def table_inputs(
-    model: ErrorModel, guard: SensorGuard | None = None, rates: Mapping[str, ReadingRate] | None = None
+    model: ErrorModel, guard: SensorGuard | None = None, recording: Recording | None = None
 ) -> list[TableInput]:
     """One channel per column of the model, in its order.
 
-    guard: what a healthy sensor can read; rates: how fast the recording's sensors moved, by column.
+    guard: what a healthy sensor can read; recording: how fast its sensors moved, and how seldom they spoke.
     """
     columns = dict(model.columns)
     _fitting_names(columns)
@@ -58,9 +58,28 @@ def table_inputs(
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
     inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
-    known = rates or {}
+    known, silence = _of_sensors(recording) if recording is not None else ({}, {})
     inputs = [_no_faster(channel, known.get(channel.name) or _rate_of_a_step(channel, model)) for channel in inputs]
+    inputs = [_longer_silent(channel, silence.get(channel.name, 0.0)) for channel in inputs]
     return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in inputs]
+
+
+def _of_sensors(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
+    """Column -> how fast its readings move where the last one is held until the next; and how long it may be silent.
+
+    A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
+    """
+    from errpipe.fitting.thermal_arithmetic import longest_silence, short_holes_held
+    from errpipe.guard import rates
+
+    names = [n for role in rates.ROLES for n in recording.names(role)]
+    return rates.learn(short_holes_held(recording, names)), longest_silence(recording, names)
+
+
+def _longer_silent(channel: TableInput, silence: float) -> TableInput:
+    if channel.stale_after_s is None or channel.stale_after_s >= silence:
+        return channel
+    return channel.model_copy(update={"stale_after_s": silence})
 
 
 def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:

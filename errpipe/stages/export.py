@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from errpipe.guard.description import SensorGuard
     from errpipe.validation.gate import Passed
 
+ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
+
 
 class Export(CompileOptions, SignOptions, Stage):
     """Compile the model into a compensation table and the files of controllers."""
@@ -56,13 +58,14 @@ class Export(CompileOptions, SignOptions, Stage):
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
         recording = _artefacts.recording_in(context.needed("recording"))
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
-        passed = _gate(model, self, context)
+        passed = _gate(model, recording, self, context)
         model = passed.model
         guard = _guard(context, recording) if self.guard else None
         context.progress(0.2, "compiling")
         table = compile_model(model, self, guard, recording)
         context.progress(0.5, "comparing table and model")
         proof = compare(table, model, recording)
+        checks += _close_enough(proof, passed)
         from errpipe.stages.targets import checksums
 
         files = _write(context, table, model, self)
@@ -72,10 +75,12 @@ class Export(CompileOptions, SignOptions, Stage):
         document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
-        return {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
+        summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
+        beyond = [p["component"] for p in proof if p["beyond_bound"]]
+        return summary | ({"beyond_the_tables_bound": ", ".join(beyond)} if beyond else {})
 
 
-def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
+def _gate(model: ErrorModel, recording: Recording, options: Export, context: Context) -> Passed:
     """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated."""
     from dataclasses import replace
 
@@ -87,7 +92,7 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
         title = _artefacts.ungated_title(model.title)
         passed = Passed(model.model_copy(update={"title": title}), (), ())
     else:
-        passed = pass_gate(model, validations)
+        passed = pass_gate(model, validations, recording)
     if options.readings_per_shift is None:
         return passed
     return replace(passed, model=with_readings(passed.model, validations, options.readings_per_shift))
@@ -95,10 +100,11 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
 
 def _guard(context: Context, recording: Recording) -> SensorGuard:
     """Sensor guard: each sensor predicted from the others, learnt on the recording; written beside the table."""
+    from errpipe.fitting.thermal_arithmetic import short_holes_held
     from errpipe.guard import learn
 
     context.progress(0.1, "learning what the sensors say of each other")
-    guard = learn.learn(recording)
+    guard = learn.learn(short_holes_held(recording))
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
 
@@ -107,31 +113,62 @@ def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict
     """Table beside model on the recording's own rows: largest and rms difference per component, um or urad.
 
     Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
+    bound_um: what gridding and rounding may add. beyond_bound: whether more than that differs although the table holds
+    all terms, as where it does not believe a reading or fades.
     """
     import numpy as np
 
     from errpipe.fitting.components import evaluate
     from errpipe.fitting.lowering import left_behind
-    from errpipe.fitting.thermal_arithmetic import held_readings
+    from errpipe.fitting.thermal_arithmetic import held_readings, rms
     from errpipe.stages.predict import table_values
+    from errpipe.tables import bounds
 
+    allowed = {c.name: c.gridding for c in bounds.components(table)}
     recording = held_readings(recording)
     by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
     behind = left_behind(model)
     out = []
     for name, values in by_table.items():
         difference = values - by_model[name]
-        difference = difference[np.isfinite(difference)]
+        known = np.isfinite(difference)
+        largest = float(np.abs(difference[known]).max(initial=0.0))
         out.append(
             {
                 "component": name,
-                "rows": int(difference.size),
-                "largest_difference_um": float(np.abs(difference).max()) if difference.size else 0.0,
-                "rms_difference_um": float(np.sqrt(np.mean(difference**2))) if difference.size else 0.0,
+                "rows": int(known.sum()),
+                "largest_difference_um": largest,
+                "bound_um": allowed[name],
+                "beyond_bound": bool(name not in behind and largest > allowed[name] + ROUNDING_UM),
+                "rms_difference_um": rms(difference[known]),
+                "rms_model_um": rms(by_model[name][known]),
                 "not_compensated": behind.get(name, []),
             }
         )
     return out
+
+
+def _close_enough(proof: list[dict[str, Any]], passed: Passed) -> list[str]:
+    """What differs between table and model by more than the table's bound, in words.
+
+    Raises GateError where the table differs by more than the model gained on held-out rows: it may do harm.
+    """
+    from errpipe.errors import GateError
+
+    said = []
+    for p in (p for p in proof if p["beyond_bound"]):
+        name, off = p["component"], p["rms_difference_um"]
+        gains = [j["rms_before"] - j["rms_at_gain"] for j in passed.judged if j["component"] == name]
+        gain = min(gains, default=p["rms_model_um"])
+        words = (
+            f"{name}: on its own recording the table differs from the model by up to {p['largest_difference_um']:.3g}, "
+            f"rms {off:.3g} (bound of gridding and rounding {p['bound_um']:.2g}): it does not believe readings that "
+            "step faster than its max_rate, or fades outside what was seen"
+        )
+        if off >= gain:
+            raise GateError(f"export: {words}. The model gains {gain:.3g}. Nothing was exported.")
+        said.append(words)
+    return said
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:

@@ -9,11 +9,12 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from errpipe.errors import DataError
-from errpipe.fitting.holdout import HoldOut
+from errpipe.fitting.holdout import HALVES, HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 
 HELD_OUT = "held_out.parquet"
+MORE_RUNS = "; one half predicted by the other: how further runs go is not shown"
 
 
 class Validate(Stage):
@@ -40,7 +41,8 @@ class Validate(Stage):
         folder = context.maybe("error_model")
         if folder is not None:
             document |= self._of_model(context, folder)
-            summary |= {c["component"]: headline(c) for c in document["components"]}
+            remark = MORE_RUNS if document["scheme"] == HALVES else ""
+            summary |= {c["component"]: headline(c) + remark for c in document["components"]}
         machine = context.maybe("identified_machine")
         if machine is not None:
             document["machine"] = _of_machine(context, machine)

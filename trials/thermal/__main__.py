@@ -1,7 +1,9 @@
 """Families of thermal models on machines nobody tuned for: fitted on two seasons, judged on the third.
 
-python -m trials.thermal --seed 7 --machines 24 [--families season,auto] [--without-gate] [--keep DIR] [--json FILE]
-                         [--markdown FILE]
+python -m trials.thermal --seed 7 --machines 24 [--families season,auto] [--without-gate] [--log-days N] [--keep DIR]
+                         [--json FILE] [--markdown FILE]
+
+With --log-days one run of N days is fitted, and four later logs of the same season judge.
 
 The families run by their public commands (`errpipe run`, `errpipe predict`) in a process of their own. What is not
 exported counts as no compensation; with --without-gate the fitted model itself is judged, in this process, which takes
@@ -24,6 +26,7 @@ import pandas as pd
 from trials import folder
 from trials.folder import Array, Sheet
 
+from . import logs
 from .baselines import DATUM_ROWS, predictions, since_start
 from .seasons import machine_of, recordings
 
@@ -100,9 +103,11 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def one_machine(where: Path, seed: int, number: int, families: list[str], gate: bool = True) -> dict[str, Any]:
-    """Left-out-season rms of every family and baseline over that of no compensation."""
-    fit, judged = recordings(seed, number)
+def one_machine(
+    where: Path, seed: int, number: int, families: list[str], gate: bool = True, log_days: int = 0
+) -> dict[str, Any]:
+    """Left-out-season rms of every family and baseline over that of no compensation; log_days: of later logs."""
+    fit, judged = logs.recordings(seed, number, log_days) if log_days else recordings(seed, number)
     folder.write(where / "fit", fit)
     folder.write(where / "judge", judged)
     y = since_start(judged.values(COMPONENT), judged.runs())
@@ -128,7 +133,7 @@ def markdown(rows: list[dict[str, Any]], title: str) -> str:
     """By kind of machine: geometric mean of what is left, share at most lasso, never worse than nothing."""
     methods = list(dict.fromkeys(m for r in rows for m in r["left"]))
     kinds = sorted({r["machine"].split("-")[0] for r in rows})
-    head = ["left-out season: residual over uncompensated, geometric mean", *kinds, "all", "at most lasso", "worst"]
+    head = ["rows left out: residual over uncompensated, geometric mean", *kinds, "all", "at most lasso", "worst"]
     lines = [title, "", f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
     for m in methods:
         cells = []
@@ -160,6 +165,7 @@ def main() -> None:
     parser.add_argument("--machines", type=int, default=24)
     parser.add_argument("--families", default="season,auto", help="comma-separated; empty: baselines only")
     parser.add_argument("--without-gate", action="store_true")
+    parser.add_argument("--log-days", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
@@ -169,7 +175,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         for number in range(a.machines):
             where = (a.keep or Path(temporary)) / f"machine-{number}"
-            row = one_machine(where, a.seed, number, families, not a.without_gate)
+            row = one_machine(where, a.seed, number, families, not a.without_gate, a.log_days)
             rows.append(row)
             left = ", ".join(f"{m} {v:.3f}" for m, v in row["left"].items())
             failed = "; ".join(f"{f}: {v['failed']}" for f, v in row["families"].items() if "failed" in v)

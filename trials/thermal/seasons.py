@@ -70,11 +70,16 @@ def day(rng: Rng, machine: Machine, s: Shop, duty: str, morning: float) -> tuple
         work[rows], speed[rows] = works * rng.uniform(0.9, 1.1), pace
     theta = machine.march(s.step, work, speed, room)
     deviation = (theta - 20) @ machine.growth + machine.room_growth * (room - 20)
-    seen = np.column_stack([theta[:, machine.nodes], room])
-    keep = np.exp(-s.step / s.sensor_delay)
+    seen = slow_sensors(np.column_stack([theta[:, machine.nodes], room]), s.step, s.sensor_delay)
+    return t[night:], deviation[night:], seen[night:]
+
+
+def slow_sensors(seen: Array, step: float, delay: float) -> Array:
+    """Readings (rows, sensors) of sensors with a first-order delay, s."""
+    keep = np.exp(-step / delay)
     for i in range(1, len(seen)):
         seen[i] = seen[i] + (seen[i - 1] - seen[i]) * keep
-    return t[night:], deviation[night:], seen[night:]
+    return seen
 
 
 def machine_of(seed: int, number: int) -> tuple[Machine, Shop, Rng]:
@@ -103,7 +108,7 @@ def recordings(seed: int, number: int, judged: str = "summer") -> tuple[Sheet, S
             )
             frame["t"] = np.round(at + t, 1)
             for i, column in enumerate(shown.T):
-                frame[_sensor(i, seen.shape[1])] = np.round(np.round(column / s.display) * s.display, 3)
+                frame[sensor_name(i, seen.shape[1])] = np.round(np.round(column / s.display) * s.display, 3)
             zero = rng.normal(0, 8)  # each day is measured from another zero
             frame["E_Z"] = np.round(deviation - deviation[0] + zero + s.reading_noise * rng.normal(size=t.size), 3)
             parts.append(frame)
@@ -111,7 +116,7 @@ def recordings(seed: int, number: int, judged: str = "summer") -> tuple[Sheet, S
         at += 60 * DAY
     table = pd.concat(parts, ignore_index=True)
     title = f"{machine.kind} {number}, days over three seasons"
-    columns = _columns(table)
+    columns = columns_of(table)
 
     def of(rows: Array) -> Sheet:
         return Sheet(title, table[rows].reset_index(drop=True), columns, f"{machine.kind}-{number}")
@@ -120,11 +125,13 @@ def recordings(seed: int, number: int, judged: str = "summer") -> tuple[Sheet, S
     return of(~chosen), of(chosen)
 
 
-def _sensor(i: int, count: int) -> str:
+def sensor_name(i: int, count: int) -> str:
+    """Column of a sensor; the last one is the room's."""
     return "T_room" if i == count - 1 else f"T_{i + 1}"
 
 
-def _columns(table: pd.DataFrame) -> dict[str, dict]:
+def columns_of(table: pd.DataFrame) -> dict[str, dict]:
+    """The manifest's columns of a table of readings."""
     columns: dict[str, dict] = {
         "run": {"role": "run"},
         "season": {"role": "group", "of": "season"},

@@ -1,0 +1,149 @@
+"""Temperatures that no unit states: by the sensor's or the place's name, and by values that warm and cool slowly.
+
+A name alone is not enough (`spindle` may be a speed or a load), nor are values alone. Where one of the two is missing,
+the column is not used, and a note says so.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.layout import RawColumn
+from errpipe.importing.words import plain
+
+_SENSOR = re.compile(
+    r"^(?:t|ts|tc|thc) ?[.:#-]?\d{1,2}(?=[^a-z0-9]|$)|^t(?=[ .:-]+[a-z])"
+    r"|(?<![a-z])(?:tc|rtd|ntc|ptc|pt ?1000?|thermistor)(?![a-z])"
+)
+_PLACES = (
+    # spindle and its bearings
+    "spindles?|spindel|broches?|mandrino|husillo|nose|nase|nez|quill|pinole|bearings?|brgs?|lager|paliers?|roulements?"
+    "|cuscinett[io]|rodamientos?|cojinetes?|headstock|spindelstock|poupee|motors?|motoren|moteurs?|motore|drives?"
+    "|antrieb|flanges?|flansch|housings?|gehaeuse|carter|gear ?box|getriebe|chuck|futter"
+    # frame
+    "|columns?|staender|saeule|colonne|colonna|columna|montant|bed|bett|bancada|banc|bati|basamento|base|frame|gestell"
+    "|rahmen|portal|gantry|beam|traverse|querbalken|table|tisch|mesa|tavola|saddle|schlitten|ram|slides?|carriage"
+    "|foundation|fundament|floor|boden|wall|wand"
+    # media
+    "|coolant|kuehl(?:mittel|wasser|schmierstoff)|kss|emulsion|refrigerante?|liquide|coupe|oil|oel|huile|olio|aceite"
+    "|water|wasser|eau|acqua|agua|air|luft|aria|aire|tanks?|behaelter|cuve|reservoir|hydraulics?|hydraulik|chiller"
+    "|ambient|ambiance|ambiante?|ambiente|room|raum|hall|halle|hallen|atelier|shop|umgebung|indoor|outdoor|enclosure|kabine"
+    "|主[轴軸]|轴承|軸受|室温|冷却液|床身|立柱|丝杠|螺母|环境|前|后|後"
+)
+_OF_AN_AXIS = (  # with its letter: `nut X`; `spindle X` is the displacement of a spindle
+    "ball ?screws?|screws?|kugelgewinde(?:trieb)?|vis|vite|husillo|nuts?|mutter|ecrou|chiocciola|tuerca|scales?"
+    "|mass?stab|glas|regle|riga|regla|guides?|ways?|fuehrung|rails?|rack|motors?|moteur|motore|bearings?|brgs?|lager|palier|drive"
+    "|antrieb"
+)
+_SIDES = (
+    "front|rear|back|top|bottom|left|right|upper|lower|middle|mid|centre|center|inner|outer|inside|outside|in|out|inlet"
+    "|outlet|return|supply|near|far|end|side|body|vorn|vorne|vorderes?|hinten|hinteres?|oben|unten|links|rechts|mitte|innen"
+    "|aussen|vor|ruecklauf|vorlauf|zulauf|avant|arriere|haut|bas|gauche|droite|milieu|entree|sortie|retour|anteriore"
+    "|posteriore|delantero|trasero|superior|inferior|l|r|v|h|o|u|de|du|la|le|der|des|of|the|am|an|im|at"
+    "|sensor|fuehler|sonde|messstelle|ch|channel|kanal|voie|k|t|\\d{1,2}"
+)
+_PLACES = rf"(?:{_PLACES}|{_OF_AN_AXIS})"
+_PLACE = re.compile(rf"{_PLACES}(?:(?:s|n|en)?{_PLACES})*")
+_AXIS = re.compile(r"[xyz]\d?")
+_SIDE = re.compile(_SIDES)
+_OTHER_QUANTITY = re.compile(
+    r"load|last\b|charge|power|leistung|puissance|speed|rpm|override|vibr|status|state|alarm|mode|posit|level|niveau|stand\b"
+    r"|flow|fluss|debit|growth|displace|deviat|error|tilt|count|number|hours|stunden|volt|freq|veloc|accel|\bmass\b|weight"
+    r"|length|ratio|percent|offset|setpoint|soll|strain|dehnung|gap|valve|pump"
+)
+LONGEST_WORD = 40  # letters: compounds are not longer, and what a pattern tries grows with them
+COLDEST, HOTTEST = 0.0, 120.0  # degC: of a machine that runs in a shop
+START = (5.0, 45.0)  # degC: a machine begins near the temperature of its shop; readings in degF begin above
+FEWEST = 5  # readings from which a slow change is seen
+JUMP = 0.15  # of the span, in one row: a step of a speed or a load, where the rows beside it stand still
+STILL = 0.25  # of the jump: what the rows beside it move at most
+UNEVEN = 0.25  # of what independent readings give (2 variances): the mean squared step of values that change slowly
+CALM = 1.0  # K: a room that does not leave this span shows noise alone
+
+
+def with_temperatures(
+    columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]
+) -> tuple[dict[str, ColumnGuess], list[str]]:
+    """The guesses with the columns that are plainly temperatures, and notes on those that may be some."""
+    out, notes = dict(guesses), []
+    starts = _starts(columns, guesses)
+    for c in columns:
+        guess = guesses[c.header]
+        if guess.kind != "ignore" or not guess.why or not c.numeric or c.unit is not None:
+            continue  # without a reason: a person said that it is not used
+        text, known = plain(c.header), c.values[np.isfinite(c.values)]
+        if known.size < FEWEST or _OTHER_QUANTITY.search(text):
+            continue
+        named, slow, usual = _named(text), _is_slow(c.values, starts), _in_range(c.values, starts)
+        between = f"{known.min():.4g} to {known.max():.4g}"
+        if named and slow and usual:
+            why = f"its name and values ({between}, slow)"
+            out[c.header] = ColumnGuess("temperature", None, why)
+        elif named + slow + usual > 1 or (_SENSOR.search(text) and np.unique(known).size > 2):
+            doubt = "by its values it is none in degC" if named else "its name does not say so"
+            notes.append(
+                f"column {c.header!r} ({between}) is not used: it may be a temperature, but {doubt}; if it is one, say "
+                f"--set '{c.header}.role=temperature', and its unit where that is not degC"
+            )
+    return out, notes
+
+
+def _named(text: str) -> bool:
+    """Whether a header (`plain`) names a sensor of temperature, or a place of a machine and nothing else."""
+    if _SENSOR.search(text):
+        return True
+    words = [w for w in re.split(r"[^\w]+|(?<=[^\W\d])(?=\d)", text) if w]
+    letters = any(re.fullmatch(_OF_AN_AXIS, w) for w in words)
+    places = [w for w in words if len(w) <= LONGEST_WORD and _PLACE.fullmatch(w)]
+    return bool(places) and all(w in places or _SIDE.fullmatch(w) or (letters and _AXIS.fullmatch(w)) for w in words)
+
+
+def _starts(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> np.ndarray:
+    """Rows at which a run begins, by its label, or by times that go back or pause; (rows,), the first one True."""
+    rows = len(columns[0].cells)
+    begins = np.zeros(rows, dtype=bool)
+    begins[:1] = True
+    for c in columns:
+        if guesses[c.header].kind in ("run", "group"):
+            begins[1:] |= np.array([a != b for a, b in zip(c.cells, c.cells[1:], strict=False)], dtype=bool)
+        elif guesses[c.header].kind == "time" and c.numeric and rows > 2:
+            step = np.diff(c.values)
+            begins[1:] |= (step < 0) | (step > 5.0 * np.nanmedian(step))
+    return begins
+
+
+def _in_range(values: np.ndarray, starts: np.ndarray) -> bool:
+    """Whether a machine may be so warm, and its shop as it begins."""
+    if not (np.nanmin(values) > COLDEST and np.nanmax(values) < HOTTEST):
+        return False
+    first = np.median([v[0] for v in _stretches(values, starts)])
+    return bool(START[0] <= first <= START[1])
+
+
+def _is_slow(values: np.ndarray, starts: np.ndarray) -> bool:
+    """Whether values change, by less than their span from row to row, without a single step and not at one rate."""
+    stretches = [v for v in _stretches(values, starts) if v.size > 1]
+    known = np.concatenate(stretches) if stretches else np.zeros(0)
+    if np.unique(known).size < FEWEST:
+        return False
+    span, steps = np.ptp(known), [np.diff(v) for v in stretches]
+    moved = np.concatenate(steps)
+    if np.ptp(moved) <= 1e-6 * span:
+        return False
+    for step in steps:
+        size = np.abs(np.r_[0.0, step, 0.0])
+        beside = np.maximum(size[:-2], size[2:])
+        if span > CALM and np.any((size[1:-1] > JUMP * span) & (beside < STILL * size[1:-1])):
+            return False
+    variance = sum(np.sum((v - v.mean()) ** 2) for v in stretches) / known.size
+    return bool(span <= CALM or np.mean(moved**2) <= UNEVEN * 2.0 * variance)
+
+
+def _stretches(values: np.ndarray, starts: np.ndarray) -> list[np.ndarray]:
+    """The known readings of every run."""
+    parts = np.split(values, np.flatnonzero(starts)[1:])
+    return [known for part in parts if (known := part[np.isfinite(part)]).size]

@@ -1,0 +1,109 @@
+"""One run: what is said of the next one, and what is not exported although blocks of the run were predicted well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.errors import GateError
+from errpipe.fitting import holdout
+from errpipe.formats import manifest_folder
+from errpipe.models.auto import Auto
+from errpipe.models.rises import Rises
+from errpipe.validation.gate import pass_gate
+from errpipe.validation.held_out import held_out
+from errpipe.validation.predict import predict
+from tests.unit.models.test_competition import machine, rms
+from trials import folder
+from trials.thermal import logs
+
+FAMILY = Auto(component="E_Z", among=("rises", "lagged"))
+
+
+def recorded(tmp_path, seed: int, number: int, days: int):
+    """The log that fits, and the later ones."""
+    out = []
+    for name, sheet in zip(("fit", "judge"), logs.recordings(seed, number, days), strict=True):
+        folder.write(tmp_path / f"{number}-{name}", sheet)
+        out.append(manifest_folder.read(tmp_path / f"{number}-{name}"))
+    return out
+
+
+def test_halves_of_one_run_fit_and_judge_in_turn() -> None:
+    one = machine(2, seasons=("winter",), runs=1)
+    label, folds = FAMILY.folds(one, None)
+    assert label == "halves" and len(folds) == 6
+    assert np.array_equal(np.sum([f.test for f in folds], axis=0), np.ones(len(one)))
+    for number, fold in enumerate(folds):
+        others = [f.test for k, f in enumerate(folds) if (k < 3) != (number < 3)]
+        assert np.array_equal(fold.train, np.any(others, axis=0))
+
+
+def test_of_two_runs_each_judges_the_other() -> None:
+    two = machine(2, seasons=("winter",), runs=2)
+    short = two.take(np.r_[0 : len(two) // 4, len(two) // 2 : len(two)])
+    for fold in holdout.groups(short, "halves"):
+        run = short.run_codes()
+        assert np.unique(run[fold.train]).size == np.unique(run[fold.test]).size == 1
+        assert run[fold.train][0] != run[fold.test][0]
+
+
+def test_a_row_without_a_deviation_divides_no_half() -> None:
+    """Temperatures that were logged long before the deviation count in neither half."""
+    one = machine(2, seasons=("winter",), runs=1)
+    late = one.with_columns({"E_Z": np.where(np.arange(len(one)) < 0.6 * len(one), np.nan, one.array("E_Z"))}, {})
+    seen = np.isfinite(late.array("E_Z"))
+    counts = [int(np.sum(f.test & seen)) for f in holdout.groups(late, "halves")]
+    assert len(counts) == 6 and max(counts) - min(counts) <= 1
+
+
+def test_coverage_of_the_next_run_is_not_claimed_and_the_widths_are_larger() -> None:
+    one = machine(2, seasons=("winter",), runs=1)
+    halves, blocks = held_out(one, FAMILY), held_out(one, FAMILY, "blocks:5")
+    (figures,), (inside,) = halves["components"], blocks["components"]
+    assert figures["coverage90"] is None and {g["coverage90"] for g in figures["groups"]} == {None}
+    assert inside["coverage90"] is not None
+    assert figures["half_width90"] > inside["half_width90"]
+
+
+@pytest.mark.parametrize("days", [1, 3])
+def test_later_logs_lie_in_the_interval(days: int, tmp_path) -> None:
+    """Machines of a seed that chose nothing: 85 % of their rows at least, and not at twice the width needed."""
+    covered, wide = [], []
+    for number in range(8):
+        fit, judge = recorded(tmp_path, 6101, number, days)
+        told = predict(Auto(component="E_Z", among=("rises", "lagged")).fit(fit).model, judge)
+        left = since(judge.array("E_Z"), judge) - since(told["E_Z_predicted"].to_numpy(), judge)
+        half = 0.5 * (told["E_Z_upper"] - told["E_Z_lower"]).to_numpy()
+        covered.append(np.mean(np.abs(left) <= half))
+        wide.append(np.mean(half) / np.quantile(np.abs(left), 0.9))
+    assert np.mean(covered) > 0.85, covered
+    assert np.median(wide) < 2.0, wide
+
+
+def since(values: np.ndarray, recording) -> np.ndarray:
+    """Values less the mean of each run's first three."""
+    out, run = values.copy(), recording.run_codes()
+    for code in np.unique(run):
+        out[run == code] -= values[run == code][:3].mean()
+    return out
+
+
+def widened(model: ErrorModel, times: float) -> ErrorModel:
+    (own,) = model.components
+    return model.model_copy(update={"components": (own.model_copy(update={"half_width90": times * own.half_width90}),)})
+
+
+def test_a_correction_as_uncertain_as_it_is_large_is_not_exported() -> None:
+    one, family = machine(2, seasons=("winter",), runs=1), Rises(component="E_Z")
+    model, document = family.fit(one).model, held_out(one, family)
+    assert document["components"][0]["gain"] > 0.0
+    assert pass_gate(model, [document], one).left_out == ()
+    told = predict(model, one)
+    size, half = rms(told["E_Z_predicted"].to_numpy()), rms((told["E_Z_upper"] - told["E_Z_lower"]).to_numpy() / 2)
+    with pytest.raises(GateError, match="measure further ones"):
+        pass_gate(widened(model, 1.7 * size / half), [document], one)
+    assert pass_gate(widened(model, 1.6 * size / half), [document], one).left_out == ()
+    elsewhere = document | {"scheme": "leave-one-run-out"}
+    assert pass_gate(widened(model, 5.0 * size / half), [elsewhere], one).left_out == ()
