@@ -14,14 +14,14 @@ from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
-from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out
+from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out, zeroed_at_starts
 from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, only_noise, rounded, zoomed
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.terms import NEVER
+from errpipe.terms import MANY_STARTS, NEVER
 
 Progress = Callable[[float, str], None]
 WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
@@ -228,11 +228,15 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     prior = recalibration.log_prior(library, decomposition)
     of_row = sessions(conditioned)[rows]
     session: np.ndarray | None = None
-    each = datums(conditioned, rows, of_row, library, pair.mismatch)
-    if each is not None and favours_session_datums(each[0], nuisance, library, data, prior, noise_estimate, run):
+    zeroed = raw.name("time") is not None and zeroed_at_starts(raw.array(pair.error)[rows], of_row)
+    each = datums(conditioned, rows, of_row, library, pair.mismatch, zeroed)
+    if each is not None and (
+        zeroed or favours_session_datums(each[0], nuisance, library, data, prior, noise_estimate, run)
+    ):
         nuisance = nuisance.plus(each[0].index, each[0].sd)
         recal, kinds = np.column_stack([recal, each[1]]), [*kinds, *each[2]]
-        sizes, session = np.r_[sizes, np.ones(len(each[2]))], of_row
+        sizes = np.r_[sizes, np.ones(len(each[2]))]
+        session = of_row if len(each[2]) >= MANY_STARTS else None  # fewer are not held out whole
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
     places = [library.add(s.columns) for s in free_shapes]
     return SetUp(

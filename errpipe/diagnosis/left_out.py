@@ -19,6 +19,8 @@ from errpipe.diagnosis.shapes import Shape
 from errpipe.domain.recording import Recording
 from errpipe.terms import MANY_STARTS
 
+FIRST_READINGS, ROWS_ZEROED = 3, 30  # readings that show a session's zero; rows that it must have
+AT_ZERO = 0.3  # their rms, over that of all readings; noise that wanders takes part of it
 ZEROED = 5  # first rows of a held-out session, from which its datum is estimated
 
 
@@ -91,17 +93,17 @@ def coefficients(data: Data, active: Active, sigma: float, without: int | None) 
 
 
 def datums(
-    recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray
+    recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray, few: bool
 ) -> tuple[Active, np.ndarray, list[Nuisance]] | None:
     """A datum for each session, as an instrument has that is zeroed whenever the machine is started: columns in the
     library with their freedom, the same before whitening, what they are. None where there are too few starts.
 
-    session: of each row; y: the mismatch, whose spread between sessions sets the freedom.
+    session: of each row; y: the mismatch, whose spread between sessions sets the freedom; few: take two starts, too.
 
     Runs that follow each other without a long pause share a datum: what steps between them is physics.
     """
     codes, first, inside, count = np.unique(session, return_index=True, return_inverse=True, return_counts=True)
-    if codes.size < MANY_STARTS:
+    if codes.size < (2 if few else MANY_STARTS):
         return None
     level = np.bincount(inside, y) / count
     columns = (session[:, None] == codes).astype(float)
@@ -111,6 +113,18 @@ def datums(
     index = library.add(columns)
     sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
     return Active(index, sd), columns, [Nuisance("session datum", f"datum of run {labels[run[k]]}") for k in first]
+
+
+def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
+    """Does each of two sessions or more begin at zero, as where the probes are zeroed at the start (ISO 230-3)?
+
+    error: recorded values; session: of each of these rows.
+    """
+    _, first, count = np.unique(session, return_index=True, return_counts=True)
+    if first.size < 2 or count.min() < ROWS_ZEROED:
+        return False
+    levels = [float(np.mean(error[k : k + FIRST_READINGS])) for k in first]
+    return bool(np.sqrt(np.mean(np.square(levels))) < AT_ZERO * np.sqrt(np.mean(error**2)))
 
 
 def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
