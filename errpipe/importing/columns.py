@@ -39,6 +39,8 @@ KIND_OF_UNIT = {
     "urad": "error",
     "arcsec": "error",
     "mrad": "error",
+    "um/m": "error",
+    "mm/m": "error",
     "nm": "error",
 }
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
@@ -235,8 +237,14 @@ def is_straightness(text: str) -> bool:
     return re.search(_STRAIGHT, plain(text)) is not None
 
 
+def is_radius(text: str) -> bool:
+    """Whether a header names the radius of a circular test."""
+    return re.search(_RADIUS, plain(text)) is not None
+
+
 # Quantities that are no positioning deviation of the axis along which they were measured.
 _DIAMETER = r"\b(diamet(er|re|ro)|durchmesser)|直[径徑]|(?i:^ø)"
+_RADIUS = r"\b(radi(us|al\w*)|d ?r|ball ?bar)\b|半径"  # of a circular test
 _SHAPES = (
     r"flatness|ebenheit|planeit|squareness|perpendicular|rechtwinkl|parallel(ism|itaet)|roundness|rundheit|run-?out|rundlauf"
     r"|planlauf|cylindric|zylinderform|平面度|垂直度|直角度|平行度|圆度|真円度"
@@ -244,13 +252,15 @@ _SHAPES = (
 
 
 def other_component(text: str, moved: str) -> str | None:
-    """EYX of 'straightness Y' along X, ECX of 'yaw', E_D of 'diameter'; None where a header names none of them.
+    """EYX of 'straightness Y' along X, ECX of 'yaw', E_D of 'diameter', E_R of 'radius'; None of any other header.
 
     Raises DataError for half of it, and for a shape (flatness, squareness), which is no component of the axis alone.
     """
     word = plain(text)
     if re.search(_DIAMETER, word):
         return "E_D"
+    if is_radius(text):
+        return "E_R"
     if re.search(_SHAPES, word):
         raise DataError(f"column {text!r}: of what component is this? Say it with --component, such as EZX or C0Y")
     if is_straightness(text):

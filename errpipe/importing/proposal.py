@@ -13,12 +13,12 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, settle, simulated, wide
-from errpipe.importing.layout import Layout, RawColumn, is_word
+from errpipe.importing import dates, no_reading, order, settle, simulated, wide
+from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
-from errpipe.importing.units import in_brackets, in_role, per_length, plain_unit, unit_of
-from errpipe.importing.words import kind_by_name
+from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
+from errpipe.importing.words import THERE_AND_BACK, kind_by_name, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
@@ -41,11 +41,16 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses = guessing.with_place(layout.columns, guesses)
-    proposal.facts.update(_facts(layout.above))
+    proposal.facts.update(facts(layout.above))
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in settle.PLACES]
+        if angles and any(guessing.is_radius(c.header) for c in layout.columns):
+            raise DataError(
+                f"column {angles[0].header!r} holds angles of a circle: errpipe needs the commanded position of each "
+                "reading, a column per axis (X = centre_X + radius * cos(angle), ...)"
+            )
         if angles:
             raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
         axis, proposal.assumed_axis = "X", True
@@ -70,26 +75,6 @@ def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -
             f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
             f"EYX (or {own}, the positioning)"
         )
-
-
-FACTS = {
-    "machine": r"machine|maschine",
-    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
-    "operator": r"operator|bediener|pr[üu]fer|inspector",
-    "date": r"date|datum",
-    "instrument": r"instrument|messger[äa]t|laser",
-}
-
-
-def _facts(above: list[str]) -> dict[str, str]:
-    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
-    facts = {}
-    for line in above:
-        for name, words in FACTS.items():
-            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
-            if match and name not in facts:
-                facts[name] = match.group(1).strip()
-    return facts
 
 
 def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
@@ -133,13 +118,14 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
 
 def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
-    runs = {c.header for c, _, _ in unfolded.readings} if unfolded is not None else set()
+    runs = {c.header for c in [*unfolded.statistics, *(r for r, _, _ in unfolded.readings)]} if unfolded else set()
     named = [
         g.axis
         for header, g in guesses.items()
         if g.axis is not None and g.kind in motion and header not in runs and not guessing.is_straightness(header)
     ]
-    return named[0] if named else guessing.axis_above(layout.above)
+    above = guessing.axis_above(layout.above)
+    return named[0] if named and above not in named else above
 
 
 def _long(
@@ -268,6 +254,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     if g.kind == "time":
         _time(c, unit, why, p)
     elif g.kind == "direction":
+        if all(THERE_AND_BACK.fullmatch(plain(x).strip(".:()")) for x in c.cells if x not in (None, "")):
+            why += order.THERE_AND_BACK
         p.put(c.header, guessing.sides(_filled_down(c, p)), why, role="direction", axis=own)
     elif g.kind in ("run", "group"):
         of = stated.get("of") or (guessing.group_of(c.header) if g.kind == "group" else None)
@@ -395,5 +383,9 @@ def _response(
     if component is None:
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
+    if unit in PER_LENGTH and components.unit(component) == "um" and why.startswith("error by its unit"):
+        why = f"{unit}: of a level, an angle: say what it measured with --component, such as EBX"
+        p.put(c.header, c.values, why, role="ignore")
+        return
     values, unit, why = settle.unit_of_readings(c.values, _known_unit(c, unit), component, why)
     p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis, _headers=(c.header,))

@@ -15,9 +15,9 @@ from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import dates, order, signs, simulated
-from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
-from errpipe.importing.units import plain_unit, split_header
+from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
 
 PLACES = ("command", "position", "actual")
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
@@ -44,7 +44,8 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             pass  # all three are recorded
 
 
-_OF_A_DEGREE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin"}  # inch: both are written as "
+# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level says um per m.
+_OF_AN_ANGLE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin", "um/m": "urad", "mm/m": "mrad"}
 
 
 def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
@@ -53,9 +54,14 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
     Raises DataError for angles without a unit: arcsec taken as urad would be compensated by a fifth.
     """
     standard = components.unit(component)
-    if standard == "urad" and unit in _OF_A_DEGREE:  # a length or a time elsewhere
-        why = f"{why}; of a degree, at an angle"
-        unit = _OF_A_DEGREE[unit]
+    if standard == "urad" and unit in _OF_AN_ANGLE:
+        why = f"{why}; {unit} of an angle"
+        unit = _OF_AN_ANGLE[unit]
+    if standard == "um" and unit in PER_LENGTH:
+        raise DataError(
+            f"readings of {component} in {unit}, per length: errpipe needs them in um (or mm) at each position, and of "
+            "a level what it measured, with --component, such as EBX"
+        )
     values, unit, why = plain_unit(values, unit, why)
     if unit is None and standard == "urad":
         raise DataError(
@@ -203,8 +209,9 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         raise DataError(
             f"no column holds a deviation, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
-            + "".join(f"; {note}" for note in layout.notes if "--names" in note)
+            + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
+    _refuse_one_of_several_axes(p, layout, options)
     settle_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
     for name, entry in p.entries.items():
@@ -228,6 +235,24 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             )
     order.settle_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
+
+
+def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Raise DataError where several axes move and neither a column of deviations nor a line above names one."""
+    moving = {
+        e["axis"]
+        for n, e in p.entries.items()
+        if e["role"] in ("command", "position") and e.get("unit") != "deg" and n in p.data and np.ptp(p.data[n]) > 0
+    }
+    if len(moving) < 2 or options.axis is not None or guessing.axis_above(layout.above) is not None:
+        return
+    for name, entry in p.entries.items():
+        headers = entry.get("_headers", ())
+        if "from the axis" in p.guesses.get(name, "") and not any(map(guessing.axis_in, headers)):
+            raise DataError(
+                f"axes {', '.join(sorted(moving))} move, and {headers[0]!r} names none of them: deviations of which? "
+                f"Say it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
+            )
 
 
 def _found(p: Proposal, name: str) -> str:

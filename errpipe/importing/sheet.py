@@ -110,6 +110,11 @@ def label(cell: Cell) -> str:
     return "" if cell is None else str(cell).strip()
 
 
+def filled_cells(row: list[Cell]) -> list[Cell]:
+    """The cells of a row that hold something."""
+    return [c for c in row if c not in (None, "")]
+
+
 def decimal_comma(rows: list[list[Cell]]) -> bool:
     """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points.
 

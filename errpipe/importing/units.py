@@ -36,6 +36,8 @@ UNITS = {
     **dict.fromkeys(("arcmin",), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
     **dict.fromkeys(("mrad",), "mrad"),
+    **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; of a length it is no reading
+    "mm/m": "mm/m",
     **dict.fromkeys(("rad",), "rad"),
     **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
@@ -78,6 +80,9 @@ _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 _PER_LENGTH = re.compile(
     r"\bpp[mb]\b|[uµμ]m ?(/|per) ?m(m|etre|eter)?\b|\bof (range|travel|full scale)\b", re.IGNORECASE
 )
+
+
+PER_LENGTH = ("um/m", "mm/m")  # urad and mrad of an angle
 
 
 def per_length(header: str) -> bool:

@@ -63,7 +63,8 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     for k, token in enumerate(reversed(tokens)):
         mark = not token[0].isalnum()
         sign_within = k > 0 and mark and token not in ARROWS  # a sign counts at the end alone: `Soll-Ist`, `1-2`
-        if token.isdigit() or token == "pos" or (len(token) == 1 and not mark and not lone) or sign_within:
+        letter = len(token) == 1 and token.isascii() and not mark
+        if token.isdigit() or token == "pos" or (letter and not lone) or sign_within:
             continue
         if (side := guessing.side(token)) is not None:
             break
@@ -94,7 +95,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             or (run is None and side is None)
         ):
             continue
-        if statistic(c.header):
+        lettered = side is not None and _RUN_AND_LETTER.fullmatch(guessing.plain(c.header))  # `Run 1 B`: backwards
+        if statistic(c.header) and not lettered:
             statistics.append(c)
         else:
             readings.append((c, run or "1", side))

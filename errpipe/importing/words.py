@@ -158,7 +158,13 @@ _TITLE_OF_CORRECTIONS = re.compile(
 _AXIS_BEFORE = re.compile(
     r"\b([xyzabcuvw]\d?)(?=(?:cmd|act|fb|soll|ist|pos|ref|nom|meas|set|err|dev|enc)(?:[^a-z]|$))", re.IGNORECASE
 )
-_LETTERS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "−": "-", "–": "-", "µ": "u", "μ": "u", "_": " "})
+_LETTERS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "−": "-", "–": "-", "µ": "u", "μ": "u", "_": " "}
+    | dict.fromkeys("⇑⬆▲△↗", "↑")
+    | dict.fromkeys("⇓⬇▼▽↘", "↓")
+    | dict.fromkeys("⇒⟶➡➔►▶", "→")
+    | dict.fromkeys("⇐⟵⬅◄◀", "←")
+)
 
 
 def plain(text: object) -> str:
@@ -172,7 +178,8 @@ def plain(text: object) -> str:
 def kind_by_name(header: str) -> str | None:
     """What a header says its column holds, or None."""
     text = plain(header)
-    return next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+    kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+    return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
 
 
 def way_of(header: str) -> float | None:

@@ -1,0 +1,114 @@
+"""Tables as reports and sheets hold them: blocks below one another, sides as arrows, levels, several axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe.errors import DataError
+from errpipe.importing.words import kind_by_name
+from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, headers, long, mark, wide
+from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    (tmp_path / "f.csv").write_text(text, encoding="utf-8")
+    return tmp_path / "f.csv"
+
+
+ARROWS = ["⇑⇓", "⬆⬇", "▲▼", "↗↘", "⇒⇐", "⟶⟵", "►◄", "正负"]
+
+
+@pytest.mark.parametrize("pair", [*ARROWS, "FB"])
+def test_sides_as_signs_behind_the_run(tmp_path: Path, pair: str) -> None:
+    """`Run 1 B` is the way back, not the reversal value B of ISO 230-2."""
+    header = "Target X [mm];" + headers("Run {r} {w} [um]", *pair)
+    holds_the_truth(imported(tmp_path, written(tmp_path, wide(header))))
+
+
+def test_the_reversal_value_beside_the_readings_names_no_axis(tmp_path: Path) -> None:
+    header = "Axis X, deviations in um\nTarget [mm];" + headers("{r}{w}", "↑", "↓") + ";B"
+    reversal = np.full(TARGETS.size, 4.0)
+    holds_the_truth(imported(tmp_path, written(tmp_path, wide(header, [*PAIRS, reversal]))))
+
+
+def block(title: str, side: float, runs: tuple[int, ...], header: str) -> str:
+    columns = [deviation(r, side) for r in runs]
+    rows = [";".join(map(str, row)) for row in zip(TARGETS, *columns, strict=True)]
+    return "\n".join([title, header, *rows, "", ""])
+
+
+@pytest.mark.parametrize("titles", [("Vorwärts", "Rückwärts"), ("Direction: +", "Direction: -"), ("up", "down")])
+@pytest.mark.parametrize("header", ["X [mm];Run 1 [um];Run 2 [um];Run 3 [um]", "X [mm];1 [um];2 [um];3 [um]"])
+def test_a_block_of_runs_for_each_side(tmp_path: Path, titles: tuple[str, str], header: str) -> None:
+    text = "".join(block(title, side, RUNS, header) for title, side in zip(titles, SIDES, strict=True))
+    holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+def test_a_block_for_each_run_and_side(tmp_path: Path) -> None:
+    sides = (("Forward", 1.0), ("Reverse", -1.0))
+    text = "".join(block(title, side, (r,), "X [mm];Dev [um]") for r in RUNS for title, side in sides)
+    holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+def test_a_header_that_is_repeated_without_titles(tmp_path: Path) -> None:
+    header, *rows = long("X [mm];Dev [um]", lambda r, x, s, d: f"{x};{d}").splitlines()
+    third = 2 * TARGETS.size  # rows of a run
+    parts = ["\n".join([header, *rows[i : i + third]]) for i in range(0, len(rows), third)]
+    holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join(parts))))
+
+
+@pytest.mark.parametrize(("there", "back"), [("forward", "reverse"), ("hin", "her"), ("vor", "zurück")])
+def test_the_way_there_of_an_axis_that_goes_down(tmp_path: Path, there: str, back: str) -> None:
+    """`forward` from 0 to -600: approached from above."""
+    lines, sides, truth = ["Run;Direction;Z [mm];Dev [um]"], [], []
+    for r, side in ((r, side) for r in RUNS for side in (-1.0, 1.0)):
+        for x, d in [*zip(TARGETS - 600, deviation(r, side), strict=True)][:: int(side)]:
+            lines.append(f"{r};{there if side < 0 else back};{x};{d}")
+            sides.append(side)
+            truth.append(d)
+    found = imported(tmp_path, written(tmp_path, "\n".join(lines)))
+    np.testing.assert_array_equal(found.array(found.names("direction")[0]), sides)
+    np.testing.assert_allclose(found.array(found.names("error")[0]), truth)
+
+
+def test_a_difference_beside_both_positions(tmp_path: Path) -> None:
+    assert kind_by_name("Soll-Ist [mm]") == "error"
+    header = "Lauf;Soll X [mm];Ist X [mm];Soll-Ist [mm]"
+    text = long(header, lambda r, x, s, d: f"{r};{x};{x + d / 1000:.6f};{-d / 1000:.6f}")
+    holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("um/m", 1.0), ("µm/m", 1.0), ("mm/m", 1e3)])
+@pytest.mark.parametrize("header", ["Pitch", "EBX", "Level"])
+def test_a_level_says_micrometres_per_metre(tmp_path: Path, header: str, unit: str, factor: float) -> None:
+    text = long(f"Run;Dir;X [mm];{header} [{unit}]", lambda r, x, s, d: f"{r};{mark(s)};{x};{d / factor:.6f}")
+    component = {"component": "EBX"} if header == "Level" else {}
+    found = imported(tmp_path, written(tmp_path, text), **component)
+    (name,) = found.names("error", component="EBX")
+    np.testing.assert_allclose(found.array(name), [d for *_, d in long_rows()], atol=1e-3)
+
+
+ASKED = {
+    "a level": (long("X [mm];Level [um/m]", lambda r, x, s, d: f"{x};{d}"), "--component"),
+    "an error per length": (long("X [mm];Error [um/m]", lambda r, x, s, d: f"{x};{d}"), "per length"),
+    "a diagonal": (long("X;Y;Z;Deviation [um]", lambda r, x, s, d: f"{x};{x};{x};{d}"), "X, Y, Z move"),
+    "a circle": ("Angle [deg];Radial deviation [um]\n0;1.5\n90;2.5\n180;1.5\n270;2.5\n", "angles of a circle"),
+    "formulas": (long("Run;X [mm];Error [um]", lambda r, x, s, d: f"{r};{x};"), "columns without a value: 'Error'"),
+}
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_what_is_no_positioning_is_asked_about(tmp_path: Path, name: str) -> None:
+    text, words = ASKED[name]
+    with pytest.raises(DataError, match=words):
+        imported(tmp_path, written(tmp_path, text))
+
+
+def test_deviations_of_a_radius_are_no_positioning_of_x(tmp_path: Path) -> None:
+    turn = np.radians(np.arange(0, 360, 10))
+    rows = [f"{150 * np.cos(a):.4f};{150 * np.sin(a):.4f};{5 * np.cos(2 * a):.3f}" for a in turn]
+    found = imported(tmp_path, written(tmp_path, "\n".join(["X [mm];Y [mm];dR [um]", *rows, ""])))
+    assert found.names("error", component="E_R")
