@@ -59,6 +59,8 @@ def sniff(path: Path) -> bool:
 def load_manifest(path: Path) -> Manifest:
     """The manifest of a folder (or the file itself), units as written. Raises ConfigError with every problem."""
     path = Path(path)
+    if path.is_file() and path.suffix.lower() not in (".yaml", ".yml"):
+        raise DataError(f"{path}: no recording, which is a folder (errpipe import {path} --out FOLDER makes one)")
     file = path / MANIFEST if path.is_dir() else path
     return Manifest.model_validate(_written_manifest(yamlfile.text_of(file), str(file)).model_dump())
 
