@@ -6,7 +6,7 @@ import re
 
 from errpipe.importing.sheet import Cell, filled_cells, label
 from errpipe.importing.units import split_header
-from errpipe.importing.words import way_of
+from errpipe.importing.words import axis_above, way_of
 
 
 def blocks(
@@ -30,29 +30,39 @@ def blocks(
         rows = rows[:other]
     if not again:
         return names, rows[start:]
-    titles = [_title(rows, numbers, r) for r in (start - 1, *again)]
+    return _repeated(names, rows, start, again, [_title(rows, numbers, r) for r in (start - 1, *again)], notes)
+
+
+def _repeated(
+    names: list[str], rows: list[list[Cell]], start: int, again: list[int], titles: list[str], notes: list[str]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Names and rows of blocks below one header, with what their titles say of each: axis, run, side."""
+    axes = [axis_above([title]) or "" for title in titles]
     ways = [way_of(title) for title in titles]
+    several = all(axes) and len(set(axes)) > 1
     sided = None not in ways and len(set(ways)) == 2
-    if sided and len(titles) == 2 and all(re.search(r"\d", name) for name in names[1:]):  # a column per run
+    if sided and not several and len(titles) == 2 and all(re.search(r"\d", name) for name in names[1:]):
         notes.append(f"the header stands twice, below {titles[0]!r} and {titles[1]!r}: the way there and back")
         back = [[row[0], *[None] * (len(names) - 1), *row[1:]] for row in rows[again[0] + 1 :] if row]
-        parts = [(*split_header(n), title) for title in titles for n in names[1:]]
+        parts = [(*split_header(n), title) for title in titles for n in names[1:]]  # a column per run
         sides = [f"{n} {title}" + (f" [{unit}]" if unit else "") for n, unit, title in parts]
         return [names[0], *sides], [*rows[start : again[0]], *back]
-    if any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
-        return names, [row for r, row in enumerate(rows[start:], start) if r not in again]
-    notes.append(f"the header stands {len(again) + 1} times: the rows below it are a run each time")
-    labels: list[Cell] = [float(b + 1) for b in range(len(titles))]
-    if sided:
-        labels = [f"{ways[: b + 1].count(ways[b])} {title}" for b, title in enumerate(titles)]
-    elif all(titles) and len(set(titles)) == len(titles):
-        labels = [*titles]
-    block, numbered = 0, []
+    labels: dict[str, list[Cell]] = {"axis": [*axes]} if several else {}
+    one_each = several and len(set(axes)) == len(axes)
+    if not one_each and not any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
+        notes.append(f"the header stands {len(titles)} times: the rows below it are a run each time")
+        labels["run"] = [float(b + 1) for b in range(len(titles))]
+        if sided:
+            labels["run"] = [f"{ways[: b + 1].count(ways[b])} {title}" for b, title in enumerate(titles)]
+        elif all(titles) and len(set(titles)) == len(titles):
+            labels["run"] = [*titles]
+    block, out = 0, []
     for r, row in enumerate(rows[start:], start):
         block += r in again
         if r not in again:
-            numbered.append([*row, *[None] * (len(names) - len(row)), labels[block]])
-    return [*names, "run"], numbered
+            own = [of_block[block] for of_block in labels.values()]
+            out.append([*row, *[None] * (len(names) - len(row)), *own] if labels else row)
+    return [*names, *labels], out
 
 
 def _title(rows: list[list[Cell]], numbers: list[list[float | None]], header: int) -> str:

@@ -11,7 +11,7 @@ from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import Layout, RawColumn
-from errpipe.importing.words import CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
+from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
 
 KIND_OF_UNIT = {
     "degC": "temperature",
@@ -48,20 +48,13 @@ UNKNOWN = "nothing in its name, unit or values says what it is"
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
 # Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
-# Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
-_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _BEFORE = (
     r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
 )
 _BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
-_AXIS = re.compile(rf"(?:^|[\s_.\-(/])(?:{_BEFORE})?{_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
+_AXIS = re.compile(rf"(?:^|[\s_.\-(/])(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
 _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
-)
-_CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
-_AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{_LETTER}1?\b|\b{_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
-    re.IGNORECASE,
 )
 _FILLERS = (
     "from",
@@ -291,15 +284,6 @@ def titles_another(line: str) -> bool:
     """Whether a line above a table names a straightness, a turn or a shape as measured: not `Squareness: off`."""
     said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
     return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None
-
-
-def axis_above(lines: list[str]) -> str | None:
-    """The axis that the lines above the table name."""
-    for line in lines:
-        match = _AXIS_ABOVE.search(line)
-        if match:
-            return (match.group(1) or match.group(2)).upper()
-    return None
 
 
 def side(text: object) -> float | None:

@@ -91,7 +91,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
     elif not used:
-        notes.append("the file has no header: columns are numbered")
+        notes.append("the file has no header: columns are numbered (--names says what they are)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
     if used:

@@ -18,7 +18,7 @@ from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
-from errpipe.importing.words import THERE_AND_BACK, kind_by_name, plain
+from errpipe.importing.words import THERE_AND_BACK, axis_above, kind_by_name, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
@@ -124,7 +124,7 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
         for header, g in guesses.items()
         if g.axis is not None and g.kind in motion and header not in runs and not guessing.is_straightness(header)
     ]
-    above = guessing.axis_above(layout.above)
+    above = axis_above(layout.above)
     return named[0] if named and above not in named else above
 
 

@@ -18,6 +18,7 @@ from errpipe.importing import dates, order, signs, simulated
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
+from errpipe.importing.words import axis_above
 
 PLACES = ("command", "position", "actual")
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
@@ -244,7 +245,7 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
         for n, e in p.entries.items()
         if e["role"] in ("command", "position") and e.get("unit") != "deg" and n in p.data and np.ptp(p.data[n]) > 0
     }
-    if len(moving) < 2 or options.axis is not None or guessing.axis_above(layout.above) is not None:
+    if len(moving) < 2 or options.axis is not None or axis_above(layout.above) is not None:
         return
     for name, entry in p.entries.items():
         headers = entry.get("_headers", ())

@@ -16,6 +16,7 @@ from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
+_DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run that is called by its day
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
@@ -47,9 +48,11 @@ class Wide:
 
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
-    """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
+    """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); '3.5.2024' -> ('3.5.2024', None)."""
     if signed := re.fullmatch(r"([+\-−])\s?(\d{1,3})", header.strip()):
         return signed.group(2), guessing.side(signed.group(1))
+    if dated := _DATE_WITHIN.search(header):
+        return dated.group(), run_and_side(header.replace(dated.group(), " "))[1]
     if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):
         return None, None
     numbered = _RUN_AND_LETTER.fullmatch(guessing.plain(header))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,54 @@ def test_a_block_for_each_run_and_side(tmp_path: Path) -> None:
     sides = (("Forward", 1.0), ("Reverse", -1.0))
     text = "".join(block(title, side, (r,), "X [mm];Dev [um]") for r in RUNS for title, side in sides)
     holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+@pytest.mark.parametrize("header", ["Soll [mm];Lauf 1 [um];Lauf 2 [um];Lauf 3 [um]", "Soll [mm];Abw [um]"])
+def test_a_block_for_each_axis_is_asked_about(tmp_path: Path, header: str) -> None:
+    """Two axes below one another would be two runs of one."""
+    runs = RUNS[: header.count(";")]
+    file = written(tmp_path, block("Achse X", 1.0, runs, header) + block("Achse Y", -1.0, runs, header))
+    with pytest.raises(DataError, match=r"rows of several axes \(X, Y\): --axis"):
+        imported(tmp_path, file)
+    for axis, side in (("X", 1.0), ("Y", -1.0)):
+        found = imported(tmp_path, file, axis=axis)
+        (error,) = found.names("error", component=f"E{axis}{axis}")
+        truth = np.concatenate([deviation(r, side) for r in runs])
+        np.testing.assert_allclose(found.array(error), truth)
+
+
+@pytest.mark.parametrize("form", ["{:02d}.04.2024", "2024-04-{:02d}", "2024-{:02d}-30T00:00:00"])
+def test_runs_that_are_called_by_their_days(tmp_path: Path, form: str) -> None:
+    header = "Achse X, Abweichung in um\nSoll [mm];" + ";".join(form.format(r) for r in RUNS)
+    found = imported(tmp_path, written(tmp_path, wide(header, [deviation(r, 1.0) for r in RUNS])))
+    assert [*found.run_labels()] == [form.format(r) for r in RUNS]
+    np.testing.assert_allclose(found.array(found.names("error")[0]), np.concatenate([deviation(r, 1.0) for r in RUNS]))
+
+
+def of_one_run(tmp_path: Path, run: int, header: str, line: Callable[[float, float], str]) -> Path:
+    rows = [line(x, d) for s in SIDES for x, d in [*zip(TARGETS, deviation(run, s), strict=True)][:: int(s)]]
+    (tmp_path / f"{run}.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    return tmp_path / f"{run}.csv"
+
+
+def test_files_in_several_units_become_one(tmp_path: Path) -> None:
+    """A file in mm beside one in um was read as um."""
+    first = of_one_run(tmp_path, 1, "X [mm];Abw [um]", lambda x, d: f"{x};{d}")
+    in_mm = of_one_run(tmp_path, 2, "X [mm];Abw [mm]", lambda x, d: f"{x};{d / 1000:.6f}")
+    in_m = of_one_run(tmp_path, 3, "X [m];Abw [um]", lambda x, d: f"{x / 1000};{d}")
+    holds_the_truth(imported(tmp_path, [first, in_mm, in_m]))
+    unsaid = of_one_run(tmp_path, 2, "X [mm];Abw", lambda x, d: f"{x};{d / 1000:.6f}")
+    with pytest.raises(DataError, match="no unit is stated for 'Abw'"):
+        imported(tmp_path, [first, unsaid])
+
+
+def test_files_of_several_axes_are_no_runs_of_one(tmp_path: Path) -> None:
+    files = [
+        of_one_run(tmp_path, r, f"Axis: {axis}\nPos [mm];Abw [um]", lambda x, d: f"{x};{d}")
+        for r, axis in ((1, "X"), (2, "Y"))
+    ]
+    with pytest.raises(DataError, match="axis of 'Pos' is Y, in 1 X: import each by itself"):
+        imported(tmp_path, files)
 
 
 def test_a_header_that_is_repeated_without_titles(tmp_path: Path) -> None:
