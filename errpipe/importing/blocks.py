@@ -79,6 +79,6 @@ def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
 
 def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:
     """Whether a row is words alone, at least two, with numbers in the rows below."""
-    words = [c for c in row if isinstance(c, str) and c]
+    words = [c for c in row if isinstance(c, str) and any(map(str.isalpha, c))]
     plain = len(words) >= 2 and not any(v is not None for v in numbers)
     return plain and any(sum(v is not None for v in row) >= 2 for row in below)

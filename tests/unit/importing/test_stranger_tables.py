@@ -161,3 +161,49 @@ def test_deviations_of_a_radius_are_no_positioning_of_x(tmp_path: Path) -> None:
     rows = [f"{150 * np.cos(a):.4f};{150 * np.sin(a):.4f};{5 * np.cos(2 * a):.3f}" for a in turn]
     found = imported(tmp_path, written(tmp_path, "\n".join(["X [mm];Y [mm];dR [um]", *rows, ""])))
     assert found.names("error", component="E_R")
+
+
+def one_row(text: str, row: int, change: Callable[[list[str]], list[str]]) -> str:
+    """A text with the cells of one line changed."""
+    lines = text.split("\n")
+    lines[row] = ";".join(change(lines[row].split(";")))
+    return "\n".join(lines)
+
+
+ACROSS = "\n".join(
+    [
+        "Axis X;Deviations in um",
+        ";".join(["Target [mm]", *map(str, TARGETS)]),
+        *(";".join([f"Run {r} {w}", *map(str, deviation(r, s))]) for r in RUNS for s, w in ((1, "up"), (-1, "down"))),
+    ]
+)
+MATRICES = {
+    "targets down": "Axis X, deviations in um\n" + wide("Target [mm];" + headers("{r}{w}", "↑", "↓")),
+    "targets across": ACROSS,
+}
+
+
+@pytest.mark.parametrize("name", MATRICES)
+@pytest.mark.parametrize("gone", [0, 2])
+def test_a_row_that_lacks_a_cell_is_asked_about(tmp_path: Path, name: str, gone: int) -> None:
+    """Its readings would move to the target, or to the run, beside theirs."""
+    holds_the_truth(imported(tmp_path, written(tmp_path, MATRICES[name])))
+    short = one_row(MATRICES[name], 5, lambda cells: cells[:gone] + cells[gone + 1 :])
+    with pytest.raises(DataError, match=r"f.csv:6  \d+ cells, \d+ in the rows around it: which one is missing"):
+        imported(tmp_path, written(tmp_path, short))
+
+
+def test_a_target_that_is_missing_is_asked_about(tmp_path: Path) -> None:
+    """Its readings would go to the target before it."""
+    empty = one_row(ACROSS, 1, lambda cells: [*cells[:4], "", *cells[5:]])
+    with pytest.raises(DataError, match="column 5: readings without a target"):
+        imported(tmp_path, written(tmp_path, empty))
+
+
+def test_one_row_with_another_decimal_mark(tmp_path: Path) -> None:
+    """It was the end of the table, or what stands across was no row of targets."""
+    marked = one_row(ACROSS, 1, lambda cells: [c.replace(".", ",") for c in cells])
+    holds_the_truth(imported(tmp_path, written(tmp_path, marked)))
+    file = written(tmp_path, long("X [mm];Dev [um]", lambda r, x, s, d: f"{x:.1f};{d}"))
+    file.write_text(one_row(file.read_text(), 30, lambda cells: [c.replace(".", ",") for c in cells]))
+    holds_the_truth(imported(tmp_path, file))
