@@ -6,6 +6,7 @@ Everything computed here is stated in the manifest or in a note.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,13 +31,14 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
 
     may_be_log: whether a file may hold no deviation, but what another device logged meanwhile.
     """
+    headers = {c.header for c in layout.columns}
     for c in layout.columns:
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.empty(layout)
     layout = wide.turned(_rows_of_one_axis(layout, options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
-    proposal = Proposal(notes=list(layout.notes))
+    proposal = Proposal(notes=list(layout.notes), headers=headers)
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
@@ -105,15 +107,15 @@ def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
-    """A column's guess from `--set COLUMN.role=...`."""
+    """A column's guess with what `--set COLUMN.role=...` and `--set COLUMN.axis=...` say, or None."""
     stated = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
-    role = stated.get("role")
+    role, axis = stated.get("role"), stated.get("axis")
     if role is None:
-        return None
+        return replace(guessing.guess(column), axis=axis) if axis else None
     known = (*ROLE_UNITS, "counts")
     if role not in known:
         raise UsageError(f"--set {column.header}.role: no role {role!r}.{did_you_mean(role, known)}")
-    return guessing.ColumnGuess(role, stated.get("axis") or guessing.axis_in(column.header), "")
+    return guessing.ColumnGuess(role, axis or guessing.axis_in(column.header), "")
 
 
 def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
@@ -202,7 +204,7 @@ def _wide_readings(
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
-    unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
+    unit = settle.stated_unit(options, stated[0] if stated else wide.unit_above(layout.above), headers[0])
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
     values, unit, why = settle.unit_of_readings(values, unit, component, why)
     p.put(
@@ -269,7 +271,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     elif g.kind in ("error", "simulated"):
         component = stated.get("component") or options.component or guessing.component_in(c.header)
         component = component or (simulated.component_of_force(c.header, unit, own) if g.kind == "simulated" else None)
-        _response(c, g.kind, own, options.unit or unit, why, component, axis, p)
+        _response(c, g.kind, own, settle.stated_unit(options, unit, c.header), why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
         name = p.put(c.header, c.values, why, role="current", axis=own, unit=unit)

@@ -74,6 +74,16 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
     return values, unit, why
 
 
+def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:
+    """The unit of readings that a person says, else the written one. Raises DataError where the two differ."""
+    if options.unit is None or written in (None, options.unit) or _OF_AN_ANGLE.get(written) == options.unit:
+        return options.unit or written
+    raise DataError(
+        f"column {header!r} is in {written}, and --unit says {options.unit}: where the file is wrong, say "
+        f"--set '{header}.unit={options.unit}'"
+    )
+
+
 def unit_by_size(values: np.ndarray) -> str:
     """um or mm: readings that are all below 0.1 are mm (0.1 um are no error of an axis), those that reach 1 are um.
 
@@ -229,6 +239,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
                 raise DataError(
                     f"no axis is named, and no position is recorded: along which axis is {name!r}? Say it with --axis"
                 )
+            _refuse_other_axis(p, letter, options)
             dates.refuse_unread(p.entries, p.guesses, p.data)
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
@@ -254,6 +265,16 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
                 f"axes {', '.join(sorted(moving))} move, and {headers[0]!r} names none of them: deviations of which? "
                 f"Say it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
             )
+
+
+def _refuse_other_axis(p: Proposal, letter: str, options: ImportOptions) -> None:
+    """Raise DataError where --axis names another axis than the only one that moves: a drift it is not."""
+    moving = [n for n, e in p.entries.items() if e["role"] in PLACES and n in p.data and np.ptp(p.data[n]) > 0]
+    if options.axis == letter and moving:
+        raise DataError(
+            f"--axis says {letter}, and {moving[0]!r} holds positions of {p.entries[moving[0]]['axis']}: say it with "
+            f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
+        )
 
 
 def _found(p: Proposal, name: str) -> str:

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "delimited text"
@@ -44,6 +44,8 @@ def _wide(head: bytes) -> str | None:
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError where it is no table."""
+    if options.sheet is not None:
+        raise UsageError(f"{path}: a text is one table: --sheet would be ignored")
     data = path.read_bytes()
     affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, ErrpipeError
+from errpipe.importing.sheet import DoorOptions
 from errpipe.importing.words import kind_by_name
 from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, headers, long, mark, wide
 from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
@@ -207,3 +208,27 @@ def test_one_row_with_another_decimal_mark(tmp_path: Path) -> None:
     file = written(tmp_path, long("X [mm];Dev [um]", lambda r, x, s, d: f"{x:.1f};{d}"))
     file.write_text(one_row(file.read_text(), 30, lambda cells: [c.replace(".", ",") for c in cells]))
     holds_the_truth(imported(tmp_path, file))
+
+
+LONG = long("Run;Dir;X [mm];Dev [um]", lambda r, x, s, d: f"{r};{mark(s)};{x};{d}")
+IN_VAIN = {
+    "a column that is not there": ({"sets": ["Deviaton.unit=mm"]}, "no such column"),
+    "a sheet of a text": ({"door": DoorOptions("X")}, "--sheet would be ignored"),
+    "another unit than the file's": ({"unit": "mm"}, "is in um, and --unit says mm"),
+    "another axis than the file's": ({"axis": "Y"}, "'X' holds positions of X: say it with --set X.axis=Y"),
+}
+
+
+@pytest.mark.parametrize("name", IN_VAIN)
+def test_what_a_person_says_is_used_or_refused(tmp_path: Path, name: str) -> None:
+    said, words = IN_VAIN[name]
+    with pytest.raises(ErrpipeError, match=words):
+        imported(tmp_path, written(tmp_path, LONG), **said)
+    assert not (tmp_path / "rec").exists()
+
+
+def test_a_person_corrects_unit_and_axis_of_a_file(tmp_path: Path) -> None:
+    found = imported(tmp_path, written(tmp_path, LONG), sets=["X.axis=Y", "Dev.unit=mm"])
+    (error,) = found.names("error", component="EYY")
+    assert found.name("position", axis="Y") == "X"
+    np.testing.assert_allclose(found.array(error), [1000 * d for *_, d in long_rows()])
