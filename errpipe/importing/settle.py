@@ -239,7 +239,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
                 raise DataError(
                     f"no axis is named, and no position is recorded: along which axis is {name!r}? Say it with --axis"
                 )
-            _refuse_other_axis(p, letter, options)
+            _refuse_other_axis(p, name, letter, options)
             dates.refuse_unread(p.entries, p.guesses, p.data)
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
@@ -267,14 +267,21 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
             )
 
 
-def _refuse_other_axis(p: Proposal, letter: str, options: ImportOptions) -> None:
-    """Raise DataError where --axis names another axis than the only one that moves: a drift it is not."""
+def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptions) -> None:
+    """Raise DataError where readings of one axis, without its position, stand beside moving positions of another."""
     moving = [n for n, e in p.entries.items() if e["role"] in PLACES and n in p.data and np.ptp(p.data[n]) > 0]
-    if options.axis == letter and moving:
+    if not moving or options.component is not None:
+        return
+    other = p.entries[moving[0]]["axis"]
+    if options.axis == letter:
         raise DataError(
-            f"--axis says {letter}, and {moving[0]!r} holds positions of {p.entries[moving[0]]['axis']}: say it with "
+            f"--axis says {letter}, and {moving[0]!r} holds positions of {other}: say it with "
             f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
         )
+    raise DataError(
+        f"{name!r} names {letter}, and {moving[0]!r} holds positions of {other}: say what was measured, with --set "
+        f"{name}.component=E{letter}{other} (straightness), E{other}{other} (positioning) or E_{letter} (tool point)"
+    )
 
 
 def _found(p: Proposal, name: str) -> str:

@@ -145,6 +145,7 @@ ASKED = {
     "a level": (long("X [mm];Level [um/m]", lambda r, x, s, d: f"{x};{d}"), "--component"),
     "an error per length": (long("X [mm];Error [um/m]", lambda r, x, s, d: f"{x};{d}"), "per length"),
     "a diagonal": (long("X;Y;Z;Deviation [um]", lambda r, x, s, d: f"{x};{x};{x};{d}"), "X, Y, Z move"),
+    "an ordinate": (long("X [mm];Y [um]", lambda r, x, s, d: f"{x};{d}"), "names Y, and 'X' holds positions of X"),
     "a circle": ("Angle [deg];Radial deviation [um]\n0;1.5\n90;2.5\n180;1.5\n270;2.5\n", "angles of a circle"),
     "formulas": (long("Run;X [mm];Error [um]", lambda r, x, s, d: f"{r};{x};"), "columns without a value: 'Error'"),
 }
