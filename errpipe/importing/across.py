@@ -69,10 +69,10 @@ def _of_readings(
     readings: list[tuple[str, float | None, Figures]],
 ) -> Sheet:
     """The upright sheet. sides: of every column of the first row where one states them, else None."""
-    unit = split_header(label(sheet.rows[at][0]))[1]
+    name, unit = split_header(label(sheet.rows[at][0]))
     reading_unit = split_header(title)[1]
     mark = {1.0: "+", -1.0: "-", None: ""}
-    header = [f"target [{unit}]" if unit else "target"]
+    header = [f"target [{unit}]" if unit else "target m" if re.search(r"[ _/]m$", name) else "target"]
     columns: list[dict[float, float | None]] = []
     for run, side, figures in readings:
         for way in (1.0, -1.0) if sides else (side,):
@@ -99,8 +99,12 @@ def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
     named = len(below) > 1 and all(r and None not in run_and_side(label(r[0])) for r in below)
     if not named and not _TARGETS.search(row[0]):
         return False
-    values = [v for c in row[1:] if (v := number(c, comma)) is not None]
-    words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in row[1:])
+    try:
+        cells = of_one_mark(row[1:], comma)
+    except ValueError:
+        cells = row[1:]
+    values = [v for c in cells if (v := number(c, comma)) is not None]
+    words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in cells)
     steps = [b - a for a, b in pairwise(values)]
     counted = values == [1.0 + k for k in range(len(values))]  # the numbers of the runs
     return (

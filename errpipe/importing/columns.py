@@ -98,7 +98,7 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
     if (kind := kind_by_name(column.header)) is not None:
         kind, why = _settled(kind, column)
         return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
-    if column.unit in KIND_OF_UNIT:
+    if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
         return ColumnGuess("direction", axis, "its values (two signs)")
@@ -136,6 +136,8 @@ def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dic
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     """The kind corrected where the column's unit and values contradict it."""
     unit = column.unit
+    if kind not in ("time", "run", "group", "direction") and not column.numeric:
+        return "ignore", "its values are no numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _too_large_for_a_deviation(column):
@@ -160,8 +162,6 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", NO_SIDES
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
         return "ignore", "called a compensation, but of two values: it says whether one is on"
-    if kind not in ("time", "run", "group", "direction") and not column.numeric:
-        return "ignore", "its values are no numbers"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":

@@ -123,7 +123,8 @@ def settle_units(p: Proposal, layout: Layout) -> None:
         entry = p.entries[name]
         if "no unit is stated" not in why or entry.get("unit") not in ("mm", "um"):
             continue
-        if entry["role"] in PLACES and re.search(r"[ _]m$", name):
+        written = [h for h, n in p.names.items() if n == name]
+        if entry["role"] in PLACES and any(re.search(r"[ _/]m$", text) for text in (name, *written)):
             raise DataError(
                 f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
             )

@@ -19,6 +19,7 @@ _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
 _GROUPED_BY_MARKS = re.compile(r"[+-]?\d{1,3}(['’]\d{3})+([.,]\d+)?")
 _MINUS_BEHIND = re.compile(r"[\d.,]*[.,]\d+-")
 _DOUBTFUL = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_GROUPS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})+")
 _BLANK_WITHIN = re.compile(r"(?<=\d) (?=\d{3}(?!\d))|(?<=^[+-]) +")
 _GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
@@ -127,6 +128,9 @@ def decimal_comma(rows: list[list[Cell]]) -> bool:
                 text = cell.strip().translate(MINUS)
                 if _DOUBTFUL.fullmatch(text):
                     doubtful += 1 if "," in text else -1
+                    continue
+                if groups := _GROUPS.fullmatch(text):  # 1,000,000: the mark of decimals is the other one
+                    points, commas = points + (groups[1] == ","), commas + (groups[1] == ".")
                     continue
                 commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None
                 points += "." in text and (_PLAIN.fullmatch(text) or _GROUPED_BY_COMMAS.fullmatch(text)) is not None

@@ -111,7 +111,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
     labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
-    named = any(run_and_side(c.header)[0] is not None for c, _, _ in readings)
+    named = len({run_and_side(c.header)[0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
     if len(readings) < 2:
         return None
     if len({(run, side) for _, run, side in readings}) < len(readings):
@@ -230,9 +230,11 @@ def _place(header: str) -> float | None:
 
 def unit_above(lines: list[str]) -> str | None:
     """The unit of the readings that the lines above the table name: of a line on readings, else of one on units."""
-    for words in (r"(abweich|deviation|error|fehler|reading|ecart)", r"(unit|einheit)"):
+    readings = r"(abweich|deviation|error|fehler|reading|ecart)"
+    for words in (readings, r"(unit|einheit)"):
         for line in map(guessing.plain, lines):
-            if re.search(words, line) and not re.search(r"(target|position|soll|ziel|nominal|temp)", line):
+            of_targets = re.search(rf"(target|position|soll|ziel|nominal|temp)(?!\w* ?{readings})", line)
+            if re.search(words, line) and not of_targets:
                 for word in re.split(r"[\s\[\]():;,=]+", line)[::-1]:
                     if unit_of(word) in UNITS_OF_READINGS:
                         return unit_of(word)

@@ -233,3 +233,45 @@ def test_a_person_corrects_unit_and_axis_of_a_file(tmp_path: Path) -> None:
     (error,) = found.names("error", component="EYY")
     assert found.name("position", axis="Y") == "X"
     np.testing.assert_allclose(found.array(error), [1000 * d for *_, d in long_rows()])
+
+
+def test_millions_say_which_mark_is_that_of_thousands(tmp_path: Path) -> None:
+    """Positions in um beside deviations in whole nm: 50,000 alone may be 50."""
+    row = lambda r, x, s, d: f"{r};{mark(s)};{1000 * x + 5e5:,.0f};{1000 * d:.0f}"  # noqa: E731
+    found = imported(tmp_path, written(tmp_path, long("Run;Dir;Target X [µm];Dev [nm]", row)))
+    np.testing.assert_allclose(found.array("Target_X"), [x + 500 for _, x, _, _ in long_rows()])
+    np.testing.assert_allclose(found.array("Dev"), [d for *_, d in long_rows()])
+
+
+def test_targets_across_with_marks_of_thousands(tmp_path: Path) -> None:
+    """The name of the row of targets is no column of readings, whatever its unit."""
+    targets = ";".join(f"{1000 * x + 1e6:,.0f}".replace(",", ".") for x in TARGETS)
+    rows = ACROSS.replace(".", ",").split("\n")[2:]
+    text = "\n".join(["Axis X", "Deviations in um", f"cmd X µm;{targets}", *rows])
+    found = imported(tmp_path, written(tmp_path, text))
+    (error,) = found.names("error", component="EXX")
+    place = found.name("position", axis="X") or ""
+    assert set(found.array(place)) == {*(TARGETS + 1000)} and len(found) == 6 * TARGETS.size
+    assert np.abs(found.array(error)).max() == np.abs([d for *_, d in long_rows()]).max()
+
+
+@pytest.mark.parametrize("header", ["Target m", "Sollposition/m", "目标位置_m"])
+@pytest.mark.parametrize("layout", ["down", "across"])
+def test_metres_of_targets_are_not_taken_for_millimetres(tmp_path: Path, header: str, layout: str) -> None:
+    rows = ACROSS.split("\n")
+    rows[1] = ";".join([header, *(str(x / 1000) for x in TARGETS)])
+    down = "Axis X\n" + long(f"Run;Dir;{header};Dev [um]", lambda r, x, s, d: f"{r};{mark(s)};{x / 1000};{d}")
+    with pytest.raises(DataError, match="metres, or measured"):
+        imported(tmp_path, written(tmp_path, down if layout == "down" else "\n".join(rows)))
+
+
+def test_the_unit_of_positioning_deviations_is_not_that_of_positions(tmp_path: Path) -> None:
+    text = ACROSS.replace("Deviations in um", "Positionsabweichung [nm]")
+    found = imported(tmp_path, written(tmp_path, text))
+    assert found.array(found.names("error")[0]).max() == pytest.approx(max(d for *_, d in long_rows()) / 1000)
+
+
+def test_sides_that_are_called_plus_and_minus_one_are_no_runs(tmp_path: Path) -> None:
+    rows = [f"{x};{a};{b}" for x, a, b in zip(TARGETS, deviation(1, 1.0), deviation(1, -1.0), strict=True)]
+    text = "\n".join(f"Run {r}\nX [mm];+1 [um];-1 [um]\n" + "\n".join(rows) + "\n" for r in RUNS)
+    assert [*imported(tmp_path, written(tmp_path, text)).run_labels()] == ["Run 1", "Run 2", "Run 3"]
