@@ -134,4 +134,4 @@ def decimal_comma(rows: list[list[Cell]]) -> bool:
                     continue
                 commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None
                 points += "." in text and (_PLAIN.fullmatch(text) or _GROUPED_BY_COMMAS.fullmatch(text)) is not None
-    return commas > points or (commas == points and doubtful > 0)
+    return commas > points or (commas == points > 0 and doubtful > 0)

@@ -77,10 +77,12 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
     """The wide layout of a table, or None where a row is one reading."""
     numeric, repeated = [c for c in layout.columns if c.numeric], []
+    headers = {c.header.lower() for c in numeric}
+    said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     places = [c for c in places if len(places) == 1 or not _counts(c)]  # the numbers of the targets
-    targets = [c for c in places if run_and_side(c.header) == (None, None)]
-    targets = targets or [c for c in places if run_and_side(c.header)[0] is None]
+    targets = [c for c in places if said[c.header] == (None, None)]
+    targets = targets or [c for c in places if said[c.header][0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
         targets = numeric[:1]
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):
@@ -90,7 +92,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     readings: list[tuple[RawColumn, str, float | None]] = []
     statistics = []
     for c in numeric:
-        run, side = run_and_side(c.header)
+        run, side = said[c.header]
         if (
             c is targets[0]
             or any(c is r for r in repeated)
@@ -104,14 +106,12 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         else:
             readings.append((c, run or "1", side))
     if not readings:  # a report of the means alone: one run
-        readings = [
-            (c, "mean", run_and_side(c.header)[1]) for c in statistics if _MEAN.search(guessing.plain(c.header))
-        ]
+        readings = [(c, "mean", said[c.header][1]) for c in statistics if _MEAN.search(guessing.plain(c.header))]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
     labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
-    named = len({run_and_side(c.header)[0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
+    named = len({said[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
     if len(readings) < 2:
         return None
     if len({(run, side) for _, run, side in readings}) < len(readings):
@@ -123,6 +123,12 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             )
         return None
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None)
+
+
+def _beside_negative(header: str, headers: set[str]) -> str:
+    """The header with `pos` as a side, where one with `neg` in its place stands beside it: else it is a position."""
+    words = re.compile(r"\bpos(?![^\W\d_])", re.IGNORECASE)
+    return words.sub("+", header) if words.sub("neg", header).lower() in headers - {header.lower()} else header
 
 
 def statistic(name: str) -> bool:

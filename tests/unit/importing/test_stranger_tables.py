@@ -275,3 +275,24 @@ def test_sides_that_are_called_plus_and_minus_one_are_no_runs(tmp_path: Path) ->
     rows = [f"{x};{a};{b}" for x, a, b in zip(TARGETS, deviation(1, 1.0), deviation(1, -1.0), strict=True)]
     text = "\n".join(f"Run {r}\nX [mm];+1 [um];-1 [um]\n" + "\n".join(rows) + "\n" for r in RUNS)
     assert [*imported(tmp_path, written(tmp_path, text)).run_labels()] == ["Run 1", "Run 2", "Run 3"]
+
+
+@pytest.mark.parametrize("form", ["{w} (um)", "{w}. [um]", "Abw. {w} [um]"])
+def test_pos_beside_neg_is_a_side_and_no_position(tmp_path: Path, form: str) -> None:
+    header = "Soll X (mm);" + ";".join(form.format(w=w) for w in ("pos", "neg"))
+    parts = []
+    for r in RUNS:
+        rows = [f"{x};{a};{b}" for x, a, b in zip(TARGETS, deviation(r, 1.0), deviation(r, -1.0), strict=True)]
+        parts.append("\n".join([str(r), header, *rows]))
+    found = imported(tmp_path, written(tmp_path, "\n".join(parts)))
+    assert len(found) == 6 * TARGETS.size and found.name("direction", axis="X")
+    up = found.array("direction") > 0
+    truth = np.concatenate([deviation(r, 1.0) for r in RUNS])
+    np.testing.assert_allclose(np.sort(found.array(found.names("error")[0])[up]), np.sort(truth))
+
+
+def test_whole_thousands_beside_a_zero_are_no_fractions(tmp_path: Path) -> None:
+    """Nothing but `500,000` and `0` says which mark is which."""
+    row = lambda r, x, s, d: f"{r};{mark(s)};{f'{1000 * x:,.0f}' if x else 0};{1000 * d:.0f}"  # noqa: E731
+    found = imported(tmp_path, written(tmp_path, long("Run;Dir;Target X [µm];Dev [nm]", row)))
+    holds_the_truth(found)
