@@ -111,6 +111,8 @@ def split_header(text: str) -> tuple[str, str | None]:
     after = _AFTER.match(text)
     if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
         return after.group(1).rstrip(" _/,"), unit
+    if text.endswith("/m") and kind_by_name(text[:-2]) in ("command", "position", "actual"):
+        return text[:-2].rstrip(), "m"  # a quantity over its unit; `Error/m` may be an error per metre
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):
