@@ -66,7 +66,11 @@ def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, valu
     for component in group:
         usable &= np.isfinite(values[component.component])
     if not usable.any():
-        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
+        empty = ", ".join(_empty(recording, fold.test))
+        raise DataError(
+            f"hold-out {fold.label}: no judged row has everything the model needs"
+            + (f" (empty in all of them: {empty})" if empty else "")
+        )
     problem = assemble(recording, [(c.component, ()) for c in group], spec.nuisance, usable)
     predicted = np.concatenate([values[c][r] for c, r in zip(problem.components, problem.rows, strict=True)])
     response, left = problem.response, problem.response - predicted
@@ -81,6 +85,13 @@ def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, valu
         out[name] = HeldOut(fold.label, rows, before[part], after[part], far[rows], share)
         start = part.stop
     return out
+
+
+def _empty(recording: Recording, rows: np.ndarray) -> list[str]:
+    """Columns of readings that hold none in some rows."""
+    labels = ("run", "group", "ignore")
+    read = [n for n, c in recording.manifest.columns.items() if c.role not in labels and n in recording.frame]
+    return [n for n in read if not np.isfinite(recording.array(n)[rows]).any()]
 
 
 def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndarray] | None = None) -> np.ndarray:

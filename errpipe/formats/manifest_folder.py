@@ -58,8 +58,9 @@ def sniff(path: Path) -> bool:
 
 def load_manifest(path: Path) -> Manifest:
     """The manifest of a folder (or the file itself), units as written. Raises ConfigError with every problem."""
-    path = Path(path)
-    file = path / MANIFEST if path.is_dir() else path
+    file = Path(path) / MANIFEST if Path(path).is_dir() else Path(path)
+    if file.is_file() and file.suffix.lower() not in (".yaml", ".yml"):
+        raise DataError(f"{file}: no recording, which is a folder (errpipe import {file} --out FOLDER makes one)")
     return Manifest.model_validate(_written_manifest(yamlfile.text_of(file), str(file)).model_dump())
 
 
@@ -215,8 +216,7 @@ def _constant(c: Any) -> Any:
 
 
 def _folder(path: Path) -> Path:
-    path = Path(path)
-    return path if path.is_dir() else path.parent
+    return Path(path) if Path(path).is_dir() else Path(path).parent
 
 
 # ---------------------------------------------------------------- writing

@@ -54,6 +54,9 @@ def upright(sheet: Sheet) -> Sheet:
     readings = [(own or count, way, figures) for own, count, way, figures in out if own or not named]
     if not readings:
         return sheet
+    bare = [i for i in range(places[0], len(targets)) if targets[i] is None and any(f[i] for *_, f in readings)]
+    if bare and sides is None:
+        raise DataError(f"column {bare[0] + 1}: readings without a target above them (is one missing?)")
     return _of_readings(sheet, at, title, targets, sides, readings)
 
 
@@ -66,17 +69,17 @@ def _of_readings(
     readings: list[tuple[str, float | None, Figures]],
 ) -> Sheet:
     """The upright sheet. sides: of every column of the first row where one states them, else None."""
-    unit = split_header(label(sheet.rows[at][0]))[1]
+    name, unit = split_header(label(sheet.rows[at][0]))
     reading_unit = split_header(title)[1]
     mark = {1.0: "+", -1.0: "-", None: ""}
-    header = [f"target [{unit}]" if unit else "target"]
+    header = [f"target [{unit}]" if unit else "target m" if re.search(r"[ _/]m$", name) else "target"]
     columns: list[dict[float, float | None]] = []
     for run, side, figures in readings:
         for way in (1.0, -1.0) if sides else (side,):
             values: dict[float, float | None] = {}
             place: float | None = None
             for i, target in enumerate(targets):
-                place = target if target is not None else place
+                place = target if target is not None else place if sides else None  # a cell merged over both sides
                 if place is not None and figures[i] is not None and (sides is None or sides.get(i) == way):
                     values[place] = figures[i]
             columns.append(values)
@@ -91,13 +94,17 @@ def _of_readings(
 
 def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
     """A row of rising or falling numbers behind a word for targets, or above rows that are named by run and side."""
-    if not row or not isinstance(row[0], str):
+    if not row or not isinstance(row[0], str) or None not in run_and_side(row[0]):  # a row of readings
         return False
     named = len(below) > 1 and all(r and None not in run_and_side(label(r[0])) for r in below)
     if not named and not _TARGETS.search(row[0]):
         return False
-    values = [v for c in row[1:] if (v := number(c, comma)) is not None]
-    words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in row[1:])
+    try:
+        cells = of_one_mark(row[1:], comma)
+    except ValueError:
+        cells = row[1:]
+    values = [v for c in cells if (v := number(c, comma)) is not None]
+    words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in cells)
     steps = [b - a for a, b in pairwise(values)]
     counted = values == [1.0 + k for k in range(len(values))]  # the numbers of the runs
     return (

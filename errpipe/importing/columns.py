@@ -11,7 +11,7 @@ from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import Layout, RawColumn
-from errpipe.importing.words import CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
+from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
 
 KIND_OF_UNIT = {
     "degC": "temperature",
@@ -39,6 +39,8 @@ KIND_OF_UNIT = {
     "urad": "error",
     "arcsec": "error",
     "mrad": "error",
+    "um/m": "error",
+    "mm/m": "error",
     "nm": "error",
 }
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
@@ -46,20 +48,13 @@ UNKNOWN = "nothing in its name, unit or values says what it is"
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
 # Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
-# Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
-_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _BEFORE = (
     r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
 )
 _BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
-_AXIS = re.compile(rf"(?:^|[\s_.\-(/])(?:{_BEFORE})?{_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
+_AXIS = re.compile(rf"(?:^|[\s_.\-(/])(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
 _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
-)
-_CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
-_AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{_LETTER}1?\b|\b{_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
-    re.IGNORECASE,
 )
 _FILLERS = (
     "from",
@@ -103,7 +98,7 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
     if (kind := kind_by_name(column.header)) is not None:
         kind, why = _settled(kind, column)
         return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
-    if column.unit in KIND_OF_UNIT:
+    if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
         return ColumnGuess("direction", axis, "its values (two signs)")
@@ -141,6 +136,8 @@ def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dic
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     """The kind corrected where the column's unit and values contradict it."""
     unit = column.unit
+    if kind not in ("time", "run", "group", "direction") and not column.numeric:
+        return "ignore", "its values are no numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _too_large_for_a_deviation(column):
@@ -165,8 +162,6 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", NO_SIDES
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
         return "ignore", "called a compensation, but of two values: it says whether one is on"
-    if kind not in ("time", "run", "group", "direction") and not column.numeric:
-        return "ignore", "its values are no numbers"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
@@ -235,8 +230,14 @@ def is_straightness(text: str) -> bool:
     return re.search(_STRAIGHT, plain(text)) is not None
 
 
+def is_radius(text: str) -> bool:
+    """Whether a header names the radius of a circular test."""
+    return re.search(_RADIUS, plain(text)) is not None
+
+
 # Quantities that are no positioning deviation of the axis along which they were measured.
 _DIAMETER = r"\b(diamet(er|re|ro)|durchmesser)|直[径徑]|(?i:^ø)"
+_RADIUS = r"\b(radi(us|al\w*)|d ?r|ball ?bar)\b|半径"  # of a circular test
 _SHAPES = (
     r"flatness|ebenheit|planeit|squareness|perpendicular|rechtwinkl|parallel(ism|itaet)|roundness|rundheit|run-?out|rundlauf"
     r"|planlauf|cylindric|zylinderform|平面度|垂直度|直角度|平行度|圆度|真円度"
@@ -244,13 +245,15 @@ _SHAPES = (
 
 
 def other_component(text: str, moved: str) -> str | None:
-    """EYX of 'straightness Y' along X, ECX of 'yaw', E_D of 'diameter'; None where a header names none of them.
+    """EYX of 'straightness Y' along X, ECX of 'yaw', E_D of 'diameter', E_R of 'radius'; None of any other header.
 
     Raises DataError for half of it, and for a shape (flatness, squareness), which is no component of the axis alone.
     """
     word = plain(text)
     if re.search(_DIAMETER, word):
         return "E_D"
+    if is_radius(text):
+        return "E_R"
     if re.search(_SHAPES, word):
         raise DataError(f"column {text!r}: of what component is this? Say it with --component, such as EZX or C0Y")
     if is_straightness(text):
@@ -281,15 +284,6 @@ def titles_another(line: str) -> bool:
     """Whether a line above a table names a straightness, a turn or a shape as measured: not `Squareness: off`."""
     said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
     return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None
-
-
-def axis_above(lines: list[str]) -> str | None:
-    """The axis that the lines above the table name."""
-    for line in lines:
-        match = _AXIS_ABOVE.search(line)
-        if match:
-            return (match.group(1) or match.group(2)).upper()
-    return None
 
 
 def side(text: object) -> float | None:

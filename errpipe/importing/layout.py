@@ -10,14 +10,15 @@ from itertools import pairwise
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
+from errpipe.importing.blocks import blocks
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
-from errpipe.importing.words import way_of
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
+EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
@@ -70,7 +71,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
 
     stated: names of the columns of a file without a header, by a person.
     """
-    rows, unit_in_cells = _without_units([row for row in sheet.rows if _filled(row) and not _is_rule(row)])
+    rows, unit_in_cells = _without_units([row for row in sheet.rows if filled_cells(row) and not _is_rule(row)])
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
@@ -90,13 +91,11 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
     elif not used:
-        notes.append("the file has no header: columns are numbered")
-    remarks = [
-        i for i, row in enumerate(rows[start:], start) if _filled(row) and not any(v is not None for v in numbers[i])
-    ]
-    below = [" ".join(map(str, _filled(rows[i]))) for i in remarks[:MOST_REMARKS]]
+        notes.append("the file has no header: columns are numbered (--names says what they are)")
+    remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
+    below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
     if used:
-        names, rows = _blocks(names, rows, numbers, start, notes)
+        names, rows = blocks(names, rows, numbers, start, notes)
     else:
         rows = rows[start:]
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
@@ -129,7 +128,7 @@ def _axis_of_sheet(name: str) -> list[str]:
 
 def _is_rule(row: list[Cell]) -> bool:
     """Whether a row is a line drawn with signs, as below the header of a table in Markdown."""
-    return all(isinstance(c, str) and _RULE.fullmatch(c) for c in _filled(row)) and len(_filled(row)) != 1
+    return all(isinstance(c, str) and _RULE.fullmatch(c) for c in filled_cells(row)) and len(filled_cells(row)) != 1
 
 
 def _units_above(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
@@ -173,54 +172,6 @@ def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, 
     return [[bare(i, cell) for i, cell in enumerate(row)] for row in rows], units
 
 
-def _blocks(
-    names: list[str], rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
-) -> tuple[list[str], list[list[Cell]]]:
-    """Names and rows up to the header of a second table; blocks below the same header are runs, one after another."""
-    starts = [r for r in range(start + 1, len(rows) - 1) if _starts_table(rows[r], numbers[r], numbers[r + 1 : r + 3])]
-    again = [r for r in starts if _filled(rows[r]) == _filled(rows[start - 1])]
-    other = next((r for r in starts if r not in again and r - 1 not in again), None)
-    if other is not None and not again and _is_way_back(rows[start - 1], rows[other]):
-        width, below = len(names), rows[other]
-        notes.append(
-            f"a second table below ({' '.join(map(str, _filled(below)))[:60]!r}): the way back to these targets"
-        )
-        back = [[row[0], *[None] * (width - 1), *row[1:]] for row in rows[other + 1 :] if row]
-        return [*names, *map(label, below[1:])], [*rows[start:other], *back]
-    if other is not None and not any(r > other for r in again):
-        text = " ".join(map(str, _filled(rows[other])))[:60]
-        notes.append(f"a second table below ({text!r}) was left out with its {len(rows) - other - 1} rows")
-        rows = rows[:other]
-    if not again or any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
-        return names, [row for r, row in enumerate(rows[start:], start) if r not in again]
-    notes.append(f"the header stands {len(again) + 1} times: the rows below it are a run each time")
-    titles = [" ".join(map(label, _filled(rows[r - 1]))) if r else "" for r in (start - 1, *again)]
-    titled = len(set(titles)) == len(titles)
-    block, numbered = 0, []
-    for r, row in enumerate(rows[start:], start):
-        block += r in again
-        if r not in again:
-            numbered.append([*row, *[None] * (len(names) - len(row)), titles[block] if titled else float(block + 1)])
-    return [*names, "run"], numbered
-
-
-def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
-    """Whether two tables have one first column, and readings of one direction each: `Forward 1`, below `Reverse 1`."""
-    ways = [{way_of(label(c)) for c in _filled(row[1:])} for row in (header, other) if row]
-    return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
-
-
-def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:
-    """Whether a row is words alone, at least two, with numbers in the rows below."""
-    words = [c for c in row if isinstance(c, str) and c]
-    plain = len(words) >= 2 and not any(v is not None for v in numbers)
-    return plain and any(sum(v is not None for v in row) >= 2 for row in below)
-
-
-def _filled(row: list[Cell]) -> list[Cell]:
-    return [c for c in row if c not in (None, "")]
-
-
 def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float | None]]) -> int:
     """The first row of a run of rows of the usual width that hold numbers."""
     filled, counts = _widths(rows, numbers)
@@ -241,7 +192,7 @@ def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[
 
     A log of several devices fills some columns in one row and others in the next.
     """
-    filled = [len(_filled(row)) for row in rows]
+    filled = [len(filled_cells(row)) for row in rows]
     words = [any(map(is_word, row)) for row in rows]
     counts = [
         sum(v is not None or (not word and is_moment(c)) for c, v in zip(row, of_row, strict=True))
@@ -261,7 +212,7 @@ def is_moment(cell: Cell) -> bool:
 def _is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
     """A row with a word above a column of numbers is a header even where its other cells are numbers (run 1, 2, 3)."""
     below = numbers[r + 1 : r + 6]
-    alone = len(_filled(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
+    alone = len(filled_cells(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
     for c, cell in enumerate([] if alone else row):
         word = isinstance(cell, str) and _WORD.match(cell) is not None and numbers[r][c] is None
         if word and below and sum(len(b) > c and b[c] is not None for b in below) >= 0.8 * len(below):
@@ -273,7 +224,7 @@ def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int) -> 
     """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with nothing above the column of targets."""
     counts, below = [v for v in numbers[r] if v is not None], numbers[r + 1 : r + 6]
     gap = not row or row[0] not in (None, "") or not all(b and b[0] is not None for b in below) or not below
-    if gap or len(counts) < 2 or len(counts) < len(_filled(row)) or r == 0 or any(numbers[r - 1]):
+    if gap or len(counts) < 2 or len(counts) < len(filled_cells(row)) or r == 0 or any(numbers[r - 1]):
         return False
     return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
 
@@ -367,7 +318,7 @@ def _layout(
 ) -> Layout:
     width = max([len(names), *map(len, rows)])
     names = names + [f"column {i + 1}" for i in range(len(names), width)]
-    columns = []
+    columns, empty = [], []
     count_of: Counter[str] = Counter()
     for i, text in enumerate(_metres(names)):
         header, unit = split_header(text)
@@ -388,4 +339,28 @@ def _layout(
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
         if any(c not in (None, "") for c in cells):
             columns.append(RawColumn(header, stated or unit, cells, values))
+        elif not header.startswith("column "):
+            empty.append(header)
+    if empty:
+        notes.append(f"{EMPTY} {', '.join(map(repr, empty))} (in a workbook: formulas that were never computed)")
     return Layout(columns, above, notes)
+
+
+FACTS = {
+    "machine": r"machine|maschine",
+    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
+    "operator": r"operator|bediener|pr[üu]fer|inspector",
+    "date": r"date|datum",
+    "instrument": r"instrument|messger[äa]t|laser",
+}
+
+
+def facts(above: list[str]) -> dict[str, str]:
+    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
+    found: dict[str, str] = {}
+    for line in above:
+        for name, words in FACTS.items():
+            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
+            if match and name not in found:
+                found[name] = match.group(1).strip()
+    return found

@@ -55,12 +55,28 @@ def _log_of_an_axis(p: Proposal, axis: str) -> None:
         p.guesses[f"{component}_sim"] = "the simulation is an ideal axis that follows its command (deviation 0)"
 
 
+THERE_AND_BACK = "; in words for the way there and back"  # a guess of a direction: up or down by the motion
+FEWEST_OF_A_LABEL = 0.9  # share of the rows with a label that lie on one side of the motion, to be that side's label
+
+
+def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
+    """Directions called forward and reverse, of an axis whose way there is down: `forward` from 0 to -500."""
+    side, moves = p.first("direction"), motion_sides(x)
+    if side not in p.data or moves is None or not p.guesses.get(side, "").endswith(THERE_AND_BACK):
+        return
+    against = float(np.mean(moves == -p.data[side]))
+    if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 2:
+        p.data[side] = -p.data[side]
+        p.guesses[side] += "; the way there is down, as the positions fall there"
+
+
 def _directions_and_runs(p: Proposal, axis: str) -> None:
     place = p.first("command", axis) or p.first("position", axis)
     if place is None or place not in p.data:
         _runs_by_gaps(p)
         return
     x = p.data[place]
+    _turn_there_and_back(p, x)
     if p.first("direction") is None:
         _refuse_copied_rows(p, x)
         moves = motion_sides(x)

@@ -6,6 +6,7 @@ Everything computed here is stated in the manifest or in a note.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,13 +14,13 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, settle, simulated, wide
-from errpipe.importing.layout import Layout, RawColumn, is_word
+from errpipe.importing import dates, no_reading, order, settle, simulated, wide
+from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
-from errpipe.importing.units import in_brackets, in_role, per_length, plain_unit, unit_of
-from errpipe.importing.words import kind_by_name
+from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
+from errpipe.importing.words import THERE_AND_BACK, axis_above, kind_by_name, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
@@ -31,6 +32,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
 
     may_be_log: whether a file may hold no deviation, but what another device logged meanwhile.
     """
+    headers = {c.header for c in layout.columns}
     for c in layout.columns:
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
@@ -41,12 +43,17 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
-    proposal = Proposal(notes=[*layout.notes, *unsure])
-    proposal.facts.update(_facts(layout.above))
+    proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
+    proposal.facts.update(facts(layout.above))
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in settle.PLACES]
+        if angles and any(guessing.is_radius(c.header) for c in layout.columns):
+            raise DataError(
+                f"column {angles[0].header!r} holds angles of a circle: errpipe needs the commanded position of each "
+                "reading, a column per axis (X = centre_X + radius * cos(angle), ...)"
+            )
         if angles:
             raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
         axis, proposal.assumed_axis = "X", True
@@ -71,26 +78,6 @@ def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -
             f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
             f"EYX (or {own}, the positioning)"
         )
-
-
-FACTS = {
-    "machine": r"machine|maschine",
-    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
-    "operator": r"operator|bediener|pr[üu]fer|inspector",
-    "date": r"date|datum",
-    "instrument": r"instrument|messger[äa]t|laser",
-}
-
-
-def _facts(above: list[str]) -> dict[str, str]:
-    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
-    facts = {}
-    for line in above:
-        for name, words in FACTS.items():
-            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
-            if match and name not in facts:
-                facts[name] = match.group(1).strip()
-    return facts
 
 
 def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
@@ -121,26 +108,27 @@ def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
-    """A column's guess from `--set COLUMN.role=...`."""
+    """A column's guess with what `--set COLUMN.role=...` and `--set COLUMN.axis=...` say, or None."""
     stated = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
-    role = stated.get("role")
+    role, axis = stated.get("role"), stated.get("axis")
     if role is None:
-        return None
+        return replace(guessing.guess(column), axis=axis) if axis else None
     known = (*ROLE_UNITS, "counts")
     if role not in known:
         raise UsageError(f"--set {column.header}.role: no role {role!r}.{did_you_mean(role, known)}")
-    return guessing.ColumnGuess(role, stated.get("axis") or guessing.axis_in(column.header), "")
+    return guessing.ColumnGuess(role, axis or guessing.axis_in(column.header), "")
 
 
 def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
-    runs = {c.header for c, _, _ in unfolded.readings} if unfolded is not None else set()
+    runs = {c.header for c in [*unfolded.statistics, *(r for r, _, _ in unfolded.readings)]} if unfolded else set()
     named = [
         g.axis
         for header, g in guesses.items()
         if g.axis is not None and g.kind in motion and header not in runs and not guessing.is_straightness(header)
     ]
-    return named[0] if named else guessing.axis_above(layout.above)
+    above = axis_above(layout.above)
+    return named[0] if named and above not in named else above
 
 
 def _long(
@@ -217,7 +205,7 @@ def _wide_readings(
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
-    unit = options.unit or (stated[0] if stated else wide.unit_above(layout.above))
+    unit = settle.stated_unit(options, stated[0] if stated else wide.unit_above(layout.above), headers[0])
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
     values, unit, why = settle.unit_of_readings(values, unit, component, why)
     p.put(
@@ -268,6 +256,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     if g.kind == "time":
         _time(c, unit, why, p)
     elif g.kind == "direction":
+        if all(THERE_AND_BACK.fullmatch(plain(x).strip(".:()")) for x in c.cells if x not in (None, "")):
+            why += order.THERE_AND_BACK
         p.put(c.header, guessing.sides(_filled_down(c, p)), why, role="direction", axis=own)
     elif g.kind in ("run", "group"):
         of = stated.get("of") or (guessing.group_of(c.header) if g.kind == "group" else None)
@@ -281,7 +271,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     elif g.kind in ("error", "simulated"):
         component = stated.get("component") or options.component or guessing.component_in(c.header)
         component = component or (simulated.component_of_force(c.header, unit, own) if g.kind == "simulated" else None)
-        _response(c, g.kind, own, options.unit or unit, why, component, axis, p)
+        _response(c, g.kind, own, settle.stated_unit(options, unit, c.header), why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
         name = p.put(c.header, c.values, why, role="current", axis=own, unit=unit)
@@ -395,5 +385,9 @@ def _response(
     if component is None:
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
+    if unit in PER_LENGTH and components.unit(component) == "um" and why.startswith("error by its unit"):
+        why = f"{unit}: of a level, an angle: say what it measured with --component, such as EBX"
+        p.put(c.header, c.values, why, role="ignore")
+        return
     values, unit, why = settle.unit_of_readings(c.values, _known_unit(c, unit), component, why)
     p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis, _headers=(c.header,))

@@ -41,6 +41,7 @@ class Proposal:
     facts: dict[str, str] = field(default_factory=dict)  # of the set-up, from the lines above the table
     assumed_axis: bool = False  # whether neither the file nor a person named one
     names: dict[str, str] = field(default_factory=dict)  # what a column is called in the file -> here
+    headers: set[str] = field(default_factory=set)  # of the file's table
 
     @property
     def rows(self) -> int:

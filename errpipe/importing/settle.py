@@ -15,9 +15,10 @@ from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import dates, order, signs, simulated
-from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
-from errpipe.importing.units import plain_unit, split_header
+from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
+from errpipe.importing.words import axis_above
 
 PLACES = ("command", "position", "actual")
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
@@ -44,7 +45,8 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             pass  # all three are recorded
 
 
-_OF_A_DEGREE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin"}  # inch: both are written as "
+# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level says um per m.
+_OF_AN_ANGLE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin", "um/m": "urad", "mm/m": "mrad"}
 
 
 def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
@@ -53,9 +55,14 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
     Raises DataError for angles without a unit: arcsec taken as urad would be compensated by a fifth.
     """
     standard = components.unit(component)
-    if standard == "urad" and unit in _OF_A_DEGREE:  # a length or a time elsewhere
-        why = f"{why}; of a degree, at an angle"
-        unit = _OF_A_DEGREE[unit]
+    if standard == "urad" and unit in _OF_AN_ANGLE:
+        why = f"{why}; {unit} of an angle"
+        unit = _OF_AN_ANGLE[unit]
+    if standard == "um" and unit in PER_LENGTH:
+        raise DataError(
+            f"readings of {component} in {unit}, per length: errpipe needs them in um (or mm) at each position, and of "
+            "a level what it measured, with --component, such as EBX"
+        )
     values, unit, why = plain_unit(values, unit, why)
     if unit is None and standard == "urad":
         raise DataError(
@@ -65,6 +72,16 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         unit = unit_by_size(values) if standard == "um" else standard
         why += f"; no unit is stated, taken as {unit} by the size of the readings"
     return values, unit, why
+
+
+def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:
+    """The unit of readings that a person says, else the written one. Raises DataError where the two differ."""
+    if options.unit is None or written in (None, options.unit) or _OF_AN_ANGLE.get(written) == options.unit:
+        return options.unit or written
+    raise DataError(
+        f"column {header!r} is in {written}, and --unit says {options.unit}: where the file is wrong, say "
+        f"--set '{header}.unit={options.unit}'"
+    )
 
 
 def unit_by_size(values: np.ndarray) -> str:
@@ -106,7 +123,8 @@ def settle_units(p: Proposal, layout: Layout) -> None:
         entry = p.entries[name]
         if "no unit is stated" not in why or entry.get("unit") not in ("mm", "um"):
             continue
-        if entry["role"] in PLACES and re.search(r"[ _]m$", name):
+        written = [h for h, n in p.names.items() if n == name]
+        if entry["role"] in PLACES and any(re.search(r"[ _/]m$", text) for text in (name, *written)):
             raise DataError(
                 f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
             )
@@ -203,8 +221,9 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         raise DataError(
             f"no column holds a deviation, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
-            + "".join(f"; {note}" for note in layout.notes if "--names" in note)
+            + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
+    _refuse_one_of_several_axes(p, layout, options)
     settle_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
     for name, entry in p.entries.items():
@@ -221,6 +240,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
                 raise DataError(
                     f"no axis is named, and no position is recorded: along which axis is {name!r}? Say it with --axis"
                 )
+            _refuse_other_axis(p, name, letter, options)
             dates.refuse_unread(p.entries, p.guesses, p.data)
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
@@ -228,6 +248,41 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             )
     order.settle_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
+
+
+def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Raise DataError where several axes move and neither a column of deviations nor a line above names one."""
+    moving = {
+        e["axis"]
+        for n, e in p.entries.items()
+        if e["role"] in ("command", "position") and e.get("unit") != "deg" and n in p.data and np.ptp(p.data[n]) > 0
+    }
+    if len(moving) < 2 or options.axis is not None or axis_above(layout.above) is not None:
+        return
+    for name, entry in p.entries.items():
+        headers = entry.get("_headers", ())
+        if "from the axis" in p.guesses.get(name, "") and not any(map(guessing.axis_in, headers)):
+            raise DataError(
+                f"axes {', '.join(sorted(moving))} move, and {headers[0]!r} names none of them: deviations of which? "
+                f"Say it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
+            )
+
+
+def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptions) -> None:
+    """Raise DataError where readings of one axis, without its position, stand beside moving positions of another."""
+    moving = [n for n, e in p.entries.items() if e["role"] in PLACES and n in p.data and np.ptp(p.data[n]) > 0]
+    if not moving or options.component is not None:
+        return
+    other = p.entries[moving[0]]["axis"]
+    if options.axis == letter:
+        raise DataError(
+            f"--axis says {letter}, and {moving[0]!r} holds positions of {other}: say it with "
+            f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
+        )
+    raise DataError(
+        f"{name!r} names {letter}, and {moving[0]!r} holds positions of {other}: say what was measured, with --set "
+        f"{name}.component=E{letter}{other} (straightness), E{other}{other} (positioning) or E_{letter} (tool point)"
+    )
 
 
 def _found(p: Proposal, name: str) -> str:

@@ -19,6 +19,7 @@ _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
 _GROUPED_BY_MARKS = re.compile(r"[+-]?\d{1,3}(['’]\d{3})+([.,]\d+)?")
 _MINUS_BEHIND = re.compile(r"[\d.,]*[.,]\d+-")
 _DOUBTFUL = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_GROUPS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})+")
 _BLANK_WITHIN = re.compile(r"(?<=\d) (?=\d{3}(?!\d))|(?<=^[+-]) +")
 _GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
@@ -110,6 +111,11 @@ def label(cell: Cell) -> str:
     return "" if cell is None else str(cell).strip()
 
 
+def filled_cells(row: list[Cell]) -> list[Cell]:
+    """The cells of a row that hold something."""
+    return [c for c in row if c not in (None, "")]
+
+
 def decimal_comma(rows: list[list[Cell]]) -> bool:
     """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points.
 
@@ -123,6 +129,9 @@ def decimal_comma(rows: list[list[Cell]]) -> bool:
                 if _DOUBTFUL.fullmatch(text):
                     doubtful += 1 if "," in text else -1
                     continue
+                if groups := _GROUPS.fullmatch(text):  # 1,000,000: the mark of decimals is the other one
+                    points, commas = points + (groups[1] == ","), commas + (groups[1] == ".")
+                    continue
                 commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None
                 points += "." in text and (_PLAIN.fullmatch(text) or _GROUPED_BY_COMMAS.fullmatch(text)) is not None
-    return commas > points or (commas == points and doubtful > 0)
+    return commas > points or (commas == points > 0 and doubtful > 0)

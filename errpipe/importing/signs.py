@@ -21,7 +21,8 @@ SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the pl
 ASSUMED = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
 # Quantities that count either way: what is entered in a control, or the gap between a sensor and what it looks at.
 _EITHER_WAY = re.compile(
-    r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter)\b"
+    r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter"
+    r"|undershoot|short|zu kurz|trop court)\b"
 )
 _DIFFERENCE = re.compile(
     r"\b([^\W\d_]\w*)\.?(?: - | (?:minus|less|moins|meno|menos) )(?:the )?([^\W\d_]\w*)|\b([a-z])[a-z]-\3[a-z]\b"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime, timedelta
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from errpipe.domain import units
 from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal, slug
 
@@ -25,6 +27,9 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
             not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
             raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {not_shared})")
         _shift(other, _epoch(first), _epoch(other))
+        for name, entry in first.entries.items():
+            _refuse_another(name, (entry, other.entries[name]), (stems[0], stem))
+    _in_one_unit(parts, stems)
     joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
     run = joined.first("run")
     if run is None:
@@ -41,6 +46,35 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
         labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
     joined.data[run] = labels
     return joined
+
+
+def _refuse_another(name: str, entries: tuple[dict[str, Any], ...], stems: tuple[str, str]) -> None:
+    """Raise DataError where a column of two files is of another axis or component: they are no runs of one test."""
+    for key in ("role", "axis", "component", "of", "derived"):
+        here, there = (entry.get(key) for entry in entries)
+        if here != there:
+            raise DataError(f"{stems[1]}: {key} of {name!r} is {there}, in {stems[0]} {here}: import each by itself")
+
+
+def _in_one_unit(parts: Sequence[Proposal], stems: Sequence[str]) -> None:
+    """Columns that files state in several units in the canonical one, in place.
+
+    Raises DataError where one of the units was guessed.
+    """
+    for name, entry in parts[0].entries.items():
+        if len({part.entries[name].get("unit") for part in parts}) < 2 or entry["role"] == "ignore":
+            continue
+        guessed = [s for s, part in zip(stems, parts, strict=True) if "no unit is stated" in part.guesses.get(name, "")]
+        if guessed:
+            raise DataError(
+                f"{guessed[0]}: no unit is stated for {name!r}, and it seems to be another one than elsewhere"
+            )
+        for part in parts:
+            convert = units.conversion(entry["role"], part.entries[name].get("unit"))
+            if convert is not None:
+                part.data[name] = convert(part.data[name])
+                part.entries[name]["unit"] = convert.unit
+        parts[0].notes.append(f"{name}: written in {parts[0].entries[name]['unit']}, for the files have several units")
 
 
 def add_log(p: Proposal, log: Proposal, stem: str) -> None:

@@ -36,6 +36,8 @@ UNITS = {
     **dict.fromkeys(("arcmin",), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
     **dict.fromkeys(("mrad",), "mrad"),
+    **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; of a length it is no reading
+    "mm/m": "mm/m",
     **dict.fromkeys(("rad",), "rad"),
     **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
@@ -81,6 +83,9 @@ _PER_LENGTH = re.compile(
 )
 
 
+PER_LENGTH = ("um/m", "mm/m")  # urad and mrad of an angle
+
+
 def per_length(header: str) -> bool:
     """Whether a header says readings per length of travel: `error ppm`, `um/m`, `ppm of range`."""
     return _PER_LENGTH.search(header.replace("_", " ")) is not None
@@ -107,6 +112,8 @@ def split_header(text: str) -> tuple[str, str | None]:
     after = None if _INLET.search(text) else _AFTER.match(text)
     if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
         return after.group(1).rstrip(" _/,"), unit
+    if text.endswith("/m") and kind_by_name(text[:-2]) in ("command", "position", "actual"):
+        return text[:-2].rstrip(), "m"  # a quantity over its unit; `Error/m` may be an error per metre
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):

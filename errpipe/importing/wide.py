@@ -16,6 +16,7 @@ from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
+_DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run that is called by its day
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
@@ -47,9 +48,11 @@ class Wide:
 
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
-    """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); 'Run 1' -> ('1', None)."""
+    """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); '3.5.2024' -> ('3.5.2024', None)."""
     if signed := re.fullmatch(r"([+\-−])\s?(\d{1,3})", header.strip()):
         return signed.group(2), guessing.side(signed.group(1))
+    if dated := _DATE_WITHIN.search(header):
+        return dated.group(), run_and_side(header.replace(dated.group(), " "))[1]
     if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):
         return None, None
     numbered = _RUN_AND_LETTER.fullmatch(guessing.plain(header))
@@ -63,7 +66,8 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     for k, token in enumerate(reversed(tokens)):
         mark = not token[0].isalnum()
         sign_within = k > 0 and mark and token not in ARROWS  # a sign counts at the end alone: `Soll-Ist`, `1-2`
-        if token.isdigit() or token == "pos" or (len(token) == 1 and not mark and not lone) or sign_within:
+        letter = len(token) == 1 and token.isascii() and not mark
+        if token.isdigit() or token == "pos" or (letter and not lone) or sign_within:
             continue
         if (side := guessing.side(token)) is not None:
             break
@@ -73,10 +77,12 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
     """The wide layout of a table, or None where a row is one reading."""
     numeric, repeated = [c for c in layout.columns if c.numeric], []
+    headers = {c.header.lower() for c in numeric}
+    said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     places = [c for c in places if len(places) == 1 or not _counts(c)]  # the numbers of the targets
-    targets = [c for c in places if run_and_side(c.header) == (None, None)]
-    targets = targets or [c for c in places if run_and_side(c.header)[0] is None]
+    targets = [c for c in places if said[c.header] == (None, None)]
+    targets = targets or [c for c in places if said[c.header][0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
         targets = numeric[:1]
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):
@@ -86,7 +92,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     readings: list[tuple[RawColumn, str, float | None]] = []
     statistics = []
     for c in numeric:
-        run, side = run_and_side(c.header)
+        run, side = said[c.header]
         if (
             c is targets[0]
             or any(c is r for r in repeated)
@@ -94,19 +100,18 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             or (run is None and side is None)
         ):
             continue
-        if statistic(c.header):
+        lettered = side is not None and _RUN_AND_LETTER.fullmatch(guessing.plain(c.header))  # `Run 1 B`: backwards
+        if statistic(c.header) and not lettered:
             statistics.append(c)
         else:
             readings.append((c, run or "1", side))
     if not readings:  # a report of the means alone: one run
-        readings = [
-            (c, "mean", run_and_side(c.header)[1]) for c in statistics if _MEAN.search(guessing.plain(c.header))
-        ]
+        readings = [(c, "mean", said[c.header][1]) for c in statistics if _MEAN.search(guessing.plain(c.header))]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
     labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
-    named = any(run_and_side(c.header)[0] is not None for c, _, _ in readings)
+    named = len({said[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
     if len(readings) < 2:
         return None
     if len({(run, side) for _, run, side in readings}) < len(readings):
@@ -118,6 +123,12 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             )
         return None
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None)
+
+
+def _beside_negative(header: str, headers: set[str]) -> str:
+    """The header with `pos` as a side, where one with `neg` in its place stands beside it: else it is a position."""
+    words = re.compile(r"\bpos(?![^\W\d_])", re.IGNORECASE)
+    return words.sub("+", header) if words.sub("neg", header).lower() in headers - {header.lower()} else header
 
 
 def statistic(name: str) -> bool:
@@ -225,9 +236,11 @@ def _place(header: str) -> float | None:
 
 def unit_above(lines: list[str]) -> str | None:
     """The unit of the readings that the lines above the table name: of a line on readings, else of one on units."""
-    for words in (r"(abweich|deviation|error|fehler|reading|ecart)", r"(unit|einheit)"):
+    readings = r"(abweich|deviation|error|fehler|reading|ecart)"
+    for words in (readings, r"(unit|einheit)"):
         for line in map(guessing.plain, lines):
-            if re.search(words, line) and not re.search(r"(target|position|soll|ziel|nominal|temp)", line):
+            of_targets = re.search(rf"(target|position|soll|ziel|nominal|temp)(?!\w* ?{readings})", line)
+            if re.search(words, line) and not of_targets:
                 for word in re.split(r"[\s\[\]():;,=]+", line)[::-1]:
                     if unit_of(word) in UNITS_OF_READINGS:
                         return unit_of(word)

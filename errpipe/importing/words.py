@@ -155,10 +155,23 @@ _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
 )
 
+# Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
+AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
+_CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
+_AXIS_ABOVE = re.compile(
+    rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{AXIS_LETTER}1?\b|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
+    re.IGNORECASE,
+)
 _AXIS_BEFORE = re.compile(
     r"\b([xyzabcuvw]\d?)(?=(?:cmd|act|fb|soll|ist|pos|ref|nom|meas|set|err|dev|enc)(?:[^a-z]|$))", re.IGNORECASE
 )
-_LETTERS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "−": "-", "–": "-", "µ": "u", "μ": "u", "_": " "})
+_LETTERS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "−": "-", "–": "-", "µ": "u", "μ": "u", "_": " "}
+    | dict.fromkeys("⇑⬆▲△↗", "↑")
+    | dict.fromkeys("⇓⬇▼▽↘", "↓")
+    | dict.fromkeys("⇒⟶➡➔►▶", "→")
+    | dict.fromkeys("⇐⟵⬅◄◀", "←")
+)
 
 
 def plain(text: object) -> str:
@@ -172,7 +185,8 @@ def plain(text: object) -> str:
 def kind_by_name(header: str) -> str | None:
     """What a header says its column holds, or None."""
     text = plain(header)
-    return next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+    kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+    return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
 
 
 def way_of(header: str) -> float | None:
@@ -208,3 +222,12 @@ def difference(text: str) -> tuple[float, str] | None:
 def titles_corrections(line: str) -> bool:
     """Whether a line above a table says that its readings are corrections."""
     return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
+
+
+def axis_above(lines: list[str]) -> str | None:
+    """The axis that the lines above a table name."""
+    for line in lines:
+        match = _AXIS_ABOVE.search(line)
+        if match:
+            return (match.group(1) or match.group(2)).upper()
+    return None

@@ -37,11 +37,13 @@ def checklist(
             f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
             "",
         ]
-    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", "", "## What will happen", ""]
+    lines += [f"Source: {target.source}. Confidence: {target.confidence}.", ""]
     numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
-    lines += [f"- {says}." for says in dict.fromkeys(happens)] + ["", "## Switch it on", ""]
+    if happens:
+        lines += ["## What will happen", "", *(f"- {says}." for says in dict.fromkeys(happens)), ""]
+    lines += ["## Switch it on", ""]
     lines += [f"{n}. {step}" for n, step in enumerate((AS_MEASURED, *_numbered(target, table), *target.activation), 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]

@@ -126,7 +126,6 @@ def _models(old: Path, new: Path) -> Comparison:
     out = Comparison("model")
     if isinstance(before, ErrorModel) and isinstance(after, ErrorModel):
         _parameters(out, before, after)
-        _ranges(out, dict(before.validity.ranges), dict(after.validity.ranges))
     seen: list[Compensation] = [
         changes.of_model(side) if isinstance(side, ErrorModel) else changes.of_table(by_component(side))
         for side in (before, after)
@@ -163,7 +162,8 @@ def _by_parameter(model: ErrorModel) -> dict[str, Any]:
 
 
 def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
-    """Largest and rms difference per response, with the place."""
+    """Ranges of validity that differ; largest and rms difference per response, with the place."""
+    _ranges(out, old.ranges, new.ranges)
     differences = changes.compare(old, new)
     out.parts["changes"] = [asdict(c) for c in differences]
     for c in differences:
@@ -191,30 +191,42 @@ def _recordings(old: Path, new: Path) -> Comparison:
     before, after = (_artefacts.recording_in(p.parent if p.is_file() else p) for p in (old, new))
     out = Comparison("recording")
     _keys(out, "column", before.manifest.columns, after.manifest.columns)
-    for name, column in before.manifest.columns.items():
-        if name in after.manifest.columns and column != after.manifest.columns[name]:
-            out.says.append(f"column {name}: is declared differently")
+    own, other = before.manifest.columns, after.manifest.columns
+    for name in (n for n in own if n in other and own[n] != other[n]):
+        out.says.append(f"column {name}: is declared differently")
+    alike = {n for n in own if n in other and _holds(own[n]) == _holds(other[n])}
     _keys(out, "run", dict.fromkeys(before.run_labels()), dict.fromkeys(after.run_labels()))
     if len(before) != len(after):
         out.says.append(f"rows: {len(before)} -> {len(after)}")
     shared = changes.shared_runs(before, after)
-    moved = changes.rows_changed(before, after) if shared else {}
+    moved = {n: f for n, f in changes.rows_changed(before, after).items() if n in alike} if shared else {}
     out.parts |= {"shared_runs": shared, "columns": moved}
     for name, figures in moved.items():
-        unit = before.manifest.columns[name].unit or ""
+        unit = own[name].unit or ""
         out.says.append(
             f"{name}: {figures['rows']} rows of shared runs differ, by at most {figures['largest']:.4g} {unit}"
         )
-    if shared:
+    lone = [n for r in (before, after) for n in r.names("error") if n not in alike]
+    if lone:
+        out.says.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(lone))}")
+    elif shared:
         errors = [moved[n] for n in before.names("error") if n in moved]
         out.grow(max((e["largest"] for e in errors), default=0.0), max((e["rms"] for e in errors), default=0.0))
     return out
+
+
+def _holds(column: Any) -> tuple[Any, ...]:
+    """What a column holds, whatever it says of its source: columns of another axis are no change of this one."""
+    return column.role, column.axis, column.component, column.unit
 
 
 def _diagnoses(old: Path, new: Path) -> Comparison:
     before, after = _diagnosis(old), _diagnosis(new)
     out = Comparison("diagnosis", parts={"responses": {}})
     _keys(out, "response", before, after)
+    for lone in [*(r for n, r in before.items() if n not in after), *(r for n, r in after.items() if n not in before)]:
+        size = max((f.rms_um for f in lone.findings), default=0.0)
+        out.grow(size, size)
     for name in (n for n in before if n in after):
         a, b = before[name], after[name]
         if a.verdict != b.verdict:
@@ -340,7 +352,8 @@ def _keys(out: Comparison, what: str, old: Mapping[str, Any], new: Mapping[str, 
 def _ranges(out: Comparison, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     for name in (n for n in old if n in new and tuple(old[n]) != tuple(new[n])):
         a, b = old[name], new[name]
-        out.says.append(f"validity of {name}: {a[0]:.5g} .. {a[1]:.5g} -> {b[0]:.5g} .. {b[1]:.5g}")
+        apart = a[0] < a[1] <= b[0] < b[1] or b[0] < b[1] <= a[0] < a[1]
+        out.says.append(f"validity of {name}: {a[0]:.5g} .. {a[1]:.5g} -> {b[0]:.5g} .. {b[1]:.5g}" + apart * ", apart")
 
 
 def _short(value: Any) -> str:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import UsageError, did_you_mean
 from errpipe.stages import _artefacts
+
+if TYPE_CHECKING:
+    from errpipe.domain.table import CompensationTable
 
 SETTLED = 1e9  # s: every lag has reached its operand
 
@@ -39,4 +42,24 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
         f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
         for name, value in cycle.deviation.items()
     ]
-    return {"deviation": dict(cycle.deviation), "correction": dict(cycle.correction), "says": says}
+    notes = _outside(compensation_table, at)
+    return {
+        "deviation": dict(cycle.deviation),
+        "correction": dict(cycle.correction),
+        "outside": notes,
+        "says": [*says, *notes],
+    }
+
+
+def _outside(table: CompensationTable, at: Mapping[str, float]) -> list[str]:
+    """Readings that the table does not believe, or that lie beyond what was measured, in words."""
+    from errpipe.validation.changes import of_table
+
+    measured, out = of_table(table).ranges, []
+    for i in (i for i in table.inputs if i.name in at):
+        value, (low, high) = at[i.name], measured[i.name]
+        if not i.low <= value <= i.high:
+            out.append(f"{i.name} = {value:g} counts as no reading (allowed: {i.low:g} .. {i.high:g})")
+        elif low < high and not low <= value <= high:
+            out.append(f"{i.name} = {value:g} lies outside what was measured ({low:g} .. {high:g})")
+    return out

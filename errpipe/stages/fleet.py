@@ -56,8 +56,8 @@ class Fleet(Options):
         if self.recordings is None and not self.machines:
             raise ValueError("`recordings` or `machines` is needed")
         names = [m.name.lower() for m in self.machines]
-        if len(set(names)) < len(names):
-            raise ValueError("two machines have one name")
+        if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+            raise ValueError(f"two machines have one name: {', '.join(twice)} (small and capital letters are one)")
         return self
 
 
@@ -79,7 +79,9 @@ def fleet(
     root = Path(file).parent.absolute()
     pipeline = root / spec.pipeline
     tasks = [(str(pipeline), m.name, list(m.set), str(Path(out).absolute())) for m in machines_of(spec, root)]
-    load_pipeline(pipeline, STAGES, sets=tasks[0][2])  # a pipeline that cannot be read is said once, not once a machine
+    if spec.recordings is not None and Path(out).resolve().is_relative_to((root / spec.recordings).resolve()):
+        raise UsageError(f"{out}: inside {spec.recordings}, where it would be read as a machine")
+    _refuse_for_all(lambda sets: load_pipeline(pipeline, STAGES, sets=sets), [task[2] for task in tasks])
     run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
     results: dict[str, dict[str, Any]] = {}
     with ThreadPoolExecutor(1) as reader:  # models are checked while other machines run
@@ -95,6 +97,19 @@ def fleet(
     rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
     jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
     return document | {"times": {r["name"]: {k: r[k] for k in ("seconds", "peak_mb", "attempts")} for r in ordered}}
+
+
+def _refuse_for_all(load: Callable[[list[str]], object], machines: list[list[str]]) -> None:
+    """Raise the first machine's error where the pipeline can be read with the keys of none: said once."""
+    first: ErrpipeError | None = None
+    for sets in machines:
+        try:
+            load(sets)
+            return
+        except ErrpipeError as err:
+            first = first or err
+    if first is not None:
+        raise first
 
 
 def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 from errpipe import formats, jsonfile
 from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
-from errpipe.errors import DataError, ErrpipeError, UsageError
+from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import signs, together
 from errpipe.importing.across import upright
@@ -23,7 +23,7 @@ from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.proposal import propose
-from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
 
@@ -49,6 +49,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
             proposal, source = _of_any_sheet(file, door, options, may_be_log=len(files) > 1)
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
+    _refuse_unknown_sets(parts.values(), options)
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
@@ -61,6 +62,16 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
         together.add_log(complete, log, alike[0].stem)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
+
+
+def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> None:
+    """Raise UsageError for a `--set` of a column that no file has: it would be ignored."""
+    known = dict.fromkeys(name for part in parts for name in (*sorted(part.headers), *part.entries))
+    written = {*known, *map(slug, known)}
+    for name in (n for n in options.sets if n not in written and slug(n) not in written):
+        raise UsageError(
+            f"--set {name}: no such column (columns: {', '.join(known)}).{did_you_mean(name, list(known))}"
+        )
 
 
 def _refuse_twice(files: Sequence[Path]) -> None:
@@ -192,8 +203,6 @@ def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path])
     title = options.title or ", ".join(Path(f).stem for f in files)
     columns = {name: dict(entry) for name, entry in proposal.entries.items()}
     for written_name, keys in options.sets.items():
-        from errpipe.importing.proposed import slug
-
         name = slug(written_name)
         if name in columns:  # the unit of a column of the file was said before its numbers were read
             keep = ("axis", "component", "location", "of", *(("unit",) if name not in proposal.names.values() else ()))

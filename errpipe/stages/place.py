@@ -38,7 +38,8 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     for name in (error, *(n for n in (group, time) if n)):
         if name not in frame.columns:
             hint = did_you_mean(name, list(frame.columns))
-            hint = hint or " (--group names the column of duty cycles)" if name == group else hint
+            option = {error: "--error names the column of the error", group: "--group names the column of duty cycles"}
+            hint = hint or (f" ({option[name]})" if name in option else "")
             raise DataError(f"{file}: no column {name!r}{hint}")
     remaining = [n for n in frame.columns if n not in (error, group, time)]
     names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places

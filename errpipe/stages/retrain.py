@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
-from errpipe.errors import DataError, GateError, VerifyError
+from errpipe.errors import DataError, GateError, UsageError, VerifyError
 from errpipe.pipeline.step import SILENT, Talk
 from errpipe.stages import _artefacts
 from errpipe.stages._retrain_pages import github_annotations, write_pages
@@ -47,9 +47,12 @@ def retrain(
 
     champion: folder of the earlier run that made the champion (of the same pipeline). Returns the document of
     `retrain.json`: decision, evidence, gates, runs, drift. Raises DataError where the champion's folder lacks its
-    model or recording, VerifyError where they are damaged.
+    model or recording, VerifyError where they are damaged, UsageError where the challenger would be written over it.
     """
     from errpipe.pipeline import runner
+
+    if champion.resolve().is_relative_to((out / RUN).resolve()):
+        raise UsageError(f"{champion}: the challenger is written there, and would replace it before it is judged")
 
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_scores(out / DOCUMENT, fingerprint)

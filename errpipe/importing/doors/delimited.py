@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "delimited text"
@@ -44,6 +44,8 @@ def _wide(head: bytes) -> str | None:
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError where it is no table."""
+    if options.sheet is not None:
+        raise UsageError(f"{path}: a text is one table: --sheet would be ignored")
     data = path.read_bytes()
     affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)
@@ -62,6 +64,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         rows = _bounded(cells, path)
     except csv.Error as err:
         raise DataError(f"{path}: not a table: {err}") from None
+    if separator != " ":
+        _refuse_short_rows(path, rows)
     words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
     return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}"]).limited()]
 
@@ -84,6 +88,25 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
             if r < first and not any(map(_figure, row)):
                 row = _names_with_blanks(line, width)
         yield row
+
+
+MOST_SHORT = 0.1  # share of the rows of numbers; more of them are a layout of their own
+
+
+def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
+    """Raise DataError where a row of numbers between full ones lacks a cell: its numbers may stand in other columns."""
+    width, full = (Counter(n for n in map(len, rows) if n > 2).most_common(1) or [(0, 0)])[0]
+    filled = [r for r, row in enumerate(rows) if any(row)]
+    around = zip(filled, filled[1:], filled[2:], strict=False)
+    between = [near for near in around if [len(rows[i]) == width for i in near] == [True, False, True]]
+    short = [near for near in between if 1 < len(rows[near[1]]) < width]
+    if len(short) > max(1.0, MOST_SHORT * full):
+        return
+    for r in (near[1] for near in short if all(sum(map(_figure, rows[i])) > 1 for i in near)):
+        raise DataError(
+            f"{path}:{r + 1}  {len(rows[r])} cells, {width} in the rows around it: which one is missing? (write it "
+            "empty, with its separator)"
+        )
 
 
 def _without_formula(text: str) -> str:

@@ -145,6 +145,27 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
     assert "machine 7: no name of a machine (allowed" in capsys.readouterr().err
 
 
+def test_names_and_folders_that_would_be_two_machines_are_refused(tmp_path: Path, capsys: Any) -> None:
+    file = site(tmp_path, 2)
+    assert main(["fleet", str(file), "--out", str(tmp_path / "recordings/out")]) == 2
+    assert "would be read as a machine" in capsys.readouterr().err and not (tmp_path / "recordings/out").exists()
+    file.write_text("fleet: 1\npipeline: axis.yaml\nmachines: [{name: m1}, {name: M1}]\n", encoding="utf-8")
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+    assert "two machines have one name: m1" in capsys.readouterr().err
+
+
+def test_a_wrong_key_of_the_first_machine_stops_no_other_one(tmp_path: Path, capsys: Any) -> None:
+    site(tmp_path, 2)
+    machines = "".join(f"  - {{name: {n}, set: [{n}.recording=recordings/m000]}}\n" for n in ("ingst", "ingest"))
+    file = tmp_path / "two.yaml"
+    file.write_text(f"fleet: 1\npipeline: axis.yaml\nmachines:\n{machines}", encoding="utf-8")
+    code, result = run(file, tmp_path / "o", capsys, "--jobs", "1")
+    assert code == 4 and {r["name"]: r["state"] for r in result["machines"]} == {"ingst": "failed", "ingest": "done"}
+    file.write_text(file.read_text().replace("ingest.", "ingost."), encoding="utf-8")
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2  # of no machine: said once
+    assert capsys.readouterr().err.count("no stage") == 1
+
+
 @pytest.mark.slow
 def test_machines_on_a_dask_cluster_with_a_worker_killed(tmp_path: Path, capsys: Any) -> None:
     """30 machines; FLEET_MACHINES=200 in the environment takes as many (about 10 minutes on two cores)."""

@@ -233,5 +233,28 @@ def test_a_champion_of_another_machine_is_refused(site: Path, capsys: pytest.Cap
     assert "the champion needs T_nut, which the recording does not have" in capsys.readouterr().err
 
 
+def test_a_champion_where_the_challenger_is_written_is_refused_and_left(
+    site: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Else a challenger that is kept out has replaced the champion all the same."""
+    shutil.copytree(site / "champion", site / "out/run")
+    before = (site / "out/run/fit/error_model.json").read_bytes()
+    record(site / "recording", 14, changed_from=12)
+    assert (
+        main(["retrain", str(site / "axis.yaml"), "--champion", str(site / "out/run"), "--out", str(site / "out")]) == 2
+    )
+    assert "would replace it before" in capsys.readouterr().err
+    assert (site / "out/run/fit/error_model.json").read_bytes() == before
+
+
+def test_a_run_in_which_a_sensor_is_empty_is_named_with_the_sensor(site: Path, capsys: pytest.CaptureFixture) -> None:
+    file = site / "recording/recording.csv"
+    rows = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()]
+    lines = [",".join([*row[:4], "" if row[0] in ("day 9", "day 10", "day 11") else row[4], *row[5:]]) for row in rows]
+    file.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    assert retrain_code(site) == 3
+    assert "no judged row has everything the model needs (empty in all of them: T_nut)" in capsys.readouterr().err
+
+
 def retrain_code(site: Path) -> int:
     return main(["retrain", str(site / "axis.yaml"), "--champion", str(site / "champion"), "--out", str(site / "out")])

@@ -39,6 +39,8 @@ def test_a_line_above_that_says_the_difference_in_short(tmp_path: Path) -> None:
 ASKED = {
     "an offset": readings("Offset to enter um", -1.0),
     "a gap in front of a sensor": readings("gap um", -1.0),
+    "an undershoot": readings("Undershoot [um]", -1.0),
+    "too short": readings("zu kurz [µm]", -1.0),
     "names that nobody knows": readings("Xc - Xm um", -1.0),
     "names of two letters": readings("Pc-Pm um", -1.0),
     "a line on the sign": readings("Error um", -1.0, "Positive error means that the axis went short\n"),

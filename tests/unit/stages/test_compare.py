@@ -103,6 +103,29 @@ def test_a_changed_reading_a_new_run_and_a_lost_column(tmp_path: Path, capsys: p
     assert answer["only_in_new"]["run"] == ["day 5"] and answer["only_in_old"]["run"] == []
 
 
+@pytest.mark.parametrize("change", [("EXX", "Abw", 1), ("component: EXX", "component: EYX", -1)])
+def test_deviations_that_the_other_does_not_hold_are_within_no_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture, change: tuple[str, str, int]
+) -> None:
+    """A column of another name, or of another component under the same one."""
+    record(tmp_path / "old", 3)
+    record(tmp_path / "new", 3)
+    for file in (tmp_path / "new" / "recording.yaml", tmp_path / "new" / "recording.csv"):
+        file.write_text(file.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
+    code, answer = asked(tmp_path / "old", tmp_path / "new", "--max-um", "1000", capsys=capsys)
+    assert code == 4 and answer["within"] is False and answer["largest_um"] is None
+
+
+def test_tables_of_stretches_that_lie_apart_say_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    def model_of(name: str, low: float, high: float) -> Path:
+        path = model(tmp_path / name, 11.0, (10.5, 11.5))
+        path.write_text(path.read_text().replace("[0.0,1000.0]", f"[{low},{high}]"), encoding="utf-8")
+        return path
+
+    assert main(["compare", str(model_of("a.json", 0.0, 500.0)), str(model_of("b.json", -500.0, 0.0))]) == 0
+    assert "validity of x: 0 .. 500 -> -500 .. 0, apart" in capsys.readouterr().out
+
+
 def diagnosis(path: Path, **size: float) -> Path:
     matches = [Finding(effect=effect, confidence=0.9, rms_um=um) for effect, um in size.items()]
     held = HoldOutFigures(scheme="runs", rms_before_um=9.0, rms_after_um=1.0)
@@ -124,6 +147,15 @@ def test_a_finding_that_is_new_counts_with_its_whole_size(tmp_path: Path, capsys
     code, answer = asked(old, new, "--max-um", "5", capsys=capsys)
     assert code == 4 and answer["largest_um"] == 6.0
     assert answer["responses"]["EXX"]["effects"] == [["backlash"], ["backlash", "sag"]]
+
+
+def test_a_response_that_is_gone_counts_with_what_was_found_in_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    old, new = diagnosis(tmp_path / "a.json", backlash=3.0), diagnosis(tmp_path / "b.json", backlash=6.0)
+    new.write_text(new.read_text().replace('"EXX"', '"EYY"'), encoding="utf-8")
+    code, answer = asked(old, new, "--max-um", "5", capsys=capsys)
+    assert code == 4 and answer["largest_um"] == 6.0
 
 
 def test_two_runs_of_a_pipeline_and_two_kinds(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -62,6 +62,9 @@ def test_too_few_duty_cycles_are_called_that(tmp_path, capsys):
 def test_a_missing_column_is_named(tmp_path, capsys):
     code, document = asked(capsys, "place", str(field(tmp_path)), "--error", "eror")
     assert code == 3 and "no column 'eror'" in json.dumps(document)
+    pd.read_csv(field(tmp_path)).rename(columns={"error": "growth"}).to_csv(tmp_path / "other.csv", index=False)
+    assert main(["place", str(tmp_path / "other.csv")]) == 3
+    assert "--error names the column of the error" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("column", "value"), [("error", "-1e400"), ("near", "inf"), ("far", "1.1e15")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 
 import numpy as np
@@ -166,6 +167,21 @@ def test_a_checklist_says_the_unit_and_labels_those_of_rotary_axes(target, tmp_p
         stage.write_targets(table_of("rotary axis 0 to 360"), [target.name], tmp_path)
         text = (tmp_path / target.name / stage.CHECKLIST).read_text()
         assert "deg/1000 rms" in text and "from below, um, deg/1000 |" in text and " um rms" not in text
+
+
+def test_a_checklist_has_no_heading_above_nothing(tmp_path):
+    """Nothing can be said to happen over temperatures whose range is not stated."""
+    drift = Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 20.0),)))
+    table = tables.compile_table(
+        [tables.ComponentSource("EZZ", "um", (drift,))],
+        outputs=[tables.OutputSource("Z", (tables.MonomialSource(1.0, "EZZ"),), "Z")],
+        inputs=[TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, default=20)],
+        error_bound=0.01,
+    )
+    stage.write_targets(table, ["c_runtime"], tmp_path)
+    lines = [line for line in (tmp_path / "c_runtime" / stage.CHECKLIST).read_text().splitlines() if line]
+    headings = [line.startswith("#") for line in lines[1:]]
+    assert not any(a and b for a, b in itertools.pairwise(headings)), lines
 
 
 def test_marlin_and_duet_are_told_that_numbers_are_millimetres():

@@ -1,0 +1,84 @@
+"""Tables below one another on a sheet: blocks below the same header are runs, or the way there and back."""
+
+from __future__ import annotations
+
+import re
+
+from errpipe.importing.sheet import Cell, filled_cells, label
+from errpipe.importing.units import split_header
+from errpipe.importing.words import axis_above, way_of
+
+
+def blocks(
+    names: list[str], rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Names and rows up to the header of a second table; blocks below the same header are runs, one after another."""
+    below = range(start + 1, len(rows) - 1)
+    again = [r for r in below if filled_cells(rows[r]) == filled_cells(rows[start - 1])]
+    starts = [r for r in below if r in again or _starts_table(rows[r], numbers[r], numbers[r + 1 : r + 3])]
+    other = next((r for r in starts if r not in again and r - 1 not in again), None)
+    if other is not None and not again and _is_way_back(rows[start - 1], rows[other]):
+        width, header = len(names), rows[other]
+        notes.append(
+            f"a second table below ({' '.join(map(str, filled_cells(header)))[:60]!r}): the way back to these targets"
+        )
+        back = [[row[0], *[None] * (width - 1), *row[1:]] for row in rows[other + 1 :] if row]
+        return [*names, *map(label, header[1:])], [*rows[start:other], *back]
+    if other is not None and not any(r > other for r in again):
+        text = " ".join(map(str, filled_cells(rows[other])))[:60]
+        notes.append(f"a second table below ({text!r}) was left out with its {len(rows) - other - 1} rows")
+        rows = rows[:other]
+    if not again:
+        return names, rows[start:]
+    return _repeated(names, rows, start, again, [_title(rows, numbers, r) for r in (start - 1, *again)], notes)
+
+
+def _repeated(
+    names: list[str], rows: list[list[Cell]], start: int, again: list[int], titles: list[str], notes: list[str]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Names and rows of blocks below one header, with what their titles say of each: axis, run, side."""
+    axes = [axis_above([title]) or "" for title in titles]
+    ways = [way_of(title) for title in titles]
+    several = all(axes) and len(set(axes)) > 1
+    sided = None not in ways and len(set(ways)) == 2
+    if sided and not several and len(titles) == 2 and all(re.search(r"\d", name) for name in names[1:]):
+        notes.append(f"the header stands twice, below {titles[0]!r} and {titles[1]!r}: the way there and back")
+        back = [[row[0], *[None] * (len(names) - 1), *row[1:]] for row in rows[again[0] + 1 :] if row]
+        parts = [(*split_header(n), title) for title in titles for n in names[1:]]  # a column per run
+        sides = [f"{n} {title}" + (f" [{unit}]" if unit else "") for n, unit, title in parts]
+        return [names[0], *sides], [*rows[start : again[0]], *back]
+    labels: dict[str, list[Cell]] = {"axis": [*axes]} if several else {}
+    one_each = several and len(set(axes)) == len(axes)
+    if not one_each and not any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
+        notes.append(f"the header stands {len(titles)} times: the rows below it are a run each time")
+        labels["run"] = [float(b + 1) for b in range(len(titles))]
+        if sided:
+            labels["run"] = [f"{ways[: b + 1].count(ways[b])} {title}" for b, title in enumerate(titles)]
+        elif all(titles) and len(set(titles)) == len(titles):
+            labels["run"] = [*titles]
+    block, out = 0, []
+    for r, row in enumerate(rows[start:], start):
+        block += r in again
+        if r not in again:
+            own = [of_block[block] for of_block in labels.values()]
+            out.append([*row, *[None] * (len(names) - len(row)), *own] if labels else row)
+    return [*names, *labels], out
+
+
+def _title(rows: list[list[Cell]], numbers: list[list[float | None]], header: int) -> str:
+    """The words right above a header, or nothing where a row of data stands there."""
+    data = header == 0 or sum(v is not None for v in numbers[header - 1]) > 1
+    return "" if data else " ".join(map(label, filled_cells(rows[header - 1])))
+
+
+def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
+    """Whether two tables have one first column, and readings of one direction each: `Forward 1`, below `Reverse 1`."""
+    ways = [{way_of(label(c)) for c in filled_cells(row[1:])} for row in (header, other) if row]
+    return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
+
+
+def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:
+    """Whether a row is words alone, at least two, with numbers in the rows below."""
+    words = [c for c in row if isinstance(c, str) and any(map(str.isalpha, c))]
+    plain = len(words) >= 2 and not any(v is not None for v in numbers)
+    return plain and any(sum(v is not None for v in row) >= 2 for row in below)

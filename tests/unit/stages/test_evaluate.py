@@ -1,0 +1,38 @@
+"""`errpipe eval`: a reading beyond what was measured, or that the table does not believe, is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from errpipe.cli.app import main
+from errpipe.tables import ect
+from tests.unit.targets import machines
+
+
+@pytest.mark.parametrize(
+    ("at", "deviation", "says"),
+    [
+        ("x=500", 10.0, []),
+        ("x=520", 10.0, ["x = 520 lies outside what was measured (0 .. 500)"]),
+        ("x=1e6", 0.0, ["x = 1e+06 counts as no reading (allowed: -50 .. 550)"]),
+        ("x=nan", 0.0, ["x = nan counts as no reading (allowed: -50 .. 550)"]),
+    ],
+)
+def test_a_reading_outside_is_said(tmp_path: Path, capsys: Any, at: str, deviation: float, says: list[str]) -> None:
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
+    assert main(["eval", str(tmp_path / "t.ect"), "--at", at, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)["result"]
+    assert result["outside"] == says and result["deviation"]["EXX"] == pytest.approx(deviation, abs=0.01)
+
+
+def test_a_table_of_measurements_in_place_of_a_recording_is_told_to_import(tmp_path: Path, capsys: Any) -> None:
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
+    file = tmp_path / "x.csv"
+    file.write_text("X [mm];Dev [um]\n0;0\n500;10\n")
+    for words in (["predict", str(tmp_path / "t.ect"), str(file)], ["diagnose", str(file)]):
+        assert main([*words, "--out", str(tmp_path / "out.csv")]) in (2, 3)
+        assert f"errpipe import {file} --out FOLDER" in capsys.readouterr().err
