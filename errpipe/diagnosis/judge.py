@@ -35,6 +35,9 @@ HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
 RETRIES = 4  # further searches, each without the findings ruled out before
+WEAK = (
+    50.0  # threshold: log Bayes factor of the strongest name, below which half of the folds must find one of them again
+)
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
@@ -157,13 +160,21 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; of those of the search."""
     case = _without_impossible(made, search, *explanations)
-    made.taken_back = rounded(case) or (only_noise(case) and not _predicts_whole_runs(case))
+    made.taken_back = rounded(case) or (only_noise(case) and not _predicts_whole_runs(case)) or not _found_again(case)
     return _nothing_named(made) if made.taken_back else case
 
 
 def _predicts_whole_runs(case: Case) -> bool:
     case.held = holdout.held_out(case)
     return case.held.predicts_whole_runs()
+
+
+def _found_again(case: Case) -> bool:
+    """Do folds find names again that bring little?"""
+    if not case.chosen() or case.explanation.accepted[0].gain > WEAK:
+        return True
+    case.held = case.held or holdout.held_out(case)
+    return max(case.held.agreement) >= holdout.AGAIN
 
 
 def _nothing_named(made: SetUp) -> Case:

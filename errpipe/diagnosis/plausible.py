@@ -18,6 +18,8 @@ TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which anothe
 RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that reaches further is not at its limit
 FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
+ALIKE = 0.97  # share of a variance from which two contributions are one
+TWO_GAINS = 0.3  # the difference of two gains, each up to 0.15 off
 BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
 
 
@@ -89,6 +91,21 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
         low, high = search_of(p).limits(term, case.recording)
         span = spans[p.name]
         if (value <= 1.001 * low and span.high < far * low) or (value >= 0.999 * high and span.low > high / far):
+            return True
+    return False
+
+
+def gain_of_a_reference(case: Case, m: model.Modelled) -> bool:
+    """May the finding be the gain of what a part of the simulation holds because of its reference?
+
+    A lead error beside an expansion, and the same expansion counted from another temperature, are one signal, but have
+    two gains or one. The reference is not known, so the lead error may be as large as the expansion.
+    """
+    own = m.contribution - m.contribution.mean()
+    for p in case.decomposition.parts:
+        held = p.reference - p.reference.mean()
+        alike = (own @ held) ** 2 > ALIKE * (own @ own) * (held @ held)
+        if alike and np.std(own) < TWO_GAINS * (np.std(held) + np.std(p.core - p.reference)):
             return True
     return False
 

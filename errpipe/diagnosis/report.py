@@ -50,9 +50,11 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     # Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
     slow = held.names > PREDICTED * held.before
     wandering = [case.over_noise < 0.0 or (slow and s.wandering > s.gain) for s in indicators]
-    most = _most(case) if slow else 1.0
+    far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
+    most = BESIDE_FAR_OFF if far else 1.0
     sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else most for m, w in zip(made, wandering, strict=True)]
-    sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
+    elsewhere = [plausible.only_a_wave_in_time(case, m, after) or plausible.gain_of_a_reference(case, m) for m in made]
+    sized = [UNPROVED if other else s for s, other in zip(sized, elsewhere, strict=True)]
     findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
@@ -100,11 +102,6 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
-
-
-def _most(case: Case) -> float:
-    """Upper limit of the confidence of names by the gains of the simulation that they stand beside."""
-    return BESIDE_FAR_OFF if gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes) else 1.0
 
 
 def _datums(case: Case) -> str:
@@ -203,12 +200,14 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
-        fitted = (made.hypothesis, np.array([e.value for e in made.estimates[: _cores(made)]]))
+        cores = sum(len(t.linear()) for t in made.hypothesis.terms)
+        fitted = (made.hypothesis, np.array([e.value for e in made.estimates[:cores]]))
         sentence = separate.would_separate(
             case.recording, fitted, _fitted_rival(case, made, rival[2])[0], case.sigma, case.pair.unit
         )
     term = made.hypothesis.terms[0]
-    values = dict(zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True))
+    values = {e.name: e.value for e in made.estimates}
+    values |= zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True)
     return Finding(
         effect=h.effect,
         confidence=round(confidence.naming(indicators[k]), 3),
@@ -223,7 +222,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
         says=_says(case, h.effect, h.drivers, made, indicators[k]),
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
-        compensable=term.compensable and bool(term.lower(_parameters(made, values))) and not h.mask,
+        compensable=term.compensable and bool(term.lower(values)) and not h.mask,
         term=_plain(term),
         more_terms=tuple(_plain(t) for t in made.hypothesis.terms[1:]),
     )
@@ -231,14 +230,6 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
 
 def _plain(term: Term) -> dict[str, object]:
     return term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term}
-
-
-def _cores(made: model.Modelled) -> int:
-    return sum(len(t.linear()) for t in made.hypothesis.terms)
-
-
-def _parameters(made: model.Modelled, values: dict[str, float]) -> dict[str, float]:
-    return {e.name: e.value for e in made.estimates} | values
 
 
 def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, float]:
@@ -331,13 +322,6 @@ def _unusual(made: model.Modelled) -> str:
     return ""
 
 
-def _datum_per_run_text(r: ResponseDiagnosis) -> str:
-    """Sentence for a mismatch that is mostly an offset of each run."""
-    if r.between_runs is None or r.between_runs < MOSTLY:
-        return ""
-    return f" {r.between_runs:.0%} of the mismatch is one offset per run, as a datum that is set anew each time gives."
-
-
 def in_words(r: ResponseDiagnosis) -> str:
     """The response in one sentence."""
     unit = r.unit
@@ -354,9 +338,11 @@ def in_words(r: ResponseDiagnosis) -> str:
     before, after = r.holdout.rms_before_um, r.holdout.rms_after_um
     if after >= before:
         verb, them = ("is", "it") if one else ("are", "them")
+        each = f" {r.between_runs or 0.0:.0%} of the mismatch is one offset per run, as a datum that is set anew gives."
         return (
             f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
-            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after).{_datum_per_run_text(r)}"
+            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after)."
+            + (each if (r.between_runs or 0.0) >= MOSTLY else "")
         )
     if names[0] == "unknown":
         known = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]
