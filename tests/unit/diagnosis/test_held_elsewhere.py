@@ -30,6 +30,27 @@ def test_an_effect_takes_the_place_of_the_part_that_stands_in_for_it():
     assert decompose.decompose(np.zeros(rows.size), library, case, rows, 0.3)[1] is None
 
 
+def largest_part(case, component: str, signal: np.ndarray) -> tuple[str, list[float]]:
+    """Effect of a signal's largest part; rms of its form, of what that owes to its reference, and of its departures."""
+    rows = np.arange(len(case))
+    library = hypotheses.build(case, component, rows)
+    (first, *_), _ = decompose.decompose(signal, library, case, rows, 0.3)
+    part = max(first.parts, key=lambda p: float(np.std(p.contribution)))
+    return part.hypothesis.effect, [float(np.std(v)) for v in (part.core, part.reference, part.slack)]
+
+
+def test_the_value_that_a_rise_is_counted_from_is_form_and_the_state_at_the_start_departs():
+    """Departures have gains of their own: one gain for both would leave what they took from another effect."""
+    case = condition(axis())
+    expansion = 11e-3 * case.array("x") * (case.array("T_nut") - 24.0)
+    effect, (form, reference, departs) = largest_part(case, "EXX", expansion)
+    assert effect == "scale_expansion" and min(form, reference) > 5.0 and departs < 0.1
+    case = condition(spindle())
+    start = 6.0 * np.exp(-(case.array("t") - case.array("t")[0]) / 3000.0)
+    effect, (_, reference, departs) = largest_part(case, "E_Z", 4 * (case.array("T_room") - 20.0 + start))
+    assert effect == "ambient_drift" and reference == 0.0 and departs > 1.0
+
+
 @pytest.mark.parametrize(
     ("after", "noise", "named", "stands"),
     [(1.0, 1.0, 1.0, True), (1.0, 0.2, 1.0, False), (1.3, 1.0, 1.0, False), (1.0, 1.0, 1.09, False)],
