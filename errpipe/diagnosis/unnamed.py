@@ -121,6 +121,8 @@ def shaped_beside(case: Case, held: holdout.HeldOut) -> bool:
     accepted, least = case.explanation.accepted, HELD_OUT_SHARE if case.remainder.shapes else UNREACHED
     if not accepted or min(held.agreement) < holdout.AGAIN or held.shape_share() < least:
         return False
+    if case.remainder.shapes and sum(g for _, g in case.remainder.shapes) < confidence.MOST_BESIDE:
+        return False
     return held.named**2 - held.shaped**2 >= NOTICEABLE * held.bare**2 and proved(case, held)
 
 
