@@ -20,6 +20,7 @@ FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
 ALIKE = 0.97  # share of a variance from which two contributions are one
 TWO_GAINS = 0.3  # the difference of two gains, each up to 0.15 off
+HALF = 0.5  # of a part: what looks like it and is smaller may be its gain, where other parts took some of it
 BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
 
 
@@ -95,18 +96,20 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
     return False
 
 
-def gain_of_a_reference(case: Case, m: model.Modelled) -> bool:
-    """May the finding be the gain of what a part of the simulation holds because of its reference?
+def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
+    """May the finding be the gain of what the simulation holds: of a part, or of what a part owes to its reference?
 
     A lead error beside an expansion, and the same expansion counted from another temperature, are one signal, but have
     two gains or one. The reference is not known, so the lead error may be as large as the expansion.
     """
     own = m.contribution - m.contribution.mean()
     for p in case.decomposition.parts:
-        held = p.reference - p.reference.mean()
-        alike = (own @ held) ** 2 > ALIKE * (own @ own) * (held @ held)
-        if alike and np.std(own) < TWO_GAINS * (np.std(held) + np.std(p.core - p.reference)):
-            return True
+        expansion = float(np.std(p.reference) + np.std(p.core - p.reference))
+        for held, most in ((p.contribution, HALF * np.std(p.contribution)), (p.reference, TWO_GAINS * expansion)):
+            centred = held - held.mean()
+            alike = (own @ centred) ** 2 > ALIKE * (own @ own) * (centred @ centred)
+            if alike and np.std(own) < most:
+                return True
     return False
 
 

@@ -53,7 +53,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     most = BESIDE_FAR_OFF if far else 1.0
     sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else most for m, w in zip(made, wandering, strict=True)]
-    elsewhere = [plausible.only_a_wave_in_time(case, m, after) or plausible.gain_of_a_reference(case, m) for m in made]
+    gain = [any(plausible.gain_of_a_part(case, m) for m in made[: k + 1]) for k in range(len(made))]  # or beside one
+    elsewhere = [g or plausible.only_a_wave_in_time(case, m, after) for g, m in zip(gain, made, strict=True)]
     sized = [UNPROVED if other else s for s, other in zip(sized, elsewhere, strict=True)]
     findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
@@ -150,6 +151,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     margin = min(margin, max(case.over_noise, 0.0))
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
+    levels = 0.0 if accepted[k].hypothesis.mask else unnamed.best_shape(case, others, ("runs",))
     noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
     return confidence.Indicators(
         gain=accepted[k].gain,
@@ -164,18 +166,9 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         unreached=unnamed.unreached(case) if proved else 0.0,
         fast=int(is_fast(case)),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
-        beside=0.0 if proved else _best_shape(case, case.chosen()),
-        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
+        beside=0.0 if proved else unnamed.best_shape(case, case.chosen()),
+        instead=confidence.EARNED if proved else accepted[k].gain - max(unnamed.best_shape(case, others), levels),
     )
-
-
-def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
-    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none."""
-    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
-    if not inputs:
-        return 0.0
-    sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
-    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
 
 
 def is_fast(case: Case) -> bool:

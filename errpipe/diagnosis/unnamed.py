@@ -23,6 +23,10 @@ DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 KEPT = 0.5  # share of the log Bayes factor that held-out rows must confirm: of 33 right names 32 keep 0.89 or more, the
 # other has less than 0.5 anyway; of false ones on nulls 2 of 4 keep none (first 12201, 13101, second 12202, 13102)
+AS_WELL = (
+    4.0  # log Bayes factor by which a level for each run may lose against a name (first 13121, second 13122: novel
+)
+# mechanisms 0.3 or less; first 14111, second 13112: right names 8 or more)
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
@@ -95,12 +99,33 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     """Do names leave too much that is no noise?
 
     They hardly reduce held-out rows of the same runs, which lie far beyond the noise between neighbours; or shapes
-    over inputs predict held-out rows beside them; or what they leave is a large share and comes in events or a rhythm.
+    over inputs predict held-out rows beside them; or what they leave is a large share and comes in events or a rhythm;
+    or a level for each run does as well as the strongest name.
     """
     if not case.explanation.accepted:
         return False
     far = held.after > max(SMALLER * held.before, FAR * case.noise_estimate) and "whole runs" not in held.scheme
-    return far or shaped_beside(case, held) or _rhythm_left(case, held)
+    return far or shaped_beside(case, held) or _rhythm_left(case, held) or _levels_do_as_well(case, held)
+
+
+def _levels_do_as_well(case: Case, held: holdout.HeldOut) -> bool:
+    """Does a level for each run explain as much as the strongest name in its place, in spite of its many coefficients?
+
+    Then nothing within runs speaks for the name: a part that is seated anew, or a datum that is lost, does the same.
+    What acts in some runs alone is a choice of levels itself.
+    """
+    first, *others = case.explanation.accepted
+    levels = best_shape(case, [(f.index, f.size) for f in others], ("runs",))
+    return levels > first.gain - AS_WELL and not first.hypothesis.mask and not held.predicts_whole_runs()
+
+
+def best_shape(case: Case, chosen: list[tuple[int, float]], kinds: tuple[str, ...] = ()) -> float:
+    """Log Bayes factor of the best shape beside these findings, over an input or of these kinds; 0 where none is."""
+    own = [k for k, s in enumerate(case.free_shapes) if (s.kind in kinds if kinds else s.of_inputs)]
+    if not own:
+        return 0.0
+    sets, freedoms = [case.places[k] for k in own], [case.free_shapes[k].freedom for k in own]
+    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
 
 
 def _rhythm_left(case: Case, held: holdout.HeldOut) -> bool:
@@ -121,7 +146,8 @@ def shaped_beside(case: Case, held: holdout.HeldOut) -> bool:
     accepted, least = case.explanation.accepted, HELD_OUT_SHARE if case.remainder.shapes else UNREACHED
     if not accepted or min(held.agreement) < holdout.AGAIN or held.shape_share() < least:
         return False
-    if case.remainder.shapes and sum(g for _, g in case.remainder.shapes) < confidence.MOST_BESIDE:
+    little = sum(g for _, g in case.remainder.shapes) < confidence.MOST_BESIDE
+    if little and (case.remainder.shapes or unreached(case) <= UNREACHED):
         return False
     return held.named**2 - held.shaped**2 >= NOTICEABLE * held.bare**2 and proved(case, held)
 
