@@ -47,16 +47,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    # Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
-    slow = held.names > PREDICTED * held.before
-    wandering = [case.over_noise < 0.0 or (slow and s.wandering > s.gain) for s in indicators]
-    far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
-    most = BESIDE_FAR_OFF if far else 1.0
-    sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else most for m, w in zip(made, wandering, strict=True)]
-    gain = [any(plausible.gain_of_a_part(case, m) for m in made[: k + 1]) for k in range(len(made))]  # or beside one
-    elsewhere = [g or plausible.only_a_wave_in_time(case, m, after) for g, m in zip(gain, made, strict=True)]
-    sized = [UNPROVED if other else s for s, other in zip(sized, elsewhere, strict=True)]
-    findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
+    most = _most(case, made, indicators, after)
+    findings = [unnamed.capped(f, limit) for f, limit in zip(findings, most, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
     nameless = unnamed.unexplained(case, held)
@@ -77,6 +69,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings = friction.with_directional_law(findings, law) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
     at_first = _rms(before) if case.pair.reversed else held.before
+    known_as = {"p": chance.p, "gain": chance.gain, "limit95": chance.limit, "scheme": chance.scheme}
+    surrogates = Significance(**known_as, effective_rows=chance.rows, rows=int(case.run.size))
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=at_first, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component,
@@ -91,18 +85,29 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         changes=locate.changes(case.recording, case.pair.rows, recalibrated),
         between_runs=locate.between_runs(case.run, recalibrated if datums is None else recalibrated + datums, floor),
         whiteness=whiteness.whiteness(case),
-        significance=Significance(
-            p=chance.p,
-            gain=chance.gain,
-            limit95=chance.limit,
-            scheme=chance.scheme,
-            effective_rows=chance.rows,
-            rows=int(case.run.size),
-        ),
+        significance=surrogates,
     )
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
+
+
+def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.Indicators], after) -> list[float]:
+    """Upper limits of the confidence of names. after: residual of the explanation, shape (rows,).
+
+    Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
+    """
+    slow = case.held.names > PREDICTED * case.held.before
+    far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
+    most = [BESIDE_FAR_OFF if far else 1.0] * len(made)
+    for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
+        wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
+        a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
+        if wanders or a_gain or plausible.only_a_wave_in_time(case, m, after):
+            most[k] = UNPROVED
+        elif plausible.no_size(m):
+            most[k] = UNSIZED
+    return most
 
 
 def _datums(case: Case) -> str:

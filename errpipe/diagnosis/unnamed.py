@@ -32,8 +32,8 @@ UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknow
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
 FAR = 2.0  # and from which names that hardly reduce it explain nothing
 SLOW_SHARE = 1.2  # rms of noise with its slow share over second differences, which miss that share
-UNREACHED = 0.25  # threshold: share of the variance beyond the noise between neighbours that names leave, from which
-# `unknown` comes first: wandering noise beside an effect of twice its size leaves a fifth
+UNREACHED = 0.25  # threshold: share of the variance beyond the noise between neighbours, and beside that of the names,
+# that they leave, from which `unknown` comes first: wandering noise beside an effect of twice its size leaves a fifth
 
 
 def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
@@ -68,6 +68,13 @@ def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
     b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
     contribution = shapes @ b[-shapes.shape[1] :]
     return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
+
+
+def named_rms(case: Case) -> float:
+    """rms of what the names hold together, on the judged rows."""
+    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    b = case.search.scene(case.chosen()).coefficients()[case.recal.shape[1] :]
+    return float(np.std(np.column_stack(blocks) @ b))
 
 
 def is_noise(case: Case) -> bool:
@@ -129,11 +136,14 @@ def best_shape(case: Case, chosen: list[tuple[int, float]], kinds: tuple[str, ..
 
 
 def _rhythm_left(case: Case, held: holdout.HeldOut) -> bool:
-    """Do names leave a large share that comes in events or a rhythm?
+    """Do names leave a large share that comes in events or a rhythm, beside what they hold themselves as well?
 
-    Tools that wear at rates of their own leave events, and yet runs that were held out whole bear the name out.
+    Tools that wear at rates of their own leave events, and yet runs that were held out whole bear the name out. Real
+    noise comes in events, too, and may be far above that between neighbours.
     """
-    return unreached(case) > UNREACHED and not held.predicts_whole_runs() and not is_noise(case)
+    if unreached(case) <= UNREACHED or held.predicts_whole_runs() or is_noise(case):
+        return False
+    return case.sigma**2 > UNREACHED * (case.sigma**2 + named_rms(case) ** 2)
 
 
 def proved(case: Case, held: holdout.HeldOut) -> bool:

@@ -133,7 +133,8 @@ def left_by(values: np.ndarray, sigma: float, shaped=1.0, bare=1.8, again=1.0, w
     """A case whose names leave these values: rms, on held-out rows beside shapes and without names; noise 1."""
     scene = SimpleNamespace(rms=lambda: 4.6)
     case = SimpleNamespace(residual=values, run=np.zeros(values.size, int), sigma=sigma, noise_estimate=1.0)
-    case.explanation, case.chosen = SimpleNamespace(accepted=(1,)), lambda: []
+    case.explanation, case.chosen = SimpleNamespace(accepted=(SimpleNamespace(gain=99.0),)), lambda: []
+    case.free_shapes = []
     case.search = SimpleNamespace(scene=lambda chosen: scene)
     case.remainder = SimpleNamespace(shapes=((SimpleNamespace(of_inputs=True), worth),))
     case.recording = SimpleNamespace(time=lambda: np.arange(values.size), array=lambda name: values)
@@ -144,6 +145,7 @@ def left_by(values: np.ndarray, sigma: float, shaped=1.0, bare=1.8, again=1.0, w
 @pytest.mark.parametrize(
     ("kind", "sigma", "shaped", "unexplained"),
     [
+        ("large", 3.0, 1.0, False),  # real noise may come in events: it is small beside what the name holds
         ("teeth", 3.0, 1.0, True),  # two fifths of what is no noise, in a rhythm
         ("teeth", 1.5, 1.0, False),  # a real part departs by a few per cent
         ("walk", 3.0, 1.0, False),  # noise that wanders beside an effect
@@ -157,9 +159,11 @@ def test_what_names_must_not_leave(monkeypatch, kind, sigma, shaped, unexplained
     left = {
         "teeth": 2.0 * (rows % 13) / 13 + 0.1 * rng.standard_normal(1000),
         "walk": walk,
+        "large": 2.0 * (rows % 13) / 13 + 0.1 * rng.standard_normal(1000),
         "white": rng.normal(size=1000),
     }
     monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
+    monkeypatch.setattr(unnamed, "named_rms", lambda case: 6.0 if kind == "large" else 4.6)
     case, held = left_by(left[kind], sigma, shaped)
     assert unnamed.unexplained(case, held) == unexplained  # type: ignore[arg-type]
 
