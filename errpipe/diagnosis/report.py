@@ -156,7 +156,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     margin = min(margin, max(case.over_noise, 0.0))
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
-    levels = 0.0 if accepted[k].hypothesis.mask else unnamed.best_shape(case, others, ("runs",))
+    levels = 0.0 if accepted[k].hypothesis.mask else unnamed.best_shape(case, others, levels=True)
     noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
     return confidence.Indicators(
         gain=accepted[k].gain,

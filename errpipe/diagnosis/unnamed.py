@@ -10,6 +10,7 @@ from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise, l
 from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.own_noise import linear_gain, rounded, rounding
 from errpipe.domain.diagnosis import Finding
+from errpipe.terms import MANY_STARTS
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
 NOTICEABLE = 0.05  # and of that without names: real parts depart from the textbook by a few per cent
@@ -122,13 +123,17 @@ def _levels_do_as_well(case: Case, held: holdout.HeldOut) -> bool:
     What acts in some runs alone is a choice of levels itself.
     """
     first, *others = case.explanation.accepted
-    levels = best_shape(case, [(f.index, f.size) for f in others], ("runs",))
+    levels = best_shape(case, [(f.index, f.size) for f in others], levels=True)
     return levels > first.gain - AS_WELL and not first.hypothesis.mask and not held.predicts_whole_runs()
 
 
-def best_shape(case: Case, chosen: list[tuple[int, float]], kinds: tuple[str, ...] = ()) -> float:
-    """Log Bayes factor of the best shape beside these findings, over an input or of these kinds; 0 where none is."""
-    own = [k for k, s in enumerate(case.free_shapes) if (s.kind in kinds if kinds else s.of_inputs)]
+def best_shape(case: Case, chosen: list[tuple[int, float]], levels: bool = False) -> float:
+    """Log Bayes factor of the best shape over an input beside these findings, or of a level for each of enough runs.
+
+    0 where there is none. Few levels, one for each speed or way, are what the name itself says.
+    """
+    is_level = lambda s: s.kind == "runs" and s.freedom.size >= MANY_STARTS  # noqa: E731
+    own = [k for k, s in enumerate(case.free_shapes) if (is_level(s) if levels else s.of_inputs)]
     if not own:
         return 0.0
     sets, freedoms = [case.places[k] for k in own], [case.free_shapes[k].freedom for k in own]

@@ -125,5 +125,7 @@ def test_levels_of_runs_in_the_place_of_a_name(within, whole_runs, levels):
     case.search = SimpleNamespace(rows=None, scene=lambda chosen: SimpleNamespace(score=score))
     held = SimpleNamespace(predicts_whole_runs=lambda: whole_runs)
     assert unnamed._levels_do_as_well(case, held) is levels
-    found.hypothesis.mask = ("runs", ("1", "4"))
+    shape.freedom = np.ones(2)  # two runs, at one speed each: their levels are what the name says
+    assert not unnamed._levels_do_as_well(case, held)
+    shape.freedom, found.hypothesis.mask = np.ones(8), ("runs", ("1", "4"))
     assert not unnamed._levels_do_as_well(case, held)
