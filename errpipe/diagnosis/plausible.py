@@ -16,7 +16,6 @@ from errpipe.terms import search_of
 
 TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which another one must be cancelling it
 RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that reaches further is not at its limit
-FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
 ALIKE = 0.97  # share of a variance from which two contributions are one
 TWO_GAINS = 0.3  # the difference of two gains, each up to 0.15 off
@@ -36,7 +35,7 @@ def doubtful(case: Case) -> list[model.Modelled]:
     Least certain first.
     """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, FAR)), key=lambda m: m.joint)
+    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, np.inf)), key=lambda m: m.joint)
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:

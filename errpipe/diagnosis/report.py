@@ -21,9 +21,9 @@ from errpipe.diagnosis import (
     whiteness,
 )
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
-from errpipe.diagnosis.nuisances import WHOLE, Nuisance
+from errpipe.diagnosis.derived import FAST
+from errpipe.diagnosis.gains import WHOLE, Nuisance
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
-from errpipe.terms import Term
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed too
@@ -158,6 +158,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
     levels = 0.0 if accepted[k].hypothesis.mask else unnamed.best_shape(case, others, levels=True)
     noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
+    step = np.diff(case.recording.time()[case.pair.rows])
     return confidence.Indicators(
         gain=accepted[k].gain,
         margin=margin,
@@ -169,18 +170,11 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         agreement=held.agreement[k],
         rank=k,
         unreached=unnamed.unreached(case) if proved else 0.0,
-        fast=int(is_fast(case)),
+        fast=int(step.size and np.median(step) < FAST),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
         beside=0.0 if proved else unnamed.best_shape(case, case.chosen()),
         instead=confidence.EARNED if proved else accepted[k].gain - max(unnamed.best_shape(case, others), levels),
     )
-
-
-def is_fast(case: Case) -> bool:
-    """Is this a trace of motion, where the mismatch may change from row to row?"""
-    t = case.recording.time()[case.pair.rows]
-    step = np.diff(t)
-    return bool(step.size and np.median(step) < 0.1)
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
@@ -206,6 +200,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     term = made.hypothesis.terms[0]
     values = {e.name: e.value for e in made.estimates}
     values |= zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True)
+    plain = [t.model_dump(mode="json", exclude_defaults=True) | {"term": t.term} for t in made.hypothesis.terms]
     return Finding(
         effect=h.effect,
         confidence=round(confidence.naming(indicators[k]), 3),
@@ -221,13 +216,9 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
         compensable=term.compensable and bool(term.lower(values)) and not h.mask,
-        term=_plain(term),
-        more_terms=tuple(_plain(t) for t in made.hypothesis.terms[1:]),
+        term=plain[0],
+        more_terms=tuple(plain[1:]),
     )
-
-
-def _plain(term: Term) -> dict[str, object]:
-    return term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term}
 
 
 def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, float]:

@@ -22,12 +22,8 @@ ALONE = 0.5  # of the first one's log Bayes factor that its textbook form has at
 UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted by the others
 DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
-KEPT = 0.5  # share of the log Bayes factor that held-out rows must confirm: of 33 right names 32 keep 0.89 or more, the
-# other has less than 0.5 anyway; of false ones on nulls 2 of 4 keep none (first 12201, 13101, second 12202, 13102)
-AS_WELL = (
-    4.0  # log Bayes factor by which a level for each run may lose against a name (first 13121, second 13122: novel
-)
-# mechanisms 0.3 or less; first 14111, second 13112: right names 8 or more)
+AS_WELL = 4.0  # log Bayes factor by which a level for each run may lose against a name (first 13121, second 13122: of
+# novel ones 0.3 at most; first 14111, second 13112: right names 8 or more)
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
@@ -182,8 +178,8 @@ def borne_out(case: Case, held: holdout.HeldOut) -> bool:
     """
     beyond = [max(rms**2 - case.noise_estimate**2, 0.0) for rms in (held.after, held.before)]
     promised = max((f.gain for f in case.explanation.accepted), default=0.0)
-    brought = (case.search.rows or case.run.size) * float(np.log(max(held.bare, 1e-300) / max(held.named, 1e-300)))
-    return held.after < held.before and beyond[0] <= SMALLER**2 * beyond[1] and brought >= KEPT * promised
+    confirmed = held.confirms(promised, case.search.rows or case.run.size)
+    return held.after < held.before and beyond[0] <= SMALLER**2 * beyond[1] and confirmed
 
 
 def departs(case: Case, held: holdout.HeldOut) -> bool:
