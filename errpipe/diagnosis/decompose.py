@@ -158,9 +158,7 @@ class _Work:
         visited: dict[tuple, float] = {(): beam[0][0]}
         done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
-            left = [
-                state for _, state in beam if tuple(state) not in done
-            ]  # moves from a state once left were all seen
+            left = [state for _, state in beam if tuple(state) not in done]  # moves from others were all seen
             done.update(tuple(state) for state in left)
             fresh = self._judged([move for state in left for move in self._moves(state)], visited)
             best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]

@@ -274,6 +274,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     kept = supported_by_held_out(search, chosen_of(explanation), judged)
     if len(kept) < len(explanation.accepted):
         explanation = replace(explanation, accepted=search.accepted(kept))
+    explanation = replace(explanation, accepted=search.simplest(explanation.accepted))
     chosen = chosen_of(explanation)
     sigma = max(search.scene(chosen).rms(), 1e-9)
     search.sigma = sigma

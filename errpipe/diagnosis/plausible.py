@@ -45,7 +45,8 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
     gain and effect are both far larger than the mismatch, and both are true.
     """
     spread, out = float(np.std(case.y)), []
-    projected = [_beyond_gains(case, m.contribution) for m in made]
+    every = [m.contribution for m in made]
+    projected = [c - case.recal @ np.linalg.lstsq(case.recal, c, rcond=None)[0] for c in every]
     for k, m in enumerate(made):
         for one in projected[:k]:
             sizes = [float(np.std(x)) for x in (one, projected[k])]
@@ -53,11 +54,6 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
                 correlation = np.corrcoef(one, projected[k])[0, 1]
                 out += [m] if correlation < CANCELLING else []
     return out
-
-
-def _beyond_gains(case: Case, contribution: np.ndarray) -> np.ndarray:
-    """The part of a contribution orthogonal to datum and gains of the simulation, shape (rows,)."""
-    return contribution - case.recal @ np.linalg.lstsq(case.recal, contribution, rcond=None)[0]
 
 
 def no_size(m: model.Modelled) -> bool:

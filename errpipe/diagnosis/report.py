@@ -156,7 +156,6 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     margin = min(margin, max(case.over_noise, 0.0))
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
-    levels = 0.0 if accepted[k].hypothesis.mask else unnamed.best_shape(case, others, levels=True)
     noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
     step = np.diff(case.recording.time()[case.pair.rows])
     return confidence.Indicators(
@@ -172,9 +171,18 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         unreached=unnamed.unreached(case) if proved else 0.0,
         fast=int(step.size and np.median(step) < FAST),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
-        beside=0.0 if proved else unnamed.best_shape(case, case.chosen()),
-        instead=confidence.EARNED if proved else accepted[k].gain - max(unnamed.best_shape(case, others), levels),
+        beside=0.0 if proved else _best_shape(case, case.chosen()),
+        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
     )
+
+
+def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
+    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none."""
+    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
+    if not inputs:
+        return 0.0
+    sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
+    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:

@@ -10,7 +10,6 @@ from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise, l
 from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.own_noise import linear_gain, rounded, rounding
 from errpipe.domain.diagnosis import Finding
-from errpipe.terms import MANY_STARTS
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
 NOTICEABLE = 0.05  # and of that without names: real parts depart from the textbook by a few per cent
@@ -22,8 +21,6 @@ ALONE = 0.5  # of the first one's log Bayes factor that its textbook form has at
 UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted by the others
 DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
-AS_WELL = 4.0  # log Bayes factor by which a level for each run may lose against a name (first 13121, second 13122: of
-# novel ones 0.3 at most; first 14111, second 13112: right names 8 or more)
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
@@ -103,37 +100,12 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     """Do names leave too much that is no noise?
 
     They hardly reduce held-out rows of the same runs, which lie far beyond the noise between neighbours; or shapes
-    over inputs predict held-out rows beside them; or what they leave is a large share and comes in events or a rhythm;
-    or a level for each run does as well as the strongest name.
+    over inputs predict held-out rows beside them; or what they leave is a large share and comes in events or a rhythm.
     """
     if not case.explanation.accepted:
         return False
     far = held.after > max(SMALLER * held.before, FAR * case.noise_estimate) and "whole runs" not in held.scheme
-    return far or shaped_beside(case, held) or _rhythm_left(case, held) or _levels_do_as_well(case, held)
-
-
-def _levels_do_as_well(case: Case, held: holdout.HeldOut) -> bool:
-    """Does a level for each run explain as much as the strongest name in its place, in spite of its many coefficients?
-
-    Then nothing within runs speaks for the name: a part that is seated anew, or a datum that is lost, does the same.
-    What acts in some runs alone is a choice of levels itself.
-    """
-    first, *others = case.explanation.accepted
-    levels = best_shape(case, [(f.index, f.size) for f in others], levels=True)
-    return levels > first.gain - AS_WELL and not first.hypothesis.mask and not held.predicts_whole_runs()
-
-
-def best_shape(case: Case, chosen: list[tuple[int, float]], levels: bool = False) -> float:
-    """Log Bayes factor of the best shape over an input beside these findings, or of a level for each of enough runs.
-
-    0 where there is none. Few levels, one for each speed or way, are what the name itself says.
-    """
-    is_level = lambda s: s.kind == "runs" and s.freedom.size >= MANY_STARTS  # noqa: E731
-    own = [k for k, s in enumerate(case.free_shapes) if (is_level(s) if levels else s.of_inputs)]
-    if not own:
-        return 0.0
-    sets, freedoms = [case.places[k] for k in own], [case.free_shapes[k].freedom for k in own]
-    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
+    return far or shaped_beside(case, held) or _rhythm_left(case, held)
 
 
 def _rhythm_left(case: Case, held: holdout.HeldOut) -> bool:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import decompose, holdout, hypotheses, judge, plausible, prepare, unnamed
-from errpipe.diagnosis.evidence import Active, Data, Scene, Table
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.prepare import condition
 from errpipe.terms import NEVER
@@ -108,31 +107,3 @@ def test_what_looks_like_a_part_of_the_simulation_may_be_its_gain(slope, rising,
     assert plausible.gain_of_a_part(case, found) is doubtful
     assert not plausible.gain_of_a_part(case, SimpleNamespace(contribution=slope * x**2))
     assert not plausible.gain_of_a_part(case, SimpleNamespace(contribution=0.6 * whole))
-
-
-@pytest.mark.parametrize(
-    ("within", "whole_runs", "levels"), [(0.0, False, True), (1.0, False, False), (0.0, True, False)]
-)
-def test_levels_of_runs_in_the_place_of_a_name(within, whole_runs, levels):
-    """A step for each of eight runs, which an effect nearly follows; within runs it must do something of its own."""
-    rng, run = np.random.default_rng(1), np.repeat(np.arange(8), 40)
-    each = (run[:, None] == np.arange(8)).astype(float)
-    slow = rng.standard_normal(8)[run] + within * np.sin(np.arange(320.0))
-    y = 3.0 * slow + 1.5 * rng.standard_normal(8)[run] + rng.standard_normal(320)
-    table = Table(run, [np.ones((320, 1)), slow[:, None], each], run % 5)
-    active = Active(table.places[0], np.array([np.inf]))
-    scene = Scene(Data(table, y), active, 1.0)
-    score = lambda sets, freedoms, rows: scene.score(sets, freedoms)  # noqa: E731
-    (name,) = scene.score([table.places[1]], [np.ones(1)])
-    found = SimpleNamespace(index=0, size=1.0, gain=name.gain, hypothesis=SimpleNamespace(mask=()))
-    shape = SimpleNamespace(kind="runs", of_inputs=False, freedom=np.ones(8))
-    case = SimpleNamespace(
-        explanation=SimpleNamespace(accepted=(found,)), free_shapes=[shape], places=[table.places[2]]
-    )
-    case.search = SimpleNamespace(rows=None, scene=lambda chosen: SimpleNamespace(score=score))
-    held = SimpleNamespace(predicts_whole_runs=lambda: whole_runs)
-    assert unnamed._levels_do_as_well(case, held) is levels
-    shape.freedom = np.ones(2)  # two runs, at one speed each: their levels are what the name says
-    assert not unnamed._levels_do_as_well(case, held)
-    shape.freedom, found.hypothesis.mask = np.ones(8), ("runs", ("1", "4"))
-    assert not unnamed._levels_do_as_well(case, held)

@@ -134,7 +134,6 @@ def left_by(values: np.ndarray, sigma: float, shaped=1.0, bare=1.8, again=1.0, w
     scene = SimpleNamespace(rms=lambda: 4.6)
     case = SimpleNamespace(residual=values, run=np.zeros(values.size, int), sigma=sigma, noise_estimate=1.0)
     case.explanation, case.chosen = SimpleNamespace(accepted=(SimpleNamespace(gain=99.0),)), lambda: []
-    case.free_shapes = []
     case.search = SimpleNamespace(scene=lambda chosen: scene)
     case.remainder = SimpleNamespace(shapes=((SimpleNamespace(of_inputs=True), worth),))
     case.recording = SimpleNamespace(time=lambda: np.arange(values.size), array=lambda name: values)
