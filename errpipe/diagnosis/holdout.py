@@ -53,8 +53,12 @@ class HeldOut:
         return (self.bare**2 - self.textbook**2) / max(self.bare**2 - self.named**2, 1e-300)
 
     def confirms(self, gain: float, rows: float) -> bool:
-        """Do names bring so many held-out rows, beside a recalibration, the log likelihood that their gain promises?"""
-        return rows * float(np.log(max(self.bare, 1e-300) / max(self.named, 1e-300))) >= KEPT * gain
+        """Do folds find a name again, or names that bring so many held-out rows the log likelihood that it promises?
+
+        Beside a recalibration, which reduces held-out rows as well.
+        """
+        brought = rows * float(np.log(max(self.bare, 1e-300) / max(self.named, 1e-300)))
+        return max(self.agreement, default=0.0) >= AGAIN or brought >= KEPT * gain
 
     def predicts_whole_runs(self) -> bool:
         """Do names predict whole runs that were held out? Noise does not, however slow it is."""

@@ -171,8 +171,7 @@ def _found_again(case: Case) -> bool:
     """Do folds find names again that bring little, or others in their place that bring held-out rows as much?"""
     if not case.chosen() or (gain := case.explanation.accepted[0].gain) > WEAK:
         return True
-    held = _held(case)
-    return max(held.agreement) >= holdout.AGAIN or held.confirms(gain, case.search.rows or case.run.size)
+    return _held(case).confirms(gain, case.search.rows or case.run.size)
 
 
 def _nothing_named(made: SetUp) -> Case:

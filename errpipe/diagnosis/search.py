@@ -143,16 +143,16 @@ class Search:
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
     def simplest(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
-        """Findings with each in the place of which a simpler effect is as likely exchanged for that.
+        """Findings with each exchanged for an effect of the same inputs, with fewer non-linear parameters, as likely.
 
-        Linear coefficients are integrated over; inputs and non-linear parameters are the best of many and pay nothing.
+        Linear coefficients are integrated over; non-linear parameters are the best of many and pay nothing.
         """
-        choices = lambda h: len(h.drivers) + len(h.nonlinear[0])  # noqa: E731
         for k, f in enumerate(accepted):
             taken, h = {g.hypothesis.effect for g in accepted}, f.hypothesis
             for effect, lost, i in self.rivals(accepted, k):
                 other = self.library.hypotheses[i]
-                if effect not in taken and lost < AS_LIKELY and other.mask == h.mask and choices(other) < choices(h):
+                simpler = set(other.drivers) <= set(h.drivers) and len(other.nonlinear[0]) < len(h.nonlinear[0])
+                if effect not in taken and lost < AS_LIKELY and other.mask == h.mask and simpler:
                     chosen = [(g.index, g.size) for g in accepted]
                     return self.accepted(self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]]))
         return accepted
