@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Listed
+from errpipe.diagnosis.evidence import Active, Listed, Scene
 from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
@@ -34,12 +34,10 @@ def remainder(
     search: Search, library: Library, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray]
 ) -> Remainder:
     """Add shapes greedily beside the chosen hypotheses. index: the shapes' columns in the library's table."""
-    base = search.scene([])
-    named = search.scene(chosen)
+    named = scene = search.scene(chosen)
     taken: list[int] = []
     gains: list[float] = []
     active = search.active(chosen)
-    scene = named
     listed = Listed(index, [s.freedom for s in shapes], [i.size for i in index])
     for _ in range(MOST):
         gain, size, _core = scene.scores(listed)
@@ -51,13 +49,8 @@ def remainder(
         gains.append(float(gain[k]))
         sd = 2.0 * max(size[k], 1.0) * search.sigma * shapes[k].freedom
         active = active.plus(index[k], sd)
-        scene = type(named)(search.data, active, search.noise)
-    everything = max(base.rms() ** 2 - scene.rms() ** 2, 1e-12)
-    share = (named.rms() ** 2 - scene.rms() ** 2) / everything
-    return Remainder(
-        tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True)),
-        scene.rms(),
-        float(np.clip(share, 0, 1)),
-        active,
-        tuple(taken),
-    )
+        scene = Scene(search.data, active, search.noise)
+    everything = max(search.scene([]).rms() ** 2 - scene.rms() ** 2, 1e-12)
+    share = float(np.clip((named.rms() ** 2 - scene.rms() ** 2) / everything, 0, 1))
+    accepted = tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True))
+    return Remainder(accepted, scene.rms(), share, active, tuple(taken))

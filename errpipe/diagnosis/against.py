@@ -66,18 +66,9 @@ class Held:
 
     def plain(self) -> dict[str, Any]:
         """Plain data for against.json."""
-        return {
-            "component": self.component,
-            "effect": self.effect,
-            "state": self.state,
-            "size_now_over_then": self.k,
-            "ci95": self.ci95,
-            "p": self.p,
-            "parameters": list(self.parameters),
-            "rms_left_um": self.left,
-            "rms_left_then_um": self.left_then,
-            "says": self.says,
-        }
+        head = {"component": self.component, "effect": self.effect, "state": self.state, "size_now_over_then": self.k}
+        sizes = {"ci95": self.ci95, "p": self.p, "parameters": list(self.parameters)}
+        return head | sizes | {"rms_left_um": self.left, "rms_left_then_um": self.left_then, "says": self.says}
 
 
 def against(recording: Recording, earlier: Diagnosis) -> list[Held]:

@@ -31,8 +31,6 @@ UNNAMED = "no effect carries it: an equation that would come back is not known"
 NO_TERM = "its form is one of the search alone: no term of an error model says the same"
 WORSE = "without what could not be put in, the simulation would be worse with it"
 DRIVING = ("temperature", "pressure", "humidity", "force", "spindle_speed", "feed", "coolant", "load", "velocity")
-
-
 Held = Sequence[tuple[Term, tuple[float, ...]]]  # what a simulated signal is a sum of, with non-linear parameters
 
 
@@ -284,9 +282,8 @@ class _Solve:
 
         start, low, high = (np.array([s[j] for s in spans]) for j in (2, 3, 4))
         scale = np.maximum(np.abs(start), 1e-12)
-        optimum = least_squares(
-            left, start / scale, bounds=(low / scale, high / scale), diff_step=1e-4, max_nfev=MOST_STEPS
-        )
+        spread = (low / scale, high / scale)
+        optimum = least_squares(left, start / scale, bounds=spread, diff_step=1e-4, max_nfev=MOST_STEPS)
         if 2 * optimum.cost < float(np.sum(left(start / scale) ** 2)):
             self.blocks = blocks(optimum.x)
 

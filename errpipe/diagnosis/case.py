@@ -10,8 +10,8 @@ import numpy as np
 from errpipe.diagnosis import admit, hypotheses
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.evidence import Active, Data, Scene
+from errpipe.diagnosis.gains import Nuisance
 from errpipe.diagnosis.left_out import LeftOut
-from errpipe.diagnosis.nuisances import Nuisance
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.recalibration import OFF
 from errpipe.diagnosis.search import Explanation, Search

@@ -32,7 +32,8 @@ class Part:
     """One effect found in the simulated signal: what its form (`core`) and its departures hold on the judged rows.
 
     certainty: log Bayes factor that it brings beside the other parts; doubt: what it may as well hold more or less of,
-    because the other parts would make up for it, shape (rows, directions), one standard deviation each.
+    because the other parts would make up for it, shape (rows, directions), one standard deviation each; reference: what
+    its form holds beyond the textbook's, such as a slope where a rise is counted from another value.
     """
 
     hypothesis: Hypothesis
@@ -41,6 +42,7 @@ class Part:
     slack: np.ndarray
     certainty: float
     doubt: np.ndarray
+    reference: np.ndarray
 
     @property
     def contribution(self) -> np.ndarray:
@@ -121,7 +123,8 @@ def static(
         certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(residual_rms, 1e-6 * spread))
         core = gain * (reading - reading.mean())
         sure = np.zeros((core.size, 0))
-        parts.append(Part(library.hypotheses[index], index, core, np.zeros_like(core), float(certainty), sure))
+        zeros = np.zeros_like(core)
+        parts.append(Part(library.hypotheses[index], index, core, zeros, float(certainty), sure, zeros))
     unexplained = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
     return Decomposition(tuple(parts), residual_rms / spread, unexplained, 0.0, plain=True)
 
@@ -155,9 +158,7 @@ class _Work:
         visited: dict[tuple, float] = {(): beam[0][0]}
         done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
-            left = [
-                state for _, state in beam if tuple(state) not in done
-            ]  # moves from a state once left were all seen
+            left = [state for _, state in beam if tuple(state) not in done]  # moves from others were all seen
             done.update(tuple(state) for state in left)
             fresh = self._judged([move for state in left for move in self._moves(state)], visited)
             best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]
@@ -287,12 +288,14 @@ class _Work:
             columns = self.library.block(i, self.recording, self.rows)
             own_columns = slice(start, start + columns.shape[1])
             weights, start = b[own_columns], own_columns.stop
-            form = self.library.textbook(i)
+            counted = self.library.hypotheses[i].terms[0].form == "any reference"
+            form = self.library.textbook(i) if counted else self.library.cores[i]
             core, slack = columns[:, :form] @ weights[:form], columns[:, form:] @ weights[form:]
             total = total + core + slack
             doubt = _uncertain_directions(columns, spread[own_columns, own_columns])
             centred = core - core.mean(), slack - slack.mean()
-            parts.append(Part(self.library.hypotheses[i], i, *centred, certainty, doubt))
+            textbook = columns[:, : self.library.cores[i]] @ weights[: self.library.cores[i]]
+            parts.append(Part(self.library.hypotheses[i], i, *centred, certainty, doubt, core - textbook))
         unexplained = self.y - total
         return Decomposition(tuple(parts), float(np.std(unexplained) / self.spread), unexplained, total_worth)
 

@@ -67,9 +67,8 @@ class ByDirection:
     def _in_units(self, name: str, k: int, unit: str) -> FoundParameter:
         p = self.law.parameter(name, k, unit)
         unit, factor = units.reported(unit, self.response, self.rotary)
-        return p.model_copy(
-            update={"value": p.value * factor, "unit": unit, "ci95": (p.ci95[0] * factor, p.ci95[1] * factor)}
-        )
+        ci95 = (p.ci95[0] * factor, p.ci95[1] * factor)
+        return p.model_copy(update={"value": p.value * factor, "unit": unit, "ci95": ci95})
 
     def damping(self) -> tuple[FoundParameter, ...]:
         """Damping of each direction."""
@@ -125,9 +124,8 @@ def by_direction(case: Case) -> ByDirection | None:
         laws.append(law)
         if best is None or law.held_out < best.law.held_out:
             single_law = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
-            best = ByDirection(
-                axis, velocity, sharpness, law, single_law, case.pair.unit, is_rotary(case.recording, axis)
-            )
+            rotary = is_rotary(case.recording, axis)
+            best = ByDirection(axis, velocity, sharpness, law, single_law, case.pair.unit, rotary)
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
     differs = best.law.differ(1, 2) or best.law.differ(3, 4)
@@ -161,8 +159,9 @@ def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Find
     damping of each way takes its place.
     """
     out: list[Finding] = []
-    carried = any(
-        PARTS.get(f.effect) == "viscous" or (PARTS.get(f.effect) == "falling" and mends(f, findings)) for f in findings
+    kinds = [PARTS.get(f.effect) for f in findings]
+    carried = "viscous" in kinds or any(
+        k == "falling" and mends(f, findings) for k, f in zip(kinds, findings, strict=True)
     )
     for f in findings:
         if PARTS.get(f.effect) == "dry":

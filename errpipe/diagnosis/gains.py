@@ -1,4 +1,4 @@
-"""Limits on a simulation's gains: an explanation that needs a gain beyond them is penalised.
+"""Columns that may be off with nothing missing (datums, gains), and limits on gains: what needs more is penalised.
 
 The simulated signal is decomposed into parts, each with a gain of its own beside that of the whole. A Gaussian prior
 is overruled by enough rows; here the log evidence that the limits would cost is subtracted.
@@ -6,13 +6,38 @@ is overruled by enough rows; here the log evidence that the limits would cost is
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import numpy as np
 
 from errpipe.diagnosis.evidence import Scene
-from errpipe.diagnosis.nuisances import Nuisance
 
 LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a margin for parts that are poorly separated)
 FAR_OFF = 0.5  # a gain of a part less 1 that no simulation has unless it was fitted without what is missing
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What one column stands for; `label`: how a report shows it; effect and `part`: whose it is, and its label.
+
+    datum: a constant; session datum: a constant of one session; whole: the simulated signal; part: what the signal
+    holds of one effect; departure: of that effect from its textbook form, or what may belong to another part.
+    """
+
+    kind: Literal["datum", "session datum", "whole", "part", "departure"]
+    label: str
+    effect: str = ""
+    part: str = ""
+
+    @property
+    def is_datum(self) -> bool:
+        """Whether it is a constant."""
+        return self.kind in ("datum", "session datum")
+
+
+DATUM = Nuisance("datum", "datum")
+WHOLE = Nuisance("whole", "simulation")
 
 
 def far_off(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:

@@ -35,6 +35,9 @@ HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
 RETRIES = 4  # further searches, each without the findings ruled out before
+WEAK = (
+    50.0  # threshold: log Bayes factor of the strongest name, below which half of the folds must find one of them again
+)
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
@@ -112,14 +115,14 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     made.prior = search.prior.copy()
     plain = _possible(replace(made, prior=search.prior.copy(), plain=True), copy.copy(search), in_part)
     if plain.explanation.accepted and needs_own_noise(plain, plain.search, plain.explanation):
-        plain.held = plain.held or holdout.held_out(plain)
+        _held(plain)
     count, width = len(library.hypotheses), library.table.width
     case = _possible(made, search, *([first] if in_part is first else [first, in_part]))
     usual_noise = library.table.colour == USUAL
     if plain.held is None or (usual_noise and not case.explanation.accepted):
         return case
-    case.held = own = case.held or holdout.held_out(case)
-    if usual_noise and not _harms(own):
+    own = _held(case)
+    if usual_noise and own.after <= HARMFUL * own.before:
         return case
     if not _speaks_for_usual_noise(own, plain.held):
         return case
@@ -127,10 +130,6 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     library.recolour(USUAL)
     plain.data = plain.search.data = Data(library.table, plain.y)
     return plain
-
-
-def _harms(held: holdout.HeldOut) -> bool:
-    return held.after > HARMFUL * held.before
 
 
 def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> bool:
@@ -143,7 +142,7 @@ def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> boo
     if "whole runs" in own.scheme:
         return usual.after < holdout.BETTER * min(own.after, usual.before)
     better = usual.names < holdout.BETTER * min(own.names, usual.before)
-    return better and (_harms(own) or usual.names < PROVES * usual.before)
+    return better and (own.after > HARMFUL * own.before or usual.names < PROVES * usual.before)
 
 
 def _isolated_outliers(left: np.ndarray) -> np.ndarray:
@@ -157,13 +156,22 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; of those of the search."""
     case = _without_impossible(made, search, *explanations)
-    made.taken_back = rounded(case) or (only_noise(case) and not _predicts_whole_runs(case))
+    made.taken_back = (
+        rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
+    )
     return _nothing_named(made) if made.taken_back else case
 
 
-def _predicts_whole_runs(case: Case) -> bool:
-    case.held = holdout.held_out(case)
-    return case.held.predicts_whole_runs()
+def _held(case: Case) -> holdout.HeldOut:
+    case.held = case.held or holdout.held_out(case)
+    return case.held
+
+
+def _found_again(case: Case) -> bool:
+    """Do folds find names again that bring little, or others in their place that bring held-out rows as much?"""
+    if not case.chosen() or (gain := case.explanation.accepted[0].gain) > WEAK:
+        return True
+    return _held(case).confirms(gain, case.search.rows or case.run.size)
 
 
 def _nothing_named(made: SetUp) -> Case:
@@ -269,6 +277,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     kept = supported_by_held_out(search, chosen_of(explanation), judged)
     if len(kept) < len(explanation.accepted):
         explanation = replace(explanation, accepted=search.accepted(kept))
+    explanation = replace(explanation, accepted=search.simplest(explanation.accepted))
     chosen = chosen_of(explanation)
     sigma = max(search.scene(chosen).rms(), 1e-9)
     search.sigma = sigma

@@ -12,8 +12,8 @@ import numpy as np
 from errpipe.diagnosis.admit import Remainder
 from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.gains import Nuisance
 from errpipe.diagnosis.hypotheses import Library
-from errpipe.diagnosis.nuisances import Nuisance
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 from errpipe.domain.recording import Recording

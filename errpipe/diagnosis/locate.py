@@ -104,12 +104,10 @@ def _segments(values: np.ndarray) -> list[tuple[int, float, float]]:
 
 
 def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    run = recording.run_codes()[rows]
-    labels = recording.run_labels()
+    run, labels = recording.run_codes()[rows], recording.run_labels()
     codes = np.unique(run)
-    if codes.size > 1:
-        for c in codes:
-            yield f"run {labels[c]}", run == c
+    for c in codes if codes.size > 1 else ():
+        yield f"run {labels[c]}", run == c
     for axis in axes(recording):
         name = position_name(recording, axis)
         x = recording.array(name)[rows]
@@ -123,13 +121,12 @@ def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.nda
         cuts = np.quantile(x, [0.0, 1 / 3, 2 / 3, 1.0])
         for word, low, high in zip(("lower", "middle", "upper"), cuts[:-1], cuts[1:], strict=True):
             yield f"{word} third of {name}", (x >= low) & (x <= high)
-    for role in ("temperature", "spindle_speed", "feed", "load"):
-        for name in recording.names(role):
-            u = recording.array(name)[rows]
-            middle = np.median(u)
-            if u.max() > u.min() and (u > middle).any():
-                yield f"{name} up to {middle:.4g}", u <= middle
-                yield f"{name} above {middle:.4g}", u > middle
+    for name in (n for role in ("temperature", "spindle_speed", "feed", "load") for n in recording.names(role)):
+        u = recording.array(name)[rows]
+        middle = np.median(u)
+        if (u > middle).any():
+            yield f"{name} up to {middle:.4g}", u <= middle
+            yield f"{name} above {middle:.4g}", u > middle
     for name in recording.names("coolant"):
         u = recording.array(name)[rows]
         if np.unique(u).size > 1:

@@ -86,8 +86,9 @@ def modelled(case: Case, k: int) -> Modelled:
         estimates.append(Estimate(name, value, unit, low, high))
     share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
     rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
-    estimates = [_reported(e, case.pair.unit, rotary) for e in estimates]
-    return Modelled(hypothesis, tuple(estimates), contribution, share, joint, cores)
+    units_of = [(e, *units.reported(e.unit, case.pair.unit, rotary)) for e in estimates]
+    stated = (Estimate(e.name, e.value * f, unit, e.low * f, e.high * f) for e, unit, f in units_of)
+    return Modelled(hypothesis, tuple(stated), contribution, share, joint, cores)
 
 
 def _projected_sizes(
@@ -108,12 +109,6 @@ def _projected_sizes(
     carried = 1.0 - float(np.var(left)) / max(float(np.var(contribution)), 1e-300)
     joint = float(nearest @ np.linalg.solve(cov, nearest)) / WIDER**2 if carried > MOSTLY else 0.0
     return [replace(e, low=e.low - w, high=e.high + w) for e, w in zip(out, wider, strict=True)], joint
-
-
-def _reported(e: Estimate, response: str, rotary: bool) -> Estimate:
-    """The estimate in the units of response and axis."""
-    unit, factor = units.reported(e.unit, response, rotary)
-    return Estimate(e.name, e.value * factor, unit, e.low * factor, e.high * factor)
 
 
 def core_share(case: Case, k: int) -> float:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from errpipe.diagnosis.evidence import averaged
-from errpipe.diagnosis.hypotheses import Hypothesis, Library, scaled
+from errpipe.diagnosis.hypotheses import Hypothesis, Library, columns_of, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
@@ -88,18 +88,15 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
     if 3 <= codes.size <= 40:
         labels = tuple(recording.run_labels()[c] for c in codes)
         out.append(Groups(np.searchsorted(codes, run), codes.size, "runs", labels))
-    for axis in axes(recording):
-        x = position(recording, axis)[rows]
+    along = {position_name(recording, axis): position(recording, axis)[rows] for axis in axes(recording)}
+    clock = recording.name("time")
+    if codes.size < 3 and clock is not None and not along:
+        along[clock] = recording.time()[rows]
+    for name, x in along.items():
         if np.unique(x).size >= BINS // 2 and x.max() > x.min():
             edges = np.linspace(x.min(), x.max(), BINS + 1)
             code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-            out.append(Groups(code, BINS, position_name(recording, axis), (), tuple(edges)))
-    clock = recording.name("time")
-    if codes.size < 3 and clock is not None and not axes(recording):
-        t = recording.time()[rows]
-        edges = np.linspace(t.min(), t.max(), BINS + 1)
-        code = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, BINS - 1)
-        out.append(Groups(code, BINS, clock, (), tuple(edges)))
+            out.append(Groups(code, BINS, name, (), tuple(edges)))
     return out
 
 
@@ -193,8 +190,6 @@ def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float,
 
 
 def _extend(library: Library, search: Search, recording: Recording, rows, index: int, mask: tuple) -> int | None:
-    from errpipe.diagnosis.hypotheses import columns_of
-
     h = dataclasses.replace(library.hypotheses[index], mask=mask, prior=library.hypotheses[index].prior - 5.0)
     core, slack, rel = columns_of(h, recording)
     made = scaled(core[rows], slack[rows], rel)

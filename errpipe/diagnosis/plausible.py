@@ -16,8 +16,10 @@ from errpipe.terms import search_of
 
 TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which another one must be cancelling it
 RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that reaches further is not at its limit
-FAR = np.inf
 CANCELLING = -0.8  # correlation of two findings from which they cancel
+ALIKE = 0.97  # share of a variance from which two contributions are one
+TWO_GAINS = 0.3  # the difference of two gains, each up to 0.15 off
+HALF = 0.5  # of a part: what looks like it and is smaller may be its gain, where other parts took some of it
 BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
 
 
@@ -33,7 +35,7 @@ def doubtful(case: Case) -> list[model.Modelled]:
     Least certain first.
     """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, FAR)), key=lambda m: m.joint)
+    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, np.inf)), key=lambda m: m.joint)
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
@@ -43,7 +45,8 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
     gain and effect are both far larger than the mismatch, and both are true.
     """
     spread, out = float(np.std(case.y)), []
-    projected = [_beyond_gains(case, m.contribution) for m in made]
+    every = [m.contribution for m in made]
+    projected = [c - case.recal @ np.linalg.lstsq(case.recal, c, rcond=None)[0] for c in every]
     for k, m in enumerate(made):
         for one in projected[:k]:
             sizes = [float(np.std(x)) for x in (one, projected[k])]
@@ -51,11 +54,6 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
                 correlation = np.corrcoef(one, projected[k])[0, 1]
                 out += [m] if correlation < CANCELLING else []
     return out
-
-
-def _beyond_gains(case: Case, contribution: np.ndarray) -> np.ndarray:
-    """The part of a contribution orthogonal to datum and gains of the simulation, shape (rows,)."""
-    return contribution - case.recal @ np.linalg.lstsq(case.recal, contribution, rcond=None)[0]
 
 
 def no_size(m: model.Modelled) -> bool:
@@ -90,6 +88,23 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
         span = spans[p.name]
         if (value <= 1.001 * low and span.high < far * low) or (value >= 0.999 * high and span.low > high / far):
             return True
+    return False
+
+
+def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
+    """May the finding be the gain of what the simulation holds: of a part, or of what a part owes to its reference?
+
+    A lead error beside an expansion, and the same expansion counted from another temperature, are one signal, but have
+    two gains or one. The reference is not known, so the lead error may be as large as the expansion.
+    """
+    own = m.contribution - m.contribution.mean()
+    for p in case.decomposition.parts:
+        expansion = float(np.std(p.reference) + np.std(p.core - p.reference))
+        for held, most in ((p.contribution, HALF * np.std(p.contribution)), (p.reference, TWO_GAINS * expansion)):
+            centred = held - held.mean()
+            alike = (own @ centred) ** 2 > ALIKE * (own @ own) * (centred @ centred)
+            if alike and np.std(own) < most:
+                return True
     return False
 
 

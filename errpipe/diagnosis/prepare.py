@@ -44,12 +44,6 @@ class Pair:
         return -values if self.reversed else values
 
 
-def _is_reversed(recorded: np.ndarray, simulated: np.ndarray) -> bool:
-    """Does the simulated value with the opposite sign predict most of what is recorded?"""
-    total = float(np.var(recorded))
-    return float(np.var(recorded + simulated)) < REVERSED * min(total, float(np.var(recorded - simulated)))
-
-
 def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
     """Every response with a simulated twin, and why others cannot be used. Raises DataError where none can."""
     accepted: list[Pair] = []
@@ -86,7 +80,9 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
     if np.nanstd(recording.array(error)[rows]) == 0:
         raise DataError(f"{component}: the recorded value never changes")
     mismatch[np.abs(mismatch) < SAME * np.nanstd(recording.array(error)[rows])] = 0.0
-    turned = _is_reversed(recording.array(error)[rows], recording.array(twin)[rows])
+    recorded, simulated = recording.array(error)[rows], recording.array(twin)[rows]
+    alike = min(float(np.var(recorded)), float(np.var(recorded - simulated)))
+    turned = float(np.var(recorded + simulated)) < REVERSED * alike
     if turned:
         mismatch = recording.array(error) + recording.array(twin)
     outlying = spikes(mismatch[rows], recording.run_codes()[rows])

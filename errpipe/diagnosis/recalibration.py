@@ -10,7 +10,7 @@ from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
-from errpipe.diagnosis.nuisances import DATUM, WHOLE, Nuisance
+from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)

@@ -21,9 +21,9 @@ from errpipe.diagnosis import (
     whiteness,
 )
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
-from errpipe.diagnosis.nuisances import WHOLE, Nuisance
+from errpipe.diagnosis.derived import FAST
+from errpipe.diagnosis.gains import WHOLE, Nuisance
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
-from errpipe.terms import Term
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed too
@@ -47,13 +47,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.modelled(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    # Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
-    slow = held.names > PREDICTED * held.before
-    wandering = [case.over_noise < 0.0 or (slow and s.wandering > s.gain) for s in indicators]
-    most = _most(case) if slow else 1.0
-    sized = [UNPROVED if w else UNSIZED if plausible.no_size(m) else most for m, w in zip(made, wandering, strict=True)]
-    sized = [UNPROVED if plausible.only_a_wave_in_time(case, m, after) else s for s, m in zip(sized, made, strict=True)]
-    findings = [unnamed.capped(f, most) for f, most in zip(findings, sized, strict=True)]
+    most = _most(case, made, indicators, after)
+    findings = [unnamed.capped(f, limit) for f, limit in zip(findings, most, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
     nameless = unnamed.unexplained(case, held)
@@ -74,6 +69,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings = friction.with_directional_law(findings, law) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
     at_first = _rms(before) if case.pair.reversed else held.before
+    known_as = {"p": chance.p, "gain": chance.gain, "limit95": chance.limit, "scheme": chance.scheme}
+    surrogates = Significance(**known_as, effective_rows=chance.rows, rows=int(case.run.size))
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=at_first, rms_after_um=held.after)
     out = ResponseDiagnosis(
         component=case.pair.component,
@@ -88,23 +85,29 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         changes=locate.changes(case.recording, case.pair.rows, recalibrated),
         between_runs=locate.between_runs(case.run, recalibrated if datums is None else recalibrated + datums, floor),
         whiteness=whiteness.whiteness(case),
-        significance=Significance(
-            p=chance.p,
-            gain=chance.gain,
-            limit95=chance.limit,
-            scheme=chance.scheme,
-            effective_rows=chance.rows,
-            rows=int(case.run.size),
-        ),
+        significance=surrogates,
     )
     says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
 
 
-def _most(case: Case) -> float:
-    """Upper limit of the confidence of names by the gains of the simulation that they stand beside."""
-    return BESIDE_FAR_OFF if gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes) else 1.0
+def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.Indicators], after) -> list[float]:
+    """Upper limits of the confidence of names. after: residual of the explanation, shape (rows,).
+
+    Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
+    """
+    slow = case.held.names > PREDICTED * case.held.before
+    far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
+    most = [BESIDE_FAR_OFF if far else 1.0] * len(made)
+    for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
+        wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
+        a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
+        if wanders or a_gain or plausible.only_a_wave_in_time(case, m, after):
+            most[k] = UNPROVED
+        elif plausible.no_size(m):
+            most[k] = UNSIZED
+    return most
 
 
 def _datums(case: Case) -> str:
@@ -154,6 +157,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
     noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
+    step = np.diff(case.recording.time()[case.pair.rows])
     return confidence.Indicators(
         gain=accepted[k].gain,
         margin=margin,
@@ -165,7 +169,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         agreement=held.agreement[k],
         rank=k,
         unreached=unnamed.unreached(case) if proved else 0.0,
-        fast=int(is_fast(case)),
+        fast=int(step.size and np.median(step) < FAST),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
         beside=0.0 if proved else _best_shape(case, case.chosen()),
         instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
@@ -179,13 +183,6 @@ def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
         return 0.0
     sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
     return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
-
-
-def is_fast(case: Case) -> bool:
-    """Is this a trace of motion, where the mismatch may change from row to row?"""
-    t = case.recording.time()[case.pair.rows]
-    step = np.diff(t)
-    return bool(step.size and np.median(step) < 0.1)
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
@@ -203,12 +200,15 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
-        fitted = (made.hypothesis, np.array([e.value for e in made.estimates[: _cores(made)]]))
+        cores = sum(len(t.linear()) for t in made.hypothesis.terms)
+        fitted = (made.hypothesis, np.array([e.value for e in made.estimates[:cores]]))
         sentence = separate.would_separate(
             case.recording, fitted, _fitted_rival(case, made, rival[2])[0], case.sigma, case.pair.unit
         )
     term = made.hypothesis.terms[0]
-    values = dict(zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True))
+    values = {e.name: e.value for e in made.estimates}
+    values |= zip((p.name for p in term.nonlinear()), made.hypothesis.nonlinear[0], strict=True)
+    plain = [t.model_dump(mode="json", exclude_defaults=True) | {"term": t.term} for t in made.hypothesis.terms]
     return Finding(
         effect=h.effect,
         confidence=round(confidence.naming(indicators[k]), 3),
@@ -223,22 +223,10 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
         says=_says(case, h.effect, h.drivers, made, indicators[k]),
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
-        compensable=term.compensable and bool(term.lower(_parameters(made, values))) and not h.mask,
-        term=_plain(term),
-        more_terms=tuple(_plain(t) for t in made.hypothesis.terms[1:]),
+        compensable=term.compensable and bool(term.lower(values)) and not h.mask,
+        term=plain[0],
+        more_terms=tuple(plain[1:]),
     )
-
-
-def _plain(term: Term) -> dict[str, object]:
-    return term.model_dump(mode="json", exclude_defaults=True) | {"term": term.term}
-
-
-def _cores(made: model.Modelled) -> int:
-    return sum(len(t.linear()) for t in made.hypothesis.terms)
-
-
-def _parameters(made: model.Modelled, values: dict[str, float]) -> dict[str, float]:
-    return {e.name: e.value for e in made.estimates} | values
 
 
 def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, float]:
@@ -331,13 +319,6 @@ def _unusual(made: model.Modelled) -> str:
     return ""
 
 
-def _datum_per_run_text(r: ResponseDiagnosis) -> str:
-    """Sentence for a mismatch that is mostly an offset of each run."""
-    if r.between_runs is None or r.between_runs < MOSTLY:
-        return ""
-    return f" {r.between_runs:.0%} of the mismatch is one offset per run, as a datum that is set anew each time gives."
-
-
 def in_words(r: ResponseDiagnosis) -> str:
     """The response in one sentence."""
     unit = r.unit
@@ -354,9 +335,11 @@ def in_words(r: ResponseDiagnosis) -> str:
     before, after = r.holdout.rms_before_um, r.holdout.rms_after_um
     if after >= before:
         verb, them = ("is", "it") if one else ("are", "them")
+        each = f" {r.between_runs or 0.0:.0%} of the mismatch is one offset per run, as a datum that is set anew gives."
         return (
             f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
-            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after).{_datum_per_run_text(r)}"
+            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after)."
+            + (each if (r.between_runs or 0.0) >= MOSTLY else "")
         )
     if names[0] == "unknown":
         known = [f.effect.replace("_", " ") for f in r.findings if f.effect not in ("unknown", "recalibration")]

@@ -17,6 +17,7 @@ SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first on
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
 BETTER = 6.0  # log Bayes factor beside the others from which an effect replaces another
+AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect may lose (chosen on the seeds 12201 to 14112 of trials.md)
 MAX_EXCHANGES = 4  # effects tried in the place of each finding
 FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged jointly at the end, and their largest log evidence below the best
 
@@ -140,6 +141,21 @@ class Search:
                 best[effect] = (float(gain[i]), int(i))
         own = max(best.pop(accepted[k].hypothesis.effect)[0], accepted[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
+
+    def simplest(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
+        """Findings with each exchanged for an effect of the same inputs, with fewer non-linear parameters, as likely.
+
+        Linear coefficients are integrated over; non-linear parameters are the best of many and pay nothing.
+        """
+        for k, f in enumerate(accepted):
+            taken, h = {g.hypothesis.effect for g in accepted}, f.hypothesis
+            for effect, lost, i in self.rivals(accepted, k):
+                other = self.library.hypotheses[i]
+                simpler = set(other.drivers) <= set(h.drivers) and len(other.nonlinear[0]) < len(h.nonlinear[0])
+                if effect not in taken and lost < AS_LIKELY and other.mask == h.mask and simpler:
+                    chosen = [(g.index, g.size) for g in accepted]
+                    return self.accepted(self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]]))
+        return accepted
 
     def evidence(self, chosen: list[tuple[int, float]]) -> float:
         """Log evidence of the nuisances' priors with these hypotheses in place, up to a constant."""

@@ -69,17 +69,19 @@ def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
         frame = constant.copy()
         if kind.role == "position":
             frame[name] = np.linspace(low, high, STEPS)
-            yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", _made(recording, frame)
+            trial = Recording(recording.manifest, frame)
+            yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", trial
             continue
         frame[name] = np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)
         for position in recording.names("position"):
             x = recording.array(position)
             frame[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
-        yield f"step {name} between {low:.4g} and {high:.4g} and hold every other input still", _made(recording, frame)
+        trial = Recording(recording.manifest, frame)
+        yield f"step {name} between {low:.4g} and {high:.4g} and hold every other input still", trial
     for axis in {columns[n].axis for n in names if n in columns and columns[n].role in ("direction", "position")}:
-        trial = _short_reversals(recording, constant, axis)
-        if trial is not None:
-            yield "approach the same target after reversals of 0.002, 0.01, 0.1 and 1 mm", trial
+        short = _short_reversals(recording, constant, axis)
+        if short is not None:
+            yield "approach the same target after reversals of 0.002, 0.01, 0.1 and 1 mm", short
 
 
 def _rest(recording: Recording) -> pd.DataFrame:
@@ -93,23 +95,11 @@ def _rest(recording: Recording) -> pd.DataFrame:
     return frame
 
 
-def _made(recording: Recording, frame: pd.DataFrame) -> Recording:
-    return Recording(recording.manifest, frame)
-
-
 def _short_reversals(recording: Recording, rest: pd.DataFrame, axis: str | None) -> Recording | None:
     place, side = recording.name("position", axis=axis), recording.name("direction", axis=axis)
     if place is None or side is None:
         return None
-    x, d, at = [0.0], [1.0], 0.0
-    way = 1.0
-    while len(x) < STEPS:
-        for step in REVERSALS:
-            at += way * step
-            way = -way
-            x.append(at)
-            d.append(1.0 if x[-1] >= x[-2] else -1.0)
-    frame = rest.copy()
-    frame[place] = frame[place].to_numpy() + np.array(x[:STEPS])
-    frame[side] = np.array(d[:STEPS])
-    return _made(recording, frame)
+    d = np.where(np.arange(STEPS) % 2, 1.0, -1.0)  # the way of the move that ends at each row
+    d[0] = 1.0
+    x = np.cumsum(d * np.r_[0.0, np.resize(REVERSALS, STEPS - 1)])
+    return Recording(recording.manifest, rest.assign(**{place: rest[place] + x, side: d}))

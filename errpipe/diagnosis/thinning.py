@@ -147,9 +147,6 @@ def _rule(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
     )
 
 
-# ---------------------------------------------------------------- checks on all rows
-
-
 def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]:
     """Rare events and spectral lines of the mismatch in all rows, response by response, in words."""
     out = []

@@ -48,13 +48,9 @@ def _whiten(columns: np.ndarray, run: np.ndarray, share: float) -> np.ndarray:
 
 def slow_share(left: np.ndarray, run: np.ndarray) -> float:
     """Maximum-likelihood slow share of the noise in the residual."""
-    return float(SHARES[np.argmin([np.mean(_whiten(left, run, float(s)) ** 2) * _gain(float(s)) for s in SHARES])])
-
-
-def _gain(share: float) -> float:
-    """Variance of the innovations of unit noise: what whitening with this share divided by."""
-    impulse = _whiten(np.array([0.0, 1.0]), np.zeros(2, dtype=int), share)
-    return float(impulse[1] ** -2)
+    gains = [coloured.Colour(coloured.USUAL.memory, float(s)).filter()[2] for s in SHARES]  # whitening divides by them
+    rms = [np.sqrt(np.mean(_whiten(left, run, float(s)) ** 2)) * gain for s, gain in zip(SHARES, gains, strict=True)]
+    return float(SHARES[np.argmin(rms)])
 
 
 class Frame:
@@ -105,21 +101,16 @@ class Frame:
             rho = float(left[lag:][same] @ left[:-lag][same]) / power
             pairs = max(int(same.sum()), 1)
             q += rho**2 * n * (n + 2) / (n - lag) * (n - lag) / pairs
-        return WhitenessTest(
-            against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1, p=float(chdtrc(max(most - 1, 1), q))
-        )
+        p = float(chdtrc(max(most - 1, 1), q))
+        return WhitenessTest(against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1, p=p)
 
 
 def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
     """What the residual is tested against: (input, how, columns (rows, k))."""
     run = recording.run_codes()[rows]
     sides = _sides(recording, rows)
-    inputs = {
-        n: recording.array(n)[rows]
-        for role in ("position", *ROLES)
-        for n in recording.names(role)
-        if n in recording.frame.columns
-    }
+    names = [n for role in ("position", *ROLES) for n in recording.names(role) if n in recording.frame.columns]
+    inputs = {n: recording.array(n)[rows] for n in names}
     inputs[ORDER] = np.arange(rows.size, dtype=float)
     runs = [r for r in np.unique(run) if (run == r).sum() >= LEAST_IN_RUN]
     runs = runs if 2 <= len(runs) <= 40 else []
@@ -171,10 +162,6 @@ def structured(whiteness: Whiteness) -> list[WhitenessTest]:
     return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
 
 
-def _small(p: float) -> str:
-    return f"= {p:.1g}" if p > 1e-16 else "< 1e-16"
-
-
 def _says(tests: list[WhitenessTest], p: float) -> str:
     verdict = Whiteness(p=p, slow_share=0.0, tests=tuple(tests), says="")
     alarming = structured(verdict)
@@ -183,4 +170,5 @@ def _says(tests: list[WhitenessTest], p: float) -> str:
         worst = description(min(tests, key=lambda t: t.p))
         return f"What is left is noise: of {len(tests)} tests the strongest ({worst}) has p = {p:.2g} for all together."
     where = description(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
-    return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p {_small(p)}."
+    small = f"= {p:.1g}" if p > 1e-16 else "< 1e-16"
+    return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p {small}."

@@ -5,7 +5,7 @@ import pytest
 
 from errpipe.diagnosis import diagnose, gains
 from errpipe.diagnosis.evidence import Active, Data, Scene, Table
-from errpipe.diagnosis.nuisances import DATUM, WHOLE, Nuisance
+from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 
 from .machines import axis
 

@@ -129,13 +129,13 @@ def test_lost_motion_that_grows_with_a_temperature_is_a_shape():
     assert np.std(form - own.columns @ np.linalg.lstsq(own.columns, form, rcond=None)[0]) < 1e-6
 
 
-def left_by(values: np.ndarray, sigma: float, shaped: float = 1.0, bare: float = 1.8, again: float = 1.0):
+def left_by(values: np.ndarray, sigma: float, shaped=1.0, bare=1.8, again=1.0, worth=40.0):
     """A case whose names leave these values: rms, on held-out rows beside shapes and without names; noise 1."""
     scene = SimpleNamespace(rms=lambda: 4.6)
     case = SimpleNamespace(residual=values, run=np.zeros(values.size, int), sigma=sigma, noise_estimate=1.0)
-    case.explanation, case.chosen = SimpleNamespace(accepted=(1,)), lambda: []
+    case.explanation, case.chosen = SimpleNamespace(accepted=(SimpleNamespace(gain=99.0),)), lambda: []
     case.search = SimpleNamespace(scene=lambda chosen: scene)
-    case.remainder = SimpleNamespace(shapes=((SimpleNamespace(of_inputs=True), 20.0),))
+    case.remainder = SimpleNamespace(shapes=((SimpleNamespace(of_inputs=True), worth),))
     case.recording = SimpleNamespace(time=lambda: np.arange(values.size), array=lambda name: values)
     case.pair = SimpleNamespace(rows=slice(None), error="e")
     return case, HeldOut("40 blocks", bare, 1.0, (again,), 1.0, shaped, 1.0, bare, 1.0)
@@ -144,6 +144,7 @@ def left_by(values: np.ndarray, sigma: float, shaped: float = 1.0, bare: float =
 @pytest.mark.parametrize(
     ("kind", "sigma", "shaped", "unexplained"),
     [
+        ("large", 3.0, 1.0, False),  # real noise may come in events: it is small beside what the name holds
         ("teeth", 3.0, 1.0, True),  # two fifths of what is no noise, in a rhythm
         ("teeth", 1.5, 1.0, False),  # a real part departs by a few per cent
         ("walk", 3.0, 1.0, False),  # noise that wanders beside an effect
@@ -157,19 +158,25 @@ def test_what_names_must_not_leave(monkeypatch, kind, sigma, shaped, unexplained
     left = {
         "teeth": 2.0 * (rows % 13) / 13 + 0.1 * rng.standard_normal(1000),
         "walk": walk,
+        "large": 2.0 * (rows % 13) / 13 + 0.1 * rng.standard_normal(1000),
         "white": rng.normal(size=1000),
     }
     monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
+    monkeypatch.setattr(unnamed, "named_rms", lambda case: 6.0 if kind == "large" else 4.6)
     case, held = left_by(left[kind], sigma, shaped)
     assert unnamed.unexplained(case, held) == unexplained  # type: ignore[arg-type]
 
 
 def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
-    """Not where names explain 95 % of the held-out variance, nor where a fold misses a name and shapes stand in."""
+    """Not where names explain 95 % of the held-out variance, nor where a fold misses a name and shapes stand in.
+
+    Nor where shapes are worth little on all rows.
+    """
     monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
     white = np.random.default_rng(2).standard_normal(1000)
-    for bare, again, expected in ((1.8, 1.0, True), (4.0, 1.0, False), (1.8, 0.4, False)):
-        assert unnamed.unexplained(*left_by(white, 1.0, 0.9, bare, again)) == expected  # type: ignore[arg-type]
+    ways = ((1.8, 1.0, 40.0, True), (4.0, 1.0, 40.0, False), (1.8, 0.4, 40.0, False), (1.8, 1.0, 12.0, False))
+    for bare, again, worth, expected in ways:
+        assert unnamed.unexplained(*left_by(white, 1.0, 0.9, bare, again, worth)) == expected  # type: ignore[arg-type]
 
 
 def test_a_rhythm_a_little_above_the_noise_is_said():

@@ -8,7 +8,7 @@ import pytest
 from errpipe.diagnosis import judge
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
-from errpipe.diagnosis.search import Search
+from errpipe.diagnosis.search import Accepted, Search
 from errpipe.terms import NEVER
 from errpipe.terms.offset import Offset
 
@@ -60,3 +60,20 @@ def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monke
     monkeypatch.setattr(judge, "_explained", lambda made: made)
     other = judge._without(made, SimpleNamespace(hypothesis=namespace))
     assert other.prior[0] == NEVER and earlier.prior[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("lost", "drivers", "simpler"), [(2.0, ("a",), True), (5.0, ("a",), False), (2.0, ("b", "c", "d"), False)]
+)
+def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
+    """A flexible mode far above what is excited is a compliance; inputs and non-linear parameters were chosen."""
+    known = [
+        SimpleNamespace(effect=e, drivers=d, nonlinear=(n,), mask=())
+        for e, d, n in (("flexible_mode", ("a",), (16.0, 0.2)), ("inertial_deflection", drivers, ()))
+    ]
+    found = Accepted(0, known[0], 2.0, 90.0)
+    search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
+    search.rivals = lambda accepted, k: [("inertial_deflection", lost, 1)]
+    search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
+    expected = ("inertial_deflection",) if simpler else (found,)
+    assert Search.simplest(search, (found,)) == expected
