@@ -35,9 +35,7 @@ HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
 RETRIES = 4  # further searches, each without the findings ruled out before
-WEAK = (
-    50.0  # threshold: log Bayes factor of the strongest name, below which half of the folds must find one of them again
-)
+WEAK = 50.0  # threshold: log Bayes factor of the strongest name, below which folds must bear out one of the names
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
