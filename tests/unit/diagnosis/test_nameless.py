@@ -194,3 +194,23 @@ def test_a_datum_that_is_lost_between_runs_is_no_wandering(wandering, reset, jum
     walk = wandering * np.cumsum(rng.standard_normal(1000) * np.sqrt(np.diff(t, prepend=t[0]) / 5.0))
     left = walk + reset * rng.standard_normal(10)[run] + rng.standard_normal(1000)
     assert coloured.levels_jump(left, run, t) == jump
+
+
+def test_a_clock_that_starts_anew_with_each_run_tells_nothing_of_the_time_between() -> None:
+    rng, run = np.random.default_rng(4), np.repeat(np.arange(10), 100)
+    left = 3.0 * rng.standard_normal(10)[run] + rng.standard_normal(1000)
+    assert coloured.levels_jump(left, run, 5.0 * np.arange(1000.0))
+    assert not coloured.levels_jump(left, run, 5.0 * np.tile(np.arange(100.0), 10))
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
+    """Of 200 draws of 248 rows: 18 of white noise had one where single slow frequencies were judged."""
+    rng, run = np.random.default_rng(11), np.zeros(248, dtype=int)
+    rhythms = 0
+    for _ in range(200):
+        noise = rng.standard_normal(248)
+        for k in range(1, noise.size):
+            noise[k] += memory * noise[k - 1]
+        rhythms += not coloured.is_linear_noise(noise, run)
+    assert rhythms <= 4
