@@ -33,6 +33,7 @@ REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
     "set right first; check which of them is actual minus commanded."
 )
+AS_GOOD_AS_ONE = 0.3  # spread of the runs' datums, in noise rms, below which nothing is said of them
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
 PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
 BESIDE_FAR_OFF = 0.75  # upper limit of the confidence of a name that stands beside a gain far off: two things are said
@@ -111,9 +112,9 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
 
 
 def _datums(case: Case) -> str:
-    """Sentence on the datums of single runs and their spread; '' where one datum is for all."""
+    """Sentence on the datums of single runs and their spread; '' where one is for all, or as good as one."""
     values = own_datums(case, case.chosen())
-    if values is None:
+    if values is None or _rms(values) < AS_GOOD_AS_ONE * case.sigma:
         return ""
     return (
         f" Each run starts with a datum of its own, {_rms(values):.3g} {case.pair.unit} rms from run to run, as an "
