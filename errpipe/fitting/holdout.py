@@ -66,7 +66,10 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     seen = measured(recording)
     folds = [fold for fold in _folds(recording, chosen) if seen[fold.test].any() and seen[fold.train].any()]
     if not folds:
-        raise DataError(f"hold-out {name(chosen)}: the recording has only one group, so nothing can be held out")
+        raise DataError(
+            f"hold-out {name(chosen)}: the recording has only one group, so nothing can be held out (of one run, "
+            "`holdout: {scheme: blocks}` leaves out stretches of time)"
+        )
     for fold in folds:
         check(fold)
     return folds

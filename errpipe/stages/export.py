@@ -139,7 +139,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict
                 "rows": int(known.sum()),
                 "largest_difference_um": largest,
                 "bound_um": allowed[name],
-                "beyond_bound": bool(name not in behind and largest > allowed[name] + ROUNDING_UM),
+                "beyond_bound": bool(not behind.get(name) and largest > allowed[name] + ROUNDING_UM),
                 "rms_difference_um": rms(difference[known]),
                 "rms_model_um": rms(by_model[name][known]),
                 "not_compensated": behind.get(name, []),

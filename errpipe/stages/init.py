@@ -80,7 +80,9 @@ def _texts(
     from errpipe.stages import STAGES
 
     texts = {
-        PIPELINE: _filled(_data(f"{(template.own if recording else None) or name}.txt"), folder, recording, targets),
+        PIPELINE: _filled(
+            name, _data(f"{(template.own if recording else None) or name}.txt"), folder, recording, targets
+        ),
         "Makefile": _data("Makefile.txt"),
         ".gitignore": _data("gitignore.txt"),
         ".github/workflows/errpipe.yml": _data("workflow.txt"),
@@ -97,16 +99,22 @@ def _data(file: str) -> str:
     return (resources.files("errpipe.stages") / "templates" / file).read_text(encoding="utf-8")
 
 
-def _filled(text: str, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
+def _filled(name: str, text: str, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@."""
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}"
-    backlash = True
+    backlash, sensors = True, ["frame_t", "bed_t"]
+    if name == "gantry":
+        words["COMPONENT"] = "E_Z"
     if recording is not None:
         facts = _facts(Path(recording))
         words |= facts["words"]
-        backlash = facts["both_directions"]
+        backlash, sensors = facts["both_directions"], facts["sensors"]
         words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
+    if "@SENSOR@" in text and not sensors:
+        raise UsageError(f"{recording}: no column of role temperature, which template {name} fits")
+    words["METHOD"] = "ridge" if recording is not None and len(sensors) > 1 else "linear"
+    text = re.sub(r"(?m)^.*@SENSOR@.*\n", lambda line: "".join(_with_sensor(line[0], s) for s in sensors), text)
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)
     if targets:
@@ -115,8 +123,12 @@ def _filled(text: str, folder: Path, recording: Path | None, targets: Sequence[s
     return "\n".join([*kept, ""])
 
 
+def _with_sensor(line: str, sensor: str) -> str:
+    return line.replace("@SENSOR@", json.dumps(sensor, ensure_ascii=False) if not sensor.isidentifier() else sensor)
+
+
 def _facts(folder: Path) -> dict[str, Any]:
-    """What the recording says: axis, component, how many targets and runs there are, whether both directions are."""
+    """What the recording says: axis, component, numbers of targets and runs, whether both directions are, sensors."""
     import numpy as np
 
     from errpipe.domain import components
@@ -139,4 +151,4 @@ def _facts(folder: Path) -> dict[str, Any]:
     words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
     words["ISO"] = "true" if both and runs >= 2 else "false"
-    return {"words": words, "both_directions": both}
+    return {"words": words, "both_directions": both, "sensors": recording.names("temperature")}

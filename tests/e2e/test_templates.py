@@ -9,6 +9,7 @@ import pytest
 from errpipe import jsonfile
 from errpipe.cli import init as verb
 from errpipe.cli.app import main
+from errpipe.domain.recording import Recording
 from errpipe.stages.init import TEMPLATES
 
 
@@ -56,3 +57,22 @@ def test_a_template_runs_end_to_end(name: str, tmp_path: Path, monkeypatch: pyte
         for c in jsonfile.read(tmp_path / "out/validate/validation.json")["components"]:
             assert c["rms_after"] < 0.5 * c["rms_before"], c["component"]
     assert main(["plan", "work/pipeline.yaml", "--out", "out", "--exit-code"]) == 0
+
+
+def test_a_gantry_of_its_owner_has_its_own_sensors_and_hold_out(tmp_path, monkeypatch):
+    """One run, three sensors by other names of which two rise together: blocks of time are held out, by ridge."""
+    from errpipe.formats import manifest_folder
+    from errpipe.simulation import sample_recordings
+
+    monkeypatch.chdir(tmp_path)
+    sample = sample_recordings.gantry()
+    one = sample.take(sample.run_codes() == 0)
+    kinds = {n: c for n, c in one.manifest.columns.items() if n != "run"}
+    kinds |= {"lamp top": kinds["bed_t"].model_copy()}
+    frame = one.frame.drop(columns="run").assign(**{"lamp top": one.frame["bed_t"] * 1.5})
+    own = Recording(one.manifest.model_copy(update={"columns": kinds}), frame)
+    manifest_folder.write(own, tmp_path / "own")
+    assert main(["init", "--template", "gantry", "work", "--recording", "own"]) == 0
+    text = (tmp_path / "work/pipeline.yaml").read_text()
+    assert 'sensor: "lamp top"' in text and "scheme: blocks" in text and "method: ridge" in text
+    assert main(["run", "work/pipeline.yaml", "--out", "out", "--to", "fit"]) == 0

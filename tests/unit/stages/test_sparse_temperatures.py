@@ -99,3 +99,16 @@ def test_a_table_that_is_further_from_the_model_than_that_gains_is_refused():
     with pytest.raises(GateError, match="gains 5"):
         stage._close_enough([proof], Passed(None, (), (judged | {"rms_at_gain": 10.0},)))
     assert stage._close_enough([proof | {"beyond_bound": False}], Passed(None, (), ())) == []
+
+
+def test_a_step_that_a_table_of_terms_does_not_believe_is_said():
+    """One reading 30 K above its neighbours, in a model of which the table holds every term."""
+    recording, _ = spindle_drift.simulate(2, days=DAYS)
+    terms = [{"term": "offset"}, {"term": "thermal_drift", "sensor": "T_front"}]
+    model = Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]}).fit(recording).model
+    table = compile_model(model, CompileOptions(), recording=recording)
+    (same,) = stage.compare(table, model, recording)
+    jumped = recording.array("T_front").copy()
+    jumped[500:] += 30.0
+    (other,) = stage.compare(table, model, recording.with_columns({"T_front": jumped}, {}))
+    assert not same["beyond_bound"] and other["beyond_bound"] and other["not_compensated"] == []
