@@ -3,17 +3,18 @@
 python -m trials.examples [--first 1] [--seeds 20]
 
 Each example of a known truth is simulated with sizes drawn by the seed, run through its own pipeline, and its exported
-table predicts another session of the same machine, whose deviation without noise is known. Ends with 1 where a table is
-worse than no compensation.
+table predicts another session of the same machine (or, after push tests, the part that is cut), whose deviation without
+noise is known. Ends with 1 where a table is worse than no compensation.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,17 +23,22 @@ import pandas as pd
 
 from errpipe.cli.app import main as errpipe
 from errpipe.domain.recording import Recording
-from errpipe.formats import manifest_folder
-from errpipe.simulation import ball_screw_axis, spindle_drift
+from errpipe.simulation import ball_screw_axis, sample_recordings, spindle_drift
+from errpipe.simulation import folder as recording_folder
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 TEMPLATES = Path(ball_screw_axis.__file__).parents[1] / "stages" / "templates"
+AVERAGED = range(1_000_000, 1_000_064)  # seeds of sessions whose mean is the machine's exact deviation
 OTHER_SESSION = 100_000  # added to the seed of a session
 REFUSED = (3, 4)  # exit codes: parameters that cannot be told apart; a gate said no
 
 
 @dataclass(frozen=True)
 class Example:
-    """Two sessions of one machine; truth: the exact deviation of the second, um (rows,), NaN where none is known."""
+    """Two sessions of one machine; truth: the exact deviation of the second, um (rows,), NaN where none is known.
+
+    pipeline: a file of the templates or of the examples, or the name of a template of `errpipe init`.
+    """
 
     pipeline: str
     component: str
@@ -61,16 +67,90 @@ def spindle(seed: int) -> Example:
     return Example("spindle-drift.txt", "E_Z", first, later, truth)
 
 
+def _deviation(recording: Recording, component: str) -> np.ndarray:
+    """Deviation of each row, um; read minus commanded position, mm, where the recording holds these."""
+    if component in recording.frame:
+        return recording.array(component)
+    return 1e3 * (recording.array("reading") - recording.array("commanded"))
+
+
+def _of_template(name: str, sample: Callable[[int], Recording], seed: int) -> Example:
+    """A template's machine with 0 to 2 times its deviations and 0.3 to 3 times its noise."""
+    rng = np.random.default_rng(seed)
+    size, noise = rng.uniform(0.0, 2.0) * rng.choice([0.05, 1.0]), rng.uniform(0.3, 3.0)
+    (component,) = (c.component for c in sample(seed).manifest.columns.values() if c.role == "error")
+    assert component is not None
+    exact = np.mean([_deviation(sample(k), component) for k in AVERAGED], axis=0)
+
+    def session(k: int) -> Recording:
+        made = sample(k)
+        deviation = size * exact + noise * (_deviation(made, component) - exact)
+        if "reading" in made.frame:  # the error is derived from a dial gauge of 0.01 mm
+            values = {"reading": np.round(made.array("commanded") + 1e-3 * deviation, 2)}
+        else:
+            values = {component: deviation}
+        return Recording(made.manifest, made.frame.assign(**values))
+
+    return Example(name, component, session(seed), session(seed + OTHER_SESSION), size * exact)
+
+
+def laser(seed: int) -> Example:
+    """An axis by laser after ISO 230-2."""
+    return _of_template("laser-iso230", sample_recordings.laser, seed)
+
+
+def dial_gauge(seed: int) -> Example:
+    """A hobby machine's axis by a dial gauge of 0.01 mm."""
+    return _of_template("dial-gauge", sample_recordings.dial_gauge, seed)
+
+
+def gantry(seed: int) -> Example:
+    """A gantry's Z reference while frame and bed warm up."""
+    return _of_template("gantry", sample_recordings.gantry, seed)
+
+
+def cutting_force(seed: int) -> Example:
+    """A lathe whose post, spindle and tilt give way 0.2 to 3 times as much as usual; judged on the part that is cut."""
+    spec = importlib.util.spec_from_file_location("lathe", EXAMPLES / "cutting-force" / "lathe.py")
+    assert spec is not None and spec.loader is not None
+    lathe = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(lathe)
+    rng = np.random.default_rng(seed)
+    for name in ("POST", "SPINDLE", "TILT"):
+        setattr(lathe, name, getattr(lathe, name) * rng.uniform(0.2, 3.0))
+    fitted = lathe.push_tests(seed, noise=float(rng.uniform(0.1, 2.0)))
+    places, force = np.repeat([30.0, 80.0, 120.0, 170.0], 9), np.tile(np.linspace(0.0, 400.0, 9), 4)
+    truth = force * np.array([lathe.gives(z, lathe.WORK) for z in places])
+    cut = pd.DataFrame({"run": [f"Z{z:g}" for z in places], "Z": places, "F": force, "E_X": truth})
+    return Example("cutting-force/pipeline.yaml", "E_X", fitted, Recording(fitted.manifest, cut), truth)
+
+
+DRAWN = (ball_screw, spindle, laser, dial_gauge, gantry, cutting_force)
+
+
+def _pipeline(example: Example, folder: Path) -> Path:
+    """The example's pipeline for the recording in the folder."""
+    known = [p for p in (TEMPLATES / example.pipeline, EXAMPLES / example.pipeline) if p.is_file()]
+    if not known:
+        words = ["init", str(folder / "work"), "--template", example.pipeline, "--recording", str(folder / "recording")]
+        if _quietly(words) != 0:
+            raise RuntimeError(f"{example.pipeline}: no pipeline for this recording")
+        return folder / "work" / "pipeline.yaml"
+    text = known[0].read_text("utf-8")
+    if "- kind: ingest" in text:
+        head, stages = text[: text.index("stages:")], text[text.index("  - kind: ingest") :]
+        stages = stages.replace("- kind: ingest", "- kind: ingest\n    recording: recording", 1)
+        text = head.replace("root: ..\n", "") + "stages:\n" + stages
+    text = text.replace("recording: push-tests", "recording: recording").replace("  - kind: report\n", "")
+    (folder / "pipeline.yaml").write_text(text, "utf-8")
+    return folder / "pipeline.yaml"
+
+
 def outcome(example: Example, folder: Path) -> tuple[float, float] | None:
     """Exact rms without and with the exported table, um, each run from its mean; None where nothing is exported."""
     for name, recording in (("recording", example.fitted), ("later", example.later)):
-        manifest_folder.write(recording, folder / name)
-    text = (TEMPLATES / example.pipeline).read_text("utf-8")
-    head, stages = text[: text.index("stages:")], text[text.index("  - kind: ingest") :]
-    stages = stages.replace("- kind: ingest", "- kind: ingest\n    recording: recording", 1)
-    pipeline = head.replace("root: ..\n", "") + "stages:\n" + stages.replace("  - kind: report\n", "")
-    (folder / "pipeline.yaml").write_text(pipeline, "utf-8")
-    code = _quietly(["run", str(folder / "pipeline.yaml"), "--out", str(folder / "out")])
+        recording_folder.write(folder / name, recording)
+    code = _quietly(["run", str(_pipeline(example, folder)), "--out", str(folder / "out")])
     table = folder / "out" / "export" / "table.ect"
     if code in REFUSED and not table.exists():
         return None
@@ -98,7 +178,7 @@ def _rms(deviation: np.ndarray, run: np.ndarray) -> float:
 
 def rows(first: int, seeds: int) -> Iterator[tuple[str, list[tuple[float, float] | None]]]:
     """Each example with its outcomes."""
-    for draw in (ball_screw, spindle):
+    for draw in DRAWN:
         found = []
         for seed in range(first, first + seeds):
             with tempfile.TemporaryDirectory() as name:
