@@ -38,6 +38,7 @@ def command(
     ),
     title: str = typer.Option("", "--title", metavar="TEXT", help="What was measured."),
     machine: str = typer.Option("", "--machine", metavar="TEXT", help="The machine."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace a recording that was changed by hand."),
     json: bool = Json,
 ) -> None:
     """Turn measurement files into a recording; every guess is shown.
@@ -69,7 +70,7 @@ def command(
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
     if not yes:
         _confirm(lines, asked=not json)
-    done = work.write(proposal, out, options, files)
+    done = work.write(proposal, out, options, files, overwrite)
     said = [*(lines if yes else ()), *done["says"]]
     print_result("import", {**work.plain(shown), "folder": str(out)}, said, as_json=json)
 

@@ -266,7 +266,7 @@ def other_component(text: str, moved: str) -> str | None:
         return f"E{across}{moved}"
     for pattern, name in (
         (r"\b(roll\w*|rollen)\b", "roll"),
-        (r"\b(pitch|nick\w*)\b", "pitch"),
+        (r"\b(pitch(?! ?(error)? ?comp)|nick\w*)\b", "pitch"),  # of a screw: pitch error compensation
         (r"\b(yaw|gier\w*)\b", "yaw"),
     ):
         if re.search(pattern, word):

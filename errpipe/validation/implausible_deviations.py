@@ -23,6 +23,7 @@ QUIETEST = 5e-9  # of the travel: half of what the best interferometer repeats t
 # rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
 STRAIGHT = 3e-4
 UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
+FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
 MIN_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
 MAX_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
@@ -296,8 +297,10 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
     up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
     if min(up.size, down.size) < MIN_STEPS:
         return None
-    step = float(np.median(up) - np.median(down))
-    spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in (up, down))
+    lost = _at_shared_targets(r)
+    step = float(np.median(lost) if lost.size >= FEWEST_TARGETS else np.median(up) - np.median(down))
+    samples = (lost,) if lost.size >= FEWEST_TARGETS else (up, down)  # beside targets, the curve of the axis counts as scatter
+    spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in samples)
     if step < max(5.0, spread):  # um
         return None
     return Finding(
@@ -308,6 +311,20 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         level="ask",
         of_sign=True,
     )
+
+
+def _at_shared_targets(r: Response) -> np.ndarray:
+    """Mean from below less mean from above, um, at each target that was approached from both sides: (targets,)."""
+    if r.position is None or r.direction is None:
+        return np.empty(0)
+    _, target = np.unique(np.round(r.position, 3), return_inverse=True)
+    means = []
+    for rows in (r.direction > 0, r.direction < 0):
+        count = np.bincount(target[rows], minlength=target.max() + 1)
+        total = np.bincount(target[rows], r.deviation[rows], minlength=target.max() + 1)
+        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+    lost = means[0] - means[1]
+    return np.asarray(lost[np.isfinite(lost)])
 
 
 # ---------------------------------------------------------------- arithmetic
