@@ -65,6 +65,12 @@ def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
     if side not in p.data or moves is None or not p.guesses.get(side, "").endswith(THERE_AND_BACK):
         return
     against = float(np.mean(moves == -p.data[side]))
+    if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 1:
+        way = "rise" if moves[0] > 0 else "fall"
+        raise DataError(
+            f"column {side!r} says one way of there and back, and the positions {way}: write + (approached from below) "
+            f"or - (from above) instead, or say --set {side}.role=ignore"
+        )
     if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 2:
         p.data[side] = -p.data[side]
         p.guesses[side] += "; the way there is down, as the positions fall there"

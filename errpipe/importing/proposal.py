@@ -37,12 +37,13 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.empty(layout)
-    layout = wide.turned(_rows_of_one_axis(layout, options))
+    layout = wide.turned(_rows_of_one_machine(_rows_of_one_axis(layout, options), options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    layout = wide.merged_targets(layout, guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
     wide_layout = wide.find(layout, guesses)
@@ -96,14 +97,38 @@ def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
             )
         if axis not in letters:
             raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
-        keep = np.array([str(cell).strip().upper() == axis for cell in c.cells])
-        kept = [
-            RawColumn(k.header, k.unit, [k.cells[i] for i in np.flatnonzero(keep)], k.values[keep])
-            for k in layout.columns
-            if k is not c
-        ]
-        note = f"{int(keep.sum())} of {len(keep)} rows: those with {c.header} = {axis}"
-        return Layout(kept, [f"Axis: {axis}", *layout.above], [*layout.notes, note])
+        kept = _rows(layout, c, np.array([str(cell).strip().upper() == axis for cell in c.cells]), axis)
+        kept.above.insert(0, f"Axis: {axis}")
+        return kept
+    return layout
+
+
+def _rows(layout: Layout, by: RawColumn, keep: np.ndarray, value: str) -> Layout:
+    """Some rows of a layout, without the column that tells them apart."""
+    kept = [
+        RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep])
+        for c in layout.columns
+        if c is not by
+    ]
+    note = f"{int(keep.sum())} of {len(keep)} rows: those with {by.header} = {value}"
+    return Layout(kept, [*layout.above], [*layout.notes, note], layout.below)
+
+
+def _rows_of_one_machine(layout: Layout, options: ImportOptions) -> Layout:
+    """Rows of the machine that is named. Raises DataError where rows are of several: a table is of one of them."""
+    for c in layout.columns:
+        texts = [label(cell) for cell in c.cells]
+        names = sorted({*texts} - {""})
+        stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
+        of_machine = kind_by_name(c.header) == "group" and guessing.group_of(c.header) == "machine"
+        if not of_machine or "role" in stated or not 1 < len(names) <= 0.5 * len(texts):
+            continue
+        if options.machine not in names:
+            raise DataError(
+                f"column {c.header!r} holds rows of several machines ({', '.join(names)}): --machine says which one is "
+                f"imported; one recording for each (--set '{c.header}.role=group' keeps them together)"
+            )
+        return _rows(layout, c, np.array([text == options.machine for text in texts]), options.machine)
     return layout
 
 
@@ -180,10 +205,11 @@ def _wide(
     p.put("run", run, "from the headers of the columns", role="run")
     p.put(table.target.header, table.target.values[index], why, role="position", axis=axis, unit=unit)
     if np.isfinite(sides).all():
-        p.put("direction", sides, "from the headers of the columns", role="direction", axis=axis)
+        why = "from the headers of the columns" if table.way is None else f"from the column {table.way.header!r}"
+        p.put("direction", sides, why, role="direction", axis=axis)
     _wide_readings(layout, table, values, axis, options, p)
     for c in layout.columns:
-        if c is table.target or c is table.run or any(c is r for r, _, _ in table.readings):
+        if any(c is other for other in (table.target, table.run, table.way, *(r for r, _, _ in table.readings))):
             continue
         if any(c is s for s in table.statistics):
             p.notes.append(f"column {c.header!r} was left out: a figure over the runs, not a reading")

@@ -335,10 +335,10 @@ def readings_as_errors(p: Proposal, axis: str) -> None:
         entry = p.entries[name]
         if place is None or place not in p.data or entry["component"] != components.positioning(axis):
             continue
-        slope = _slope(p.data[place], p.data[name])
-        if slope is None or abs(slope - 1.0) > ABSOLUTE:
-            continue
-        unit = p.entries[place].get("unit", "mm")
+        slope, unit = _slope(p.data[place], p.data[name]), p.entries[place].get("unit", "mm")
+        stated = "no unit is stated" not in p.guesses.get(name, "no unit is stated")
+        if slope is None or abs(slope - 1.0) > ABSOLUTE or (stated and entry["unit"] != unit):
+            continue  # 1 um per inch, or per m, is an error of an axis
         del p.entries[name]
         p.guesses.pop(name, None)
         name = p.put(

@@ -27,7 +27,9 @@ _EITHER_WAY = re.compile(
 _DIFFERENCE = re.compile(
     r"\b([^\W\d_]\w*)\.?(?: - | (?:minus|less|moins|meno|menos) )(?:the )?([^\W\d_]\w*)|\b([a-z])[a-z]-\3[a-z]\b"
 )
-_OPPOSITE = re.compile(r"^-\s*[^\W\d]|\b(neg(ative|ated|iert\w*)?|minus|invers\w*|invert\w*|revers(ed|iert\w*)|umgekehrt\w*)\b")
+_OPPOSITE = re.compile(
+    r"^-\s*[^\W\d]|\b(neg(ative|ated|iert\w*)?|minus|invers\w*|invert\w*|revers(ed|iert\w*)|umgekehrt\w*)\b"
+)
 _ON_THE_SIGN = re.compile(
     r"\bsign (convention|of (the )?(error|deviation|reading)s?)\b|\bvorzeichen"
     r"|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"

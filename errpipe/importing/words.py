@@ -14,7 +14,8 @@ CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
     r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
-    r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
+    r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
+    r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
 )
 
 # In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
@@ -44,11 +45,11 @@ GROUPS = {
     "day": r"day|tag|jour",
     "shift": r"shift|schicht",
     "duty_cycle": r"duty ?cycle|lastzyklus|lastkollektiv",
-    "machine": r"machine|maschine",
+    "machine": r"machine|maschine|macchina|maquina|serial|serien(nummer|nr)|机床|機械",
     "session": r"session|sitzung|campaign|kampagne",
     "tool": r"tool|werkzeug|outil|utensile|herramienta",
 }
-GROUP = rf"^({'|'.join(GROUPS.values())})( ?(no|nr|id|name))?$"
+GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer|#)?$"
 
 # What headers are called -> what they hold. The first pattern that fits wins.
 WORDS: tuple[tuple[str, str], ...] = (

@@ -299,7 +299,9 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         return None
     lost = _at_shared_targets(r)
     step = float(np.median(lost) if lost.size >= FEWEST_TARGETS else np.median(up) - np.median(down))
-    samples = (lost,) if lost.size >= FEWEST_TARGETS else (up, down)  # beside targets, the curve of the axis counts as scatter
+    samples = (
+        (lost,) if lost.size >= FEWEST_TARGETS else (up, down)
+    )  # beside targets, the curve of the axis counts as scatter
     spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in samples)
     if step < max(5.0, spread):  # um
         return None

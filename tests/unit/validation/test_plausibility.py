@@ -73,6 +73,16 @@ def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
     assert plausibility.refuse([findings])[0].startswith("Check: ")
 
 
+def test_backlash_of_the_other_sign_shows_beside_a_larger_curve() -> None:
+    """8 um of lost motion of an axis that is 60 um too long: judged at each target, not over the whole axis."""
+    plain = axis_test(4, warm=False)
+    f = plain.frame
+    turned = put(plain, EXX=0.075 * f.x + 4.0 * f["dir"] + 0.5 * np.random.default_rng(4).normal(size=len(f)))
+    assert [x.code for x in plausibility.findings(turned)] == ["reversal-sign"]
+    right = put(plain, EXX=0.075 * f.x - 4.0 * f["dir"] + 0.5 * np.random.default_rng(4).normal(size=len(f)))
+    assert plausibility.findings(right) == []
+
+
 def test_a_worn_screw_is_asked_not_refused() -> None:
     """Lost motion that varies along the travel more than the lead does: both directions have opposite shapes."""
     plain = axis_test(5, warm=False)

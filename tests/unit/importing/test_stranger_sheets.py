@@ -1,0 +1,155 @@
+"""Result sheets of strangers: merged cells, sides in a column, words for signs in more languages, several machines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe.errors import DataError, UsageError
+from errpipe.importing import words
+from tests.unit.importing.test_first_hour import RUNS, SIDES, de, long
+from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    (tmp_path / "f.csv").write_text(text, encoding="utf-8")
+    return tmp_path / "f.csv"
+
+
+def test_a_row_of_run_numbers_between_groups_and_units(tmp_path: Path) -> None:
+    """As a spreadsheet has it: two merged cells, the runs, the units, the readings, figures over the runs."""
+    head = ["Soll X;vorwärts;;;rückwärts;;", ";1;2;3;1;2;3", "mm;µm;µm;µm;µm;µm;µm"]
+    columns = [deviation(r, s) for s in SIDES for r in RUNS]
+    rows = [";".join([de(x), *(de(c[i]) for c in columns)]) for i, x in enumerate(TARGETS)]
+    holds_the_truth(
+        imported(tmp_path, written(tmp_path, "\n".join([*head, *rows, "Mittelwert;1,1;1,2;1,3;1,1;1,2;1,3"])))
+    )
+
+
+@pytest.mark.parametrize("merged", [True, False])
+@pytest.mark.parametrize("header", ["i;Target X [mm];Dir;1 [um];2 [um];3 [um];Mean;s", "i;Target X [mm];Dir;Dev [um]"])
+def test_a_row_for_each_side_of_a_target(tmp_path: Path, header: str, merged: bool) -> None:
+    """The side stands in a column; of a target in a merged cell only the row of the way up has it."""
+    runs = RUNS if "Mean" in header else (1,)
+    lines = [header]
+    for i, x in enumerate(TARGETS):
+        for s, arrow in zip(SIDES, "↑↓", strict=True):
+            place = ["", ""] if merged and s < 0 else [str(i + 1), f"{x:g}"]
+            figures = ["1.0", "0.5"] if len(runs) > 1 else []
+            lines.append(";".join([*place, arrow, *(str(deviation(r, s)[i]) for r in runs), *figures]))
+    recording = imported(tmp_path, written(tmp_path, "\n".join(lines)))
+    if len(runs) > 1:
+        holds_the_truth(recording)
+    held = {(x, s): d for x, s, d in zip(*(recording.array(n) for n in map(name_of(recording), ROLES)), strict=True)}
+    assert len(held) == 2 * TARGETS.size
+    assert all(np.sign(held[x, 1.0] - held[x, -1.0]) == -1 for x in TARGETS)
+
+
+ROLES = ("position", "direction", "error")
+
+
+def name_of(recording: object):  # type: ignore[no-untyped-def]
+    return lambda role: recording.names(role)[0]  # type: ignore[attr-defined]
+
+
+def test_readings_without_a_target_are_asked_about(tmp_path: Path) -> None:
+    """No column says the sides: the second of two rows would be left out, and backlash with it."""
+    lines = ["Target X [mm];Deviation [um]"]
+    for i, x in enumerate(TARGETS):
+        lines += [f"{x:g};{deviation(1, 1.0)[i]}", f";{deviation(1, -1.0)[i]}"]
+    with pytest.raises(DataError, match="12 rows hold readings and no"):
+        imported(tmp_path, written(tmp_path, "\n".join(lines)))
+
+
+def test_a_column_of_one_side_is_kept(tmp_path: Path) -> None:
+    rows = [f"{r};-;{x:g};{d}" for r, x, s, d in long_rows() if s < 0]
+    recording = imported(tmp_path, written(tmp_path, "\n".join(["Run;Dir;X [mm];Deviation [um]", *rows])))
+    assert set(recording.array("Dir")) == {-1.0}
+    text = "\n".join(["Run;Dir;X [mm];Deviation [um]", *(row.replace("-;", "fwd;", 1) for row in rows)])
+    with pytest.raises(DataError, match="one way of there and back"):
+        imported(tmp_path, written(tmp_path, text))
+
+
+CORRECTIONS = [
+    "Compensazione",
+    "Compensación",
+    "Correctif",
+    "修正值",
+    "Nachstellung",
+    "Korekcja",
+    "보정",
+    "Pitch error comp",
+]
+
+
+@pytest.mark.parametrize("header", CORRECTIONS)
+def test_corrections_in_more_languages(tmp_path: Path, header: str) -> None:
+    text = long(f"Run;Dir;X [mm];{header} [um]", lambda r, x, s, d: f"{r};{'+' if s > 0 else '-'};{x:g};{-d}")
+    holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+ERRORS = ["Odchyłka", "Błąd", "Odchylka", "Afwijking", "Desvio", "Avvikelse", "Sapma", "Отклонение", "오차"]
+
+
+@pytest.mark.parametrize("header", ERRORS)
+def test_deviations_in_more_languages(header: str) -> None:
+    assert words.kind_by_name(header) == "error"
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["-Error", "neg. error", "Inverted error", "Compensation error", "Fehlbetrag", "Soll/Ist Differenz", "CAL"],
+)
+def test_a_header_that_may_say_the_other_sign_is_asked_about(tmp_path: Path, header: str) -> None:
+    text = long(f"Run;Dir;X [mm];{header} [um]", lambda r, x, s, d: f"{r};{'+' if s > 0 else '-'};{x:g};{d}")
+    with pytest.raises(DataError, match="--sign actual-minus-commanded"):
+        imported(tmp_path, written(tmp_path, text))
+    holds_the_truth(imported(tmp_path, written(tmp_path, text), sign="actual-minus-commanded"))
+
+
+@pytest.mark.parametrize(("unit", "per_um"), [("um", 1.0), ("µin", 1 / 0.0254)])
+def test_a_micrometre_an_inch_is_no_absolute_reading(tmp_path: Path, unit: str, per_um: float) -> None:
+    """Numbers that rise one for one with the position, in another unit: an axis 39 um/m too long."""
+    rows = [f"{x / 25.4:.6f};{x / 25.4 * per_um:.6f}" for x in TARGETS]
+    recording = imported(tmp_path, written(tmp_path, "\n".join([f"X [in];Deviation [{unit}]", *rows])))
+    assert recording.array("Deviation") == pytest.approx(TARGETS / 25.4, abs=1e-4)
+
+
+def test_rows_of_two_machines_are_two_recordings(tmp_path: Path) -> None:
+    line = "{m};{r};{w};{x:g};{d}"
+    rows = [
+        line.format(m=m, r=r, w="+" if s > 0 else "-", x=x, d=k * d)
+        for m, k in (("M7", 1), ("M9", -3))
+        for r, x, s, d in long_rows()
+    ]
+    for header in ("Machine", "Serial no."):
+        file = written(tmp_path, "\n".join([f"{header};Run;Dir;X [mm];Deviation [um]", *rows]))
+        with pytest.raises(DataError, match=r"several machines \(M7, M9\)"):
+            imported(tmp_path, file)
+        holds_the_truth(imported(tmp_path, file, machine="M7"))
+        both = imported(tmp_path, file, sets=[f"{header}.role=group"])
+        assert len(both) == 2 * len(long_rows())
+
+
+def test_a_recording_that_was_changed_is_not_overwritten(tmp_path: Path) -> None:
+    file = written(
+        tmp_path, long("Run;Dir;X [mm];Deviation [um]", lambda r, x, s, d: f"{r};{'+' if s > 0 else '-'};{x:g};{d}")
+    )
+    manifest, table = (tmp_path / "rec" / name for name in ("recording.yaml", "recording.csv"))
+    imported(tmp_path, file)
+    imported(tmp_path, file, title="again")  # as an import wrote it: nothing of a person is lost
+    for changed in (manifest, table):
+        before = changed.read_text("utf-8")
+        changed.write_text(
+            before.replace("-1.9", "-1.8") if changed is table else before.replace("unit: um", "unit: nm")
+        )
+        assert changed.read_text("utf-8") != before
+        with pytest.raises(UsageError, match="changed since it was imported"):
+            imported(tmp_path, file)
+        changed.write_text(before, "utf-8")
+    manifest.write_text("recording: 1\n", "utf-8")
+    with pytest.raises(UsageError, match="--overwrite"):
+        imported(tmp_path, file)
+    assert manifest.read_text("utf-8") == "recording: 1\n"
