@@ -372,6 +372,7 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
             continue
         if p.entries[command]["role"] == "position":
             p.entries[command]["role"] = "command"
+        order.refuse_swapped(p, command, actual)
         component = options.component or components.positioning(letter)
         unit = components.unit(component)
         name = p.put(

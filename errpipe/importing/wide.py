@@ -21,11 +21,12 @@ _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
-    r"\b(mittel\w*|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
-    r"|max\w*|min\w*|sum\w*|[smrb](?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
+    r"\b(mittel\w*|mw|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
+    r"|max\w*|min\w*|sum\w*|[smrbu](?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
-_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
+FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
+_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
 UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
@@ -81,7 +82,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
-    places = [c for c in places if len(places) == 1 or not _counts(c)]  # the numbers of the targets
+    places = [c for c in places if len(places) == 1 or not (_counts(c) or FIGURE.fullmatch(c.header))]
     targets = [c for c in places if said[c.header] == (None, None)]
     targets = targets or [c for c in places if said[c.header][0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):

@@ -23,7 +23,6 @@ QUIETEST = 5e-9  # of the travel: half of what the best interferometer repeats t
 # rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
 STRAIGHT = 3e-4
 UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
-FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
 MIN_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
 MAX_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
@@ -76,6 +75,25 @@ def as_large_as_travel(r: Response) -> Finding | None:
     else:
         meant = "a position in m or inch that was declared as mm, or um declared as mm for the deviation"
     return Finding("as-large-as-travel", r.column, evidence, meant)
+
+
+OF_ITS_ZERO = 0.2  # largest range of the readings, of their distance from 0: the rest is a constant
+OTHER_ZERO_UM = 500.0  # um: as the limit of a correction
+
+
+def other_zero(r: Response) -> Finding | None:
+    """Readings that count from another zero than the positions, such as a laser's from the first target."""
+    if r.position is None or r.component.kind != "positioning":
+        return None
+    middle, spread = float(np.median(r.deviation)), float(np.ptp(r.deviation))
+    if abs(middle) <= OTHER_ZERO_UM or spread > OF_ITS_ZERO * abs(middle):
+        return None
+    return Finding(
+        "other-zero",
+        r.column,
+        f"the deviation stands at {middle:.6g} um everywhere and varies by {spread:.3g} um",
+        "readings that count from another zero than the positions: subtract the reading at the reference position",
+    )
 
 
 def too_small(r: Response) -> Finding | None:
@@ -290,45 +308,6 @@ def shifted_rows(r: Response) -> Finding | None:
     )
 
 
-def reversal_of_the_other_sign(r: Response) -> Finding | None:
-    """Lost motion stops an axis short; the other sign is possible (a scale, an overcompensated control) but rare."""
-    if r.direction is None or r.component.kind != "positioning":
-        return None
-    up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
-    if min(up.size, down.size) < MIN_STEPS:
-        return None
-    lost = _at_shared_targets(r)
-    step = float(np.median(lost) if lost.size >= FEWEST_TARGETS else np.median(up) - np.median(down))
-    samples = (
-        (lost,) if lost.size >= FEWEST_TARGETS else (up, down)
-    )  # beside targets, the curve of the axis counts as scatter
-    spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in samples)
-    if step < max(5.0, spread):  # um
-        return None
-    return Finding(
-        "reversal-sign",
-        r.column,
-        f"approached from below the axis stands {step:.3g} um further than from above",
-        "the same with the sign or the direction turned, unless the control already corrects backlash too much",
-        level="ask",
-        of_sign=True,
-    )
-
-
-def _at_shared_targets(r: Response) -> np.ndarray:
-    """Mean from below less mean from above, um, at each target that was approached from both sides: (targets,)."""
-    if r.position is None or r.direction is None:
-        return np.empty(0)
-    _, target = np.unique(np.round(r.position, 3), return_inverse=True)
-    means = []
-    for rows in (r.direction > 0, r.direction < 0):
-        count = np.bincount(target[rows], minlength=target.max() + 1)
-        total = np.bincount(target[rows], r.deviation[rows], minlength=target.max() + 1)
-        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-    lost = means[0] - means[1]
-    return np.asarray(lost[np.isfinite(lost)])
-
-
 # ---------------------------------------------------------------- arithmetic
 
 
@@ -408,6 +387,7 @@ CHECKS: tuple[Check, ...] = (
     constant,
     absolute_readings,
     as_large_as_travel,
+    other_zero,
     too_small,
     jump,
     mixed_units,
@@ -415,5 +395,4 @@ CHECKS: tuple[Check, ...] = (
     expansion_of_no_material,
     worse_with_compensation,
     shifted_rows,
-    reversal_of_the_other_sign,
 )

@@ -153,3 +153,21 @@ def test_a_recording_that_was_changed_is_not_overwritten(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="--overwrite"):
         imported(tmp_path, file)
     assert manifest.read_text("utf-8") == "recording: 1\n"
+
+
+def test_swapped_names_of_positions_are_asked_about(tmp_path: Path) -> None:
+    """The targets come back to the last digit; where the `actual` ones do, the sign would be turned."""
+    line = "{r};{w};{x:.4f};{y:.4f}"
+    rows = [line.format(r=r, w="+" if s > 0 else "-", x=x + d / 1e3, y=x) for r, x, s, d in long_rows()]
+    file = written(tmp_path, "\n".join(["Run;Dir;Target X [mm];Actual X [mm]", *rows]))
+    with pytest.raises(DataError, match="names swapped"):
+        imported(tmp_path, file)
+    holds_the_truth(imported(tmp_path, file, sets=["Target_X.role=actual", "Actual_X.role=command"]))
+
+
+def test_a_reversal_called_u_names_no_axis(tmp_path: Path) -> None:
+    """VDI/DGQ 3441 as Heidenhain writes it: means and reversal (U) beside the runs."""
+    head = "Achse: X\n\nPosition [mm];" + ";".join(f"{w} {r}" for r in RUNS for w in "+-") + ";MW+;MW-;MW;U"
+    columns = [deviation(r, s) / 1e3 for r in RUNS for s in SIDES]
+    rows = [";".join([de(x), *(de(c[i], 4) for c in columns), *["0,0010"] * 4]) for i, x in enumerate(TARGETS)]
+    holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join([head, *rows]))))
