@@ -171,3 +171,22 @@ def test_a_reversal_called_u_names_no_axis(tmp_path: Path) -> None:
     columns = [deviation(r, s) / 1e3 for r in RUNS for s in SIDES]
     rows = [";".join([de(x), *(de(c[i], 4) for c in columns), *["0,0010"] * 4]) for i, x in enumerate(TARGETS)]
     holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join([head, *rows]))))
+
+
+def test_an_actual_angle_that_passed_zero_before_its_command(tmp_path: Path) -> None:
+    """C at 0 deg reads 359.9994: 10 urad short, not a turn too far."""
+    commanded, error = np.arange(0.0, 360.0, 30.0), 10.0 * np.sin(np.radians(np.arange(0.0, 360.0, 30.0))) - 10.0
+    rows = [f"{c:g};{(c + np.degrees(e * 1e-6)) % 360.0:.7f}" for c, e in zip(commanded, error, strict=True)]
+    recording = imported(tmp_path, written(tmp_path, "\n".join(["C cmd [deg];C act [deg]", *rows])))
+    assert recording.array("ECC") == pytest.approx(error, abs=0.01)
+
+
+def test_three_readings_beside_moving_axes_are_asked_about(tmp_path: Path) -> None:
+    """An R-test holds deviations of the tool point; each alone would become the positioning of its axis."""
+    t = np.radians(np.arange(0.0, 360.0, 30.0))
+    rows = [f"1;{100 * np.cos(a):.4f};{100 * np.sin(a):.4f};{9 * np.cos(a):.2f};{9 * np.sin(a):.2f}" for a in t]
+    file = written(tmp_path, "\n".join(["Run;X [mm];Y [mm];dX [um];dY [um]", *rows]))
+    with pytest.raises(DataError, match="deviations of the tool point"):
+        imported(tmp_path, file)
+    recording = imported(tmp_path, file, sets=["dX.component=E_X", "dY.component=E_Y"])
+    assert set(recording.components()) == {"E_X", "E_Y"}
