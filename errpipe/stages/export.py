@@ -65,7 +65,7 @@ class Export(CompileOptions, SignOptions, Stage):
         table = compile_model(model, self, guard, recording)
         context.progress(0.5, "comparing table and model")
         proof = compare(table, model, recording)
-        checks += _close_enough(proof, passed)
+        checks += [*_close_enough(proof, passed), *_closed(proof, model, recording)]
         from errpipe.stages.targets import checksums
 
         files = _write(context, table, model, self)
@@ -118,15 +118,15 @@ def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict
     """
     import numpy as np
 
-    from errpipe.fitting.components import evaluate
     from errpipe.fitting.lowering import left_behind
     from errpipe.fitting.thermal_arithmetic import held_readings, rms
+    from errpipe.stages._closed_turns import evaluate_closed
     from errpipe.stages.predict import table_values
     from errpipe.tables import bounds
 
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     recording = held_readings(recording)
-    by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
+    by_model, by_table = evaluate_closed(model, recording), table_values(table, model, recording)
     behind = left_behind(model)
     out = []
     for name, values in by_table.items():
@@ -168,6 +168,22 @@ def _close_enough(proof: list[dict[str, Any]], passed: Passed) -> list[str]:
         if off >= gain:
             raise GateError(f"export: {words}. The model gains {gain:.3g}. Nothing was exported.")
         said.append(words)
+    return said
+
+
+def _closed(proof: list[dict[str, Any]], model: ErrorModel, recording) -> list[str]:
+    """Where the ends of a turn differ in the model by more than the table's bound, in words."""
+    from errpipe.stages._closed_turns import gaps_of_turns
+
+    gaps, said = gaps_of_turns(model, recording), []
+    for p in proof:
+        name, allowed = p["component"], 2.0 * (p["bound_um"] + ROUNDING_UM)
+        if gaps[name] > allowed:
+            unit = next(c.unit for c in model.components if c.component == name)
+            said.append(
+                f"{name}: the model's two ends of a turn differ by {gaps[name]:.3g} {unit}, which the table spreads "
+                "evenly over the turn, so that the axis does not step at 360 = 0"
+            )
     return said
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -100,3 +101,20 @@ def test_the_part_of_a_turn_that_nobody_measured_is_named_everywhere(tmp_path, l
     assert len(texts) == len(ROTARY)
     for text in (*texts, "\n".join(consequences)):
         assert [sentence for sentence in (BRIDGED, HELD) if sentence in text] == ([said] if said else [])
+
+
+def test_a_curve_whose_turn_does_not_close_is_verified_as_it_was_closed(tmp_path):
+    """A line over a turn steps by 20 urad at 360 = 0: the table spreads it, `verify` knows, and the export says it."""
+    x = np.tile(np.arange(0.0, 361.0, 30.0), 8)
+    deviation = 80.0 * np.sin(np.radians(x)) + x / 18.0 + np.random.default_rng(5).normal(0, 0.3, x.size)
+    rows = {
+        "c": (x, {"role": "position", "axis": "C", "unit": "deg"}),
+        "ECC": (deviation, {"role": "error", "component": "ECC", "unit": "urad"}),
+    }
+    terms = "[{term: offset}, {term: chebyshev, axis: C, degree: 5}]"
+    pipeline = TURNING.replace("[{term: measured_points, axis: C}]", terms) % "linuxcnc_screw"
+    assert run(tmp_path, pipeline, rows, {}) == 0
+    folder = tmp_path / "out" / "export"
+    assert main(["verify", str(folder)]) == 0
+    (said,) = json.loads((folder / "export.json").read_text())["checks"]
+    assert re.search(r"two ends of a turn differ by (19|20)\.\d urad", said)
