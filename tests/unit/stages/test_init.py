@@ -1,0 +1,23 @@
+"""`errpipe init --recording`: a template that fits what the recording lacks is refused before anything is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from errpipe.errors import UsageError
+from errpipe.simulation import folder as recording_folder
+from errpipe.simulation import sample_recordings
+from errpipe.stages.init import init
+
+
+@pytest.mark.parametrize(
+    ("template", "lacks"), [("spindle-drift", "temperature or spindle_speed"), ("gantry", "temperature")]
+)
+def test_a_template_that_needs_what_the_recording_lacks_is_refused(tmp_path: Path, template: str, lacks: str) -> None:
+    """Before: `spindle-drift` was written for a laser's positioning test, checked as fine, and ended at its fit."""
+    recording_folder.write(tmp_path / "recording", sample_recordings.dial_gauge())
+    with pytest.raises(UsageError, match=f"no column of role {lacks}, which template {template} needs"):
+        init(tmp_path / "work", template, tmp_path / "recording")
+    assert not (tmp_path / "work").exists()
