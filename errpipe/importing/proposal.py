@@ -100,7 +100,7 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
         g.axis
         for header, g in guesses.items()
         if g.axis is not None and g.kind in motion and header not in runs and not guessing.is_straightness(header)
-        if unfolded is None or header == unfolded.target.header or not wide.FIGURE.fullmatch(header)
+        if unfolded is None or header == unfolded.target.header or not wide.is_figure(header)
     ]
     above = axis_above(layout.above)
     return named[0] if named and above not in named else above

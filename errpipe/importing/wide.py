@@ -22,10 +22,10 @@ _INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|tas
 ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mw|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
-    r"|max\w*|min\w*|sum\w*|[smrbu](?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
+    r"|max\w*|min\w*|sum\w*|([smrbu]|[bsx]i)(?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
-FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
+_FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
 _MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
 UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
@@ -82,7 +82,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
-    places = [c for c in places if len(places) == 1 or not (_counts(c) or FIGURE.fullmatch(c.header))]
+    places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
     targets = [c for c in places if said[c.header] == (None, None)]
     targets = targets or [c for c in places if said[c.header][0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
@@ -108,7 +108,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         else:
             readings.append((c, run or "1", side))
     if not readings:  # a report of the means alone: one run
-        readings = [(c, "mean", said[c.header][1]) for c in statistics if _MEAN.search(guessing.plain(c.header))]
+        readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
@@ -140,6 +140,18 @@ def _beside_negative(header: str, headers: set[str]) -> str:
 def statistic(name: str) -> bool:
     """Whether a header or the name of a row is that of a figure over the runs: a mean, a standard deviation."""
     return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
+
+
+def _is_mean(header: str) -> bool:
+    """Whether a header names a mean, also as a bar over a letter; `x̄ + 2s` is a bound of it."""
+    text = guessing.plain(header)
+    named = _MEAN.search(text) or re.search("[\u0304\u0305]", header)
+    return named is not None and re.search(r"\d ?s(igma)?\b|\d ?σ", text) is None
+
+
+def is_figure(header: str) -> bool:
+    """Whether a header beside the targets names a figure over the runs, although its letter is that of an axis."""
+    return _FIGURE.fullmatch(header) is not None or statistic(header)
 
 
 def _counts(c: RawColumn) -> bool:

@@ -190,3 +190,37 @@ def test_three_readings_beside_moving_axes_are_asked_about(tmp_path: Path) -> No
         imported(tmp_path, file)
     recording = imported(tmp_path, file, sets=["dX.component=E_X", "dY.component=E_Y"])
     assert set(recording.components()) == {"E_X", "E_Y"}
+
+
+def across(targets: str, sides: str) -> str:
+    lines = [f"Target position Pi (mm);{targets}", f"Approach direction;{sides}"]
+    for r in RUNS:
+        pairs = zip(deviation(r, 1.0), deviation(r, -1.0), strict=True)
+        lines.append(f"j={r};" + ";".join(f"{up};{down}" for up, down in pairs))
+    return "\n".join(["Axis X, deviations in um", *lines, "Mean (um);" + ";".join(["1.0;2.0"] * TARGETS.size)])
+
+
+@pytest.mark.parametrize("form", ["{x:g};", "{x:g};{x:g}"])
+def test_targets_across_for_each_side(tmp_path: Path, form: str) -> None:
+    """The sheet of ISO 230-2, Annex A: a target over the columns of both sides, merged or written twice."""
+    text = across(";".join(form.format(x=x) for x in TARGETS), ";".join(["↑;↓"] * TARGETS.size))
+    holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+def test_figures_over_the_runs_are_no_readings_and_no_axis(tmp_path: Path) -> None:
+    head = "Axis: X\n\nPos [mm];" + ";".join(f"{w}{r} [um]" for r in RUNS for w in ("Fwd", "Bwd"))
+    columns = [deviation(r, s) for r in RUNS for s in SIDES]
+    rows = [";".join([f"{x:g}", *(str(c[i]) for c in columns), "1;2;-8;0.3"]) for i, x in enumerate(TARGETS)]
+    text = "\n".join([f"{head};xi fwd;xi bwd;Bi;si fwd", *rows])
+    holds_the_truth(imported(tmp_path, written(tmp_path, text)))
+
+
+def test_means_as_bars_over_letters(tmp_path: Path) -> None:
+    """Of a report that holds only the figures of ISO 230-2: the means of both sides, along Y."""
+    rows = [f"{x:g};{deviation(1, 1.0)[i]};{deviation(1, -1.0)[i]};1;-8;9;9" for i, x in enumerate(TARGETS)]
+    text = "\n".join(["Axis: Y", "Unit: um", "", "Pos;x̄↑;x̄↓;x̄;B;x̄↑+2s↑;x̄↓-2s↓", *rows])
+    recording = imported(tmp_path, written(tmp_path, text))
+    assert recording.components() == ("EYY",)
+    side = recording.array(recording.names("direction")[0])
+    assert recording.array("EYY")[side > 0] == pytest.approx(deviation(1, 1.0))
+    assert sorted(recording.array("EYY")[side < 0]) == pytest.approx(sorted(deviation(1, -1.0)))
