@@ -11,6 +11,7 @@ from errpipe.validation.plausibility_finding import (
     is_fine,
     is_rearranged,
     level_of_rearranged,
+    means_at,
     noise_of_difference,
 )
 
@@ -365,8 +366,7 @@ def _alike(r: Response, key: np.ndarray, label: float) -> bool:
     shared = np.intersect1d(levels[in_group], levels[outside_group])
     if shared.size < 5:
         return False
-    a = np.array([r.deviation[in_group & (levels == x)].mean() for x in shared])
-    b = np.array([r.deviation[outside_group & (levels == x)].mean() for x in shared])
+    a, b = (means_at(levels[rows], r.deviation[rows], shared) for rows in (in_group, outside_group))
     return np.ptp(a) > 0 and np.ptp(b) > 0 and float(np.corrcoef(a, b)[0, 1]) > 0.8
 
 
