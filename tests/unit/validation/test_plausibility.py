@@ -85,8 +85,8 @@ def test_backlash_of_the_other_sign_shows_beside_a_larger_curve() -> None:
 
 
 def test_a_log_of_many_places_is_judged_in_time_that_grows_with_its_rows() -> None:
-    """150,000 rows, hardly two at one place: comparing every place with every row took 10 s and more."""
-    t = 0.001 * np.arange(150_000)
+    """200,000 rows, hardly two at one place: comparing every place with every row took 5 s."""
+    t = 0.001 * np.arange(200_000)
     x = 400.0 + 300.0 * np.sin(0.5 * t)
     columns = {
         "x": Column(role="command", axis="X", unit="mm"),
@@ -96,7 +96,7 @@ def test_a_log_of_many_places_is_judged_in_time_that_grows_with_its_rows() -> No
     log = Recording(manifest, pd.DataFrame({"x": x, "EXX": 0.02 * x + np.sin(3.0 * t)}))
     started = time.process_time()
     assert plausibility.findings(log) == []
-    assert time.process_time() - started < 4.0
+    assert time.process_time() - started < 1.5
 
 
 def test_a_worn_screw_is_asked_not_refused() -> None:
