@@ -96,16 +96,17 @@ def remarks(proof: list[Mapping[str, Any]], passed: Passed) -> list[str]:
                 f"export: {name}: the table differs from its model by {p['unguarded_difference_um']:.4g}, its bound "
                 f"of gridding and rounding is {p['bound_um']:.4g}. Nothing was exported."
             )
-        if not p["rows_held_back"]:
-            continue
         gains = [j["rms_before"] - j["rms_at_gain"] for j in passed.judged if j["component"] == name]
         gain = min(gains, default=p["rms_model_um"])
-        words = (
-            f"{name}: in {p['rows_held_back']} of {p['rows']} rows of its own recording the table holds back, by up "
-            f"to {p['largest_difference_um']:.3g}, rms {off:.3g}: readings step faster than its max_rate, or lie "
-            "outside what the model has seen"
-        )
-        if off >= gain:
+        words = f"{name}: on its own recording the table differs from its model by up to "
+        words += f"{p['largest_difference_um']:.3g}, rms {off:.3g}"
+        if p["rows_held_back"]:
+            words += (
+                f": it holds back in {p['rows_held_back']} of {p['rows']} rows, where readings step faster than its "
+                "max_rate or lie outside what the model has seen"
+            )
+        if off >= gain > 0.0:
             raise GateError(f"export: {words}. The model gains {gain:.3g}. Nothing was exported.")
-        said.append(words)
+        if p["rows_held_back"]:
+            said.append(words)
     return said
