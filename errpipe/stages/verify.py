@@ -12,8 +12,8 @@ from errpipe import jsonfile
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
+from errpipe.fitting.components import evaluate
 from errpipe.stages import _artefacts
-from errpipe.stages._closed_turns import evaluate_closed
 from errpipe.stages.predict import table_values
 from errpipe.stages.targets import in_words, losses
 from errpipe.tables import bounds, ect
@@ -77,15 +77,14 @@ def _model(folder: Path, table: CompensationTable) -> str:
     if jsonfile.fingerprint(_artefacts.model_json(model)) != table.fingerprint:
         raise VerifyError(f"{path}: is not the model that {_artefacts.TABLE} was compiled from")
     states = every_state(model)
-    by_model, by_table = evaluate_closed(model, states), table_values(table, model, states)
+    by_model, by_table = evaluate(model, states), table_values(table, model, states)
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     worst = 0.0
     for name, values in by_table.items():
         difference = float(np.nanmax(np.abs(values - by_model[name])))
         if not difference <= 2 * allowed.get(name, 0.0) + 2e-3:
-            unit = next(c.unit for c in model.components if c.component == name)
             raise VerifyError(
-                f"{path}: {name} of the table differs from the model by {difference:.4g} {unit} inside validity"
+                f"{path}: {name} of the table differs from the model by {difference:.4g} um inside validity"
             )
         worst = max(worst, difference)
     return f"{_artefacts.MODEL}: the table gives it back within {worst:.3g} um on {len(states)} states"
