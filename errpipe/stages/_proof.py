@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import GateError, VerifyError
@@ -82,7 +82,7 @@ def _within_profiles(table: CompensationTable, recording: Recording) -> np.ndarr
     return inside
 
 
-def remarks(proof: list[Mapping[str, Any]], passed: Passed) -> list[str]:
+def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
     """Where the table's guards hold it back on its own recording, in words.
 
     Raises VerifyError where the table without guards differs from the model by more than its bound, and GateError
