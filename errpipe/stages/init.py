@@ -31,6 +31,7 @@ class Template:
     needs: tuple[str, ...] = ()
 
 
+POSITIONING = ("positioning", "angular positioning")  # kinds of components of which ISO 230-2 has figures
 HEAT = ("temperature", "spindle_speed")
 
 TEMPLATES = {
@@ -143,9 +144,7 @@ def _facts(folder: Path) -> dict[str, Any]:
     recorded = recording.components()
     if not recorded:
         raise UsageError(f"{folder}: no column of role error; there is nothing to fit")
-    component = next(
-        (c for c in recorded if components.parse(c).kind in ("positioning", "angular positioning")), recorded[0]
-    )
+    component = next((c for c in recorded if components.parse(c).kind in POSITIONING), recorded[0])
     places = [c.axis for c in recording.manifest.columns.values() if c.role in ("command", "position") and c.axis]
     axis = components.parse(component).axis or next(iter(places), "X")
     place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
@@ -155,5 +154,5 @@ def _facts(folder: Path) -> dict[str, Any]:
     runs, roles = len(recording.run_labels()), {c.role for c in recording.manifest.columns.values()}
     words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
-    words["ISO"] = "true" if both and runs >= 2 else "false"
+    words["ISO"] = "true" if both and runs >= 2 and components.parse(component).kind in POSITIONING else "false"
     return {"words": words, "both_directions": both, "sensors": recording.names("temperature"), "roles": roles}
