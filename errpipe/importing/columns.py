@@ -297,6 +297,27 @@ def side(text: object) -> float | None:
     return -way if came_from and way is not None else way
 
 
+_SIDE_ABOVE = re.compile(
+    r"(?:approach|anfahr|measur|mess)?\w* ?(?:direction|richtung|approach\w*|senso?|sentido|direzione|方向)\W+(\w.*)"
+)
+
+
+def side_above(lines: list[str]) -> str | None:
+    """What a line above a table says of the side of all its readings: `backward` of `Direction: backward`; or None.
+
+    A sign alone may be that of a beam or a drive: it says no side.
+    """
+    found = [m[1].strip() for line in lines if (m := _SIDE_ABOVE.fullmatch(plain(line)))]
+    said = [text for text in found if re.search(r"[^\W\d_]{2}", text) and side(text) is not None]
+    return said[0] if len({side(text) for text in said}) == 1 else None
+
+
+def side_in(header: str) -> str | None:
+    """The word of a header that says the side of its readings: `bwd` of `Error bwd [um]`; or None."""
+    found = [w for w in re.findall(r"[^\W\d_]{2,}", plain(header)) if not _SIGN.fullmatch(w) and side(w) is not None]
+    return found[0] if len(found) == 1 else None
+
+
 def _side(column: RawColumn) -> np.ndarray | None:
     """The column as +1 and -1, where every filled cell is a direction and both occur."""
     filled = [c for c in column.cells if c not in (None, "")]

@@ -9,6 +9,8 @@ import numpy as np
 
 from errpipe.domain import units
 from errpipe.errors import DataError
+from errpipe.importing import columns as guessing
+from errpipe.importing import words
 from errpipe.importing.columns import NO_SIDES
 from errpipe.importing.proposed import Proposal
 
@@ -95,11 +97,36 @@ def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
         p.guesses[side] += "; the way there is down, as the positions fall there"
 
 
+def put_side(p: Proposal, axis: str, text: str, why: str) -> None:
+    """Add the side of all rows, as a word says it; a pass that is listed the other way has its rows turned."""
+    way, listed = guessing.side(text), []
+    place = p.first("command", axis) or p.first("position", axis)
+    if way is None or place is None or place not in p.data:
+        return
+    run, x = p.first("run"), p.data[place]
+    labels = np.asarray(p.data[run], dtype=str) if run in p.data else np.full(x.size, "")
+    order = np.arange(x.size)
+    for label in dict.fromkeys(labels.tolist()):
+        rows = np.flatnonzero(labels == label)
+        if rows.size > 1 and (way * np.diff(x[rows]) < 0).all():
+            order[rows] = rows[::-1]
+            listed.append(label)
+    if listed and way > 0 and words.THERE_AND_BACK.fullmatch(words.plain(text)):
+        raise DataError(
+            f"{why}, and the positions fall: write + (approached from below) or - (from above) in a column of "
+            "directions"
+        )
+    p.data = {n: [v[i] for i in order] if isinstance(v, list) else v[order] for n, v in p.data.items()}
+    p.put("direction", np.full(x.size, way), why, role="direction", axis=axis)
+
+
 def _directions_and_runs(p: Proposal, axis: str) -> None:
     place = p.first("command", axis) or p.first("position", axis)
     if place is None or place not in p.data:
         _runs_by_gaps(p)
         return
+    if p.first("direction") is None and p.side is not None:
+        put_side(p, axis, p.side, f"the header, or a line above it, says {p.side!r}")
     x = p.data[place]
     _turn_there_and_back(p, x)
     if p.first("direction") is None:

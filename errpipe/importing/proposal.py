@@ -46,6 +46,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     layout = wide.merged_targets(layout, guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
+    proposal.side = guessing.side_above(layout.above)
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:

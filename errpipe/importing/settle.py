@@ -208,6 +208,9 @@ def leave_numbers(p: Proposal) -> None:
 
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
     """The error of the axis, its sign, directions, runs, and what a log of an axis needs besides."""
+    of_errors = [e.get("_headers", ()) for e in p.entries.values() if e["role"] == "error"]
+    if p.side is None and len(of_errors) == 1 and len(of_errors[0]) == 1:
+        p.side = guessing.side_in(of_errors[0][0])
     readings.turn_readings(p)
     signs.leave_corrections(p)
     signs.turn(p, layout, options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 from typing import Any
@@ -11,6 +12,8 @@ import pandas as pd
 
 from errpipe.domain import units
 from errpipe.errors import DataError
+from errpipe.importing.columns import side
+from errpipe.importing.order import put_side
 from errpipe.importing.proposed import Proposal, slug
 
 OF_A_MACHINE = ("command", "position", "actual")
@@ -46,6 +49,25 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
         labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
     joined.data[run] = labels
     return joined
+
+
+def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
+    """Names of the runs of files that are told apart by their sides alone, whose rows get these: `X_up`, `X_down`.
+
+    The names of the files where their columns state the sides, and where not every name does.
+    """
+    said = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
+    ways = {side(words[0]) for words in said if len(words) == 1}
+    stated = any(part.first("direction") is not None for part in parts)
+    if stated or ways != {1.0, -1.0} or any(len(words) != 1 for words in said):
+        return [*stems]
+    for part, stem, (word,) in zip(parts, stems, said, strict=True):
+        axis = next((e["axis"] for e in part.entries.values() if e["role"] in OF_A_MACHINE), None)
+        if axis is not None:
+            put_side(part, axis, word, f"the name of the file {stem!r} says {word!r}")
+            part.guesses[part.first("direction") or ""] = "from the names of the files"
+    bare = [re.sub(rf"[\W_]*{word}(?![^\W\d_])", "", stem) for stem, (word,) in zip(stems, said, strict=True)]
+    return [text.strip(" _-") or "1" for text in bare]
 
 
 def _refuse_another(name: str, entries: tuple[dict[str, Any], ...], stems: tuple[str, str]) -> None:

@@ -55,7 +55,8 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
-    complete = together.one_after_another([*measured.values()], [file.stem for file in measured])
+    runs = together.sides_of_names([*measured.values()], [file.stem for file in measured])
+    complete = together.one_after_another([*measured.values()], runs)
     layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
     for layout in layouts:  # a logger writes a file a day: those of one layout are one log
         alike = [file for file in logs if tuple(parts[file].entries) == layout]

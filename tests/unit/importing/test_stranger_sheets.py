@@ -224,3 +224,50 @@ def test_means_as_bars_over_letters(tmp_path: Path) -> None:
     side = recording.array(recording.names("direction")[0])
     assert recording.array("EYY")[side > 0] == pytest.approx(deviation(1, 1.0))
     assert sorted(recording.array("EYY")[side < 0]) == pytest.approx(sorted(deviation(1, -1.0)))
+
+
+def pass_of(run: int, side: float, turned: bool = False) -> str:
+    rows = [f"{x:g};{d}" for x, d in zip(TARGETS, deviation(run, side), strict=True)]
+    return "\n".join(["X [mm];Deviation [um]", *(rows[::-1] if turned else rows)])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("names", [("up", "down"), ("Hinweg", "Rückweg"), ("fwd", "rev")])
+def test_the_sides_of_files_stand_in_their_names(tmp_path: Path, names: tuple[str, str], turned: bool) -> None:
+    """A file for each pass: without its side the lost motion is scatter between runs, and nothing corrects it."""
+    files = []
+    for r in RUNS:
+        for s, name in zip(SIDES, names, strict=True):
+            files.append(tmp_path / f"X_run{r}_{name}.csv")
+            files[-1].write_text(pass_of(r, s, turned and s < 0), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, files))
+
+
+def test_names_that_do_not_all_say_a_side_say_none(tmp_path: Path) -> None:
+    files = [tmp_path / f"{name}.csv" for name in ("2025-03-01", "2025-03-02 up")]
+    for r, file in enumerate(files, 1):
+        file.write_text(pass_of(r, 1.0), encoding="utf-8")
+    recording = imported(tmp_path, files)
+    assert recording.names("direction") == () and len(set(recording.run_labels())) == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "side"),
+    [
+        ("Direction: backward", -1.0),
+        ("Richtung;rückwärts", -1.0),
+        ("Approach: from below", 1.0),
+        ("Direction: X+", None),
+    ],
+)
+def test_a_line_above_says_the_side_of_all_readings(tmp_path: Path, line: str, side: float | None) -> None:
+    recording = imported(tmp_path, written(tmp_path, f"{line}\n{pass_of(1, side or 1.0)}"))
+    sides = [set(recording.array(n)) for n in recording.names("direction")]
+    assert sides == ([] if side is None else [{side}])
+    place = recording.array(recording.names("position")[0])
+    assert (np.diff(place) * (side or 1.0) > 0).all()
+
+
+def test_forward_of_an_axis_that_goes_down_is_asked_about(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="and the positions fall"):
+        imported(tmp_path, written(tmp_path, f"Direction: forward\n{pass_of(1, 1.0, turned=True)}"))
