@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import GateError, VerifyError
@@ -76,7 +76,7 @@ def _within_validity(table: CompensationTable, recording: Recording) -> Recordin
     return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 
 
-def remarks(proof: list[Mapping[str, Any]], passed: Passed) -> list[str]:
+def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
     """Where the table's guards hold it back on its own recording, in words.
 
     Raises VerifyError where the table without guards differs from the model by more than its bound, and GateError

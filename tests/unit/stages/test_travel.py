@@ -133,3 +133,4 @@ def test_what_closing_a_turn_changes_is_in_the_bound(tmp_path):
     assert turning(tmp_path, x, deviation, "{term: measured_points, axis: C}") == 0
     (proof,) = json.loads((tmp_path / "out" / "export" / "export.json").read_text())["proof"]
     assert 3.9 < proof["unguarded_difference_um"] <= proof["bound_um"] < 4.2
+    assert main(["verify", str(tmp_path / "out" / "export")]) == 0
