@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from errpipe.errors import GateError, VerifyError
 
 if TYPE_CHECKING:
-    import numpy as np
 
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
@@ -24,8 +23,8 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
     bound_um: what gridding and rounding may add. The table's guards may add more, where they do not believe a reading
     or fade outside what was seen: rows_held_back counts those rows. unguarded_difference_um: largest difference of the
-    same table without its guards from the terms that it holds, over the rows within its profiles; beyond its bound, it
-    is another model.
+    same table without its guards from the terms that it holds, with readings moved into its validity box, where its
+    bound holds; beyond that, it is another model.
     """
     import numpy as np
 
@@ -38,14 +37,15 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     recording = held_readings(recording)
     by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
-    held, unguarded = evaluate(compensable(model), recording), table_values(_unguarded(table), model, recording)
-    inside = _within_profiles(table, recording)
+    free, inside = _unguarded(table), _within_validity(table, recording)
+    held, unguarded = evaluate(compensable(model), inside), table_values(free, model, inside)
+    believed = table_values(free, model, recording)
     behind = left_behind(model)
     out = []
     for name, values in by_table.items():
         difference = values - by_model[name]
         known = np.isfinite(difference)
-        arithmetic = np.abs(unguarded[name] - held[name])[inside]
+        arithmetic = np.abs(unguarded[name] - held[name])
         out.append(
             {
                 "component": name,
@@ -55,7 +55,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
                 "rms_model_um": rms(by_model[name][known]),
                 "bound_um": allowed[name],
                 "unguarded_difference_um": float(arithmetic[np.isfinite(arithmetic)].max(initial=0.0)),
-                "rows_held_back": int((np.abs(values - unguarded[name])[known] > ROUNDING_UM).sum()),
+                "rows_held_back": int((np.abs(values - believed[name])[known] > ROUNDING_UM).sum()),
                 "not_compensated": behind.get(name, []),
             }
         )
@@ -68,18 +68,12 @@ def _unguarded(table: CompensationTable) -> CompensationTable:
     return table.model_copy(update={"inputs": tuple(i.model_copy(update=free) for i in table.inputs)})
 
 
-def _within_profiles(table: CompensationTable, recording: Recording) -> np.ndarray:
-    """Rows at which no profile is held beyond its ends, shape (rows,)."""
+def _within_validity(table: CompensationTable, recording: Recording) -> Recording:
+    """The recording with every reading moved to the nearest one that the table is valid for: its bound holds there."""
     import numpy as np
 
-    inside = np.ones(len(recording), dtype=bool)
-    for profile in table.profiles:
-        if profile.input is None or profile.periodic or profile.input not in recording:
-            continue
-        at = recording.array(profile.input)
-        end = profile.start + profile.step * (len(profile.values) - 1)
-        inside &= (at >= profile.start - 1e-9 * profile.step) & (at <= end + 1e-9 * profile.step)
-    return inside
+    boxes = {i.name: i.valid for i in table.inputs if i.valid is not None and i.name in recording}
+    return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 
 
 def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
