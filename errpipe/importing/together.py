@@ -15,6 +15,7 @@ from errpipe.errors import DataError
 from errpipe.importing.columns import side
 from errpipe.importing.order import put_side
 from errpipe.importing.proposed import Proposal, slug
+from errpipe.importing.words import plain
 
 OF_A_MACHINE = ("command", "position", "actual")
 STALE_STEPS = 10.0  # of a log: a reading that is older than so many of its steps is none of the row
@@ -49,6 +50,29 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
         labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
     joined.data[run] = labels
     return joined
+
+
+_RUN_WORD = r"(?:run|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"
+
+
+def are_runs(names: Sequence[str]) -> bool:
+    """Whether names of sheets are those of the runs of one test: `Run 1`, `Run 2`, or `Forward`, `Backward`.
+
+    Names that differ in more than a run's number and a side, or say neither, may be of other machines or states.
+    """
+    rests = {re.sub(rf"{_RUN_WORD}[ _.-]*\d+", "", plain(name)) for name in names}
+    bare = {re.sub(r"[^\W\d_]{2,}", lambda m: "" if side(m[0]) is not None else m[0], rest).strip() for rest in rests}
+    numbered = all(re.search(rf"{_RUN_WORD}[ _.-]*\d+", plain(name)) for name in names)
+    both = {side(w) for n in names for w in re.findall(r"[^\W\d_]{2,}", plain(n))} >= {1.0, -1.0}
+    return len(bare) == 1 and len(set(names)) == len(names) and (numbered or both)
+
+
+def of_one_test(part: Proposal, first: Proposal) -> bool:
+    """Whether two parts have columns of the same names, roles, axes and components."""
+    keys = ("role", "axis", "component", "of", "derived")
+    return part.entries.keys() == first.entries.keys() and all(
+        [part.entries[n].get(k) for k in keys] == [e.get(k) for k in keys] for n, e in first.entries.items()
+    )
 
 
 def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:

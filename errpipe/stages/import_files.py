@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from errpipe.importing.sheet import DoorOptions
 
 TABLE = "recording.csv"
+MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 MAX_SHEETS_NAMED = 6  # other sheets that are named beside the one that is imported
 AS_IMPORTED = "# As imported: "  # before the identity of what was written, to know a recording that was changed
 DIGITS = 12  # of a number in the table: more than any instrument has
@@ -105,7 +106,7 @@ def _of_any_sheet(
     out: list[tuple[Proposal, str]] = []
     problems = []
     for sheet in sheets:
-        if len(out) > MAX_SHEETS_NAMED:
+        if len(out) == MAX_SHEETS:
             break
         try:
             layout = with_period(lay_out(upright(unstacked(sheet)), door.names), door.period)
@@ -114,11 +115,23 @@ def _of_any_sheet(
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
     if not out:
         raise DataError(f"{file}: {'; '.join(problems)}")
+    out = _with_runs_joined(out)
     proposal, name = out[0]
     if len(out) > 1:
-        others = ", ".join(other for _, other in out[1:])
+        others = ", ".join(other for _, other in out[1 : 1 + MAX_SHEETS_NAMED])
         proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet says which)")
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
+
+
+def _with_runs_joined(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, str]]:
+    """Sheets with their names; those that are runs of one test, by their names and columns, as one."""
+    alike = [(part, name) for part, name in sheets if together.of_one_test(part, sheets[0][0])]
+    parts, names = [part for part, _ in alike], [name for _, name in alike]
+    if len(parts) < 2 or not together.are_runs(names):
+        return sheets
+    joined = together.one_after_another(parts, together.sides_of_names(parts, names))
+    joined.notes.append(f"the sheets {', '.join(names)} are runs of one test")
+    return [(joined, ", ".join(names)), *(rest for rest in sheets if rest[1] not in names)]
 
 
 def write(

@@ -271,3 +271,34 @@ def test_a_line_above_says_the_side_of_all_readings(tmp_path: Path, line: str, s
 def test_forward_of_an_axis_that_goes_down_is_asked_about(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="and the positions fall"):
         imported(tmp_path, written(tmp_path, f"Direction: forward\n{pass_of(1, 1.0, turned=True)}"))
+
+
+@pytest.mark.parametrize(
+    ("names", "joined"),
+    [
+        (["Lauf 1", "Lauf 2", "Lauf 3"], True),
+        (["X run 1", "X run 2", "X run 3"], True),
+        (["Messung 1 vor Komp", "Messung 2 nach Komp", "Messung 3 nach Komp"], False),
+        (["Tabelle1", "Tabelle2", "Tabelle3"], False),
+    ],
+)
+def test_sheets_that_are_runs_are_joined(tmp_path: Path, names: list[str], joined: bool) -> None:
+    """Only the first of three runs was imported; sheets that may be of something else are named, as before."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for run, name in enumerate(names, 1):
+        sheet = book.create_sheet(name)
+        for row in [["Dir", "X [mm]", "Deviation [um]"], *rows_of_run(run)]:
+            sheet.append(row)
+    book.save(tmp_path / "f.xlsx")
+    recording = imported(tmp_path, tmp_path / "f.xlsx")
+    if joined:
+        holds_the_truth(recording)
+    else:
+        assert len(recording) == 2 * TARGETS.size
+        assert "other sheets hold measurements too" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")
+
+
+def rows_of_run(run: int) -> list[list[object]]:
+    return [["+" if s > 0 else "-", float(x), float(d)] for r, x, s, d in long_rows() if r == str(run)]
