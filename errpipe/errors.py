@@ -90,7 +90,14 @@ class VerifyError(ErrpipeError):
     exit_code = 6
 
 
+# Words of the field -> the word of a recording's columns that means it.
+MEANT = {"deviation": "error", "reading": "actual", "target": "command", "dir": "direction", "temp": "temperature"}
+
+
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """' Did you mean X?' for the nearest allowed word, or '' where none is near."""
-    near = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6)
+    words = list(allowed)
+    if (meant := MEANT.get(word)) in words:
+        return f" Did you mean {meant}?"
+    near = difflib.get_close_matches(word, words, n=1, cutoff=0.6)
     return f" Did you mean {near[0]}?" if near else ""
