@@ -10,11 +10,29 @@ from errpipe.importing.words import axis_above, way_of
 
 
 def blocks(
-    names: list[str], rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
+    names: list[str],
+    rows: list[list[Cell]],
+    numbers: list[list[float | None]],
+    start: int,
+    notes: list[str],
+    deep: int = 1,
 ) -> tuple[list[str], list[list[Cell]]]:
-    """Names and rows up to the header of a second table; blocks below the same header are runs, one after another."""
+    """Names and rows up to the header of a second table; blocks below the same header are runs, one after another.
+
+    deep: rows of the header, with its units.
+    """
     below = range(start + 1, len(rows) - 1)
     again = [r for r in below if filled_cells(rows[r]) == filled_cells(rows[start - 1])]
+    if deep > 1 and all(rows[r - k] == rows[start - 1 - k] for r in again for k in range(deep)):
+        upper = {r - k for r in again for k in range(1, deep)}  # of each header, its last row stays to begin a block
+        kept = [r for r in range(len(rows)) if r not in upper and not start - deep <= r < start - 1]
+        titled = [_title(rows, numbers, r - deep + 1) for r in (start - 1, *again)]
+        at = {r: i for i, r in enumerate(kept)}
+        rows, numbers = [rows[r] for r in kept], [numbers[r] for r in kept]
+        again, start = [at[r] for r in again], at[start - 1] + 1
+        below = range(start + 1, len(rows) - 1)
+    else:
+        titled = [_title(rows, numbers, r) for r in (start - 1, *again)]
     starts = [r for r in below if r in again or _starts_table(rows[r], numbers[r], numbers[r + 1 : r + 3])]
     other = next((r for r in starts if r not in again and r - 1 not in again), None)
     if other is not None and not again and _is_way_back(rows[start - 1], rows[other]):
@@ -30,7 +48,7 @@ def blocks(
         rows = rows[:other]
     if not again:
         return names, rows[start:]
-    return _repeated(names, rows, start, again, [_title(rows, numbers, r) for r in (start - 1, *again)], notes)
+    return _repeated(names, rows, start, again, titled, notes)
 
 
 def _repeated(

@@ -95,7 +95,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
     if used:
-        names, rows = blocks(names, rows, numbers, start, notes)
+        names, rows = blocks(names, rows, numbers, start, notes, used)
     else:
         rows = rows[start:]
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)

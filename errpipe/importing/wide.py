@@ -226,6 +226,8 @@ def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
     for r in np.flatnonzero(~filled[1:] & reading[1:] & np.isfinite(side[1:])) + 1:
         at[r] = r - 1 if filled[r - 1] and side[r - 1] == -side[r] else r
     left = ~np.isfinite(place.values[at]) & reading & (np.arange(filled.size) < np.flatnonzero(filled)[-1])
+    for r in np.flatnonzero(left):  # `Mean` of each target is no reading
+        left[r] = not any(isinstance(c.cells[r], str) and statistic(str(c.cells[r])) for c in layout.columns)
     if left.sum() > max(1.0, 0.1 * filled.size):
         raise DataError(
             f"{int(left.sum())} rows hold readings and no {place.header!r} (first: row {int(np.argmax(left)) + 1} "

@@ -183,6 +183,7 @@ def _separator(lines: list[str]) -> str:
 
 
 def _commas_are_decimal(lines: list[str]) -> bool:
-    """Whether commas stand inside numbers and blanks between them: `1,5  2,25`."""
-    decimal = sum(bool(re.fullmatch(r"\s*([+-]?\d+,\d+\s+)+[+-]?\d+,\d+\s*", line)) for line in lines)
+    """Whether commas stand inside numbers and blanks between them: `1,5  2,25`, `1  +  0,5  2,25`."""
+    marked = [[word for word in line.split() if "," in word] for line in lines]
+    decimal = sum(len(w) > 1 and all(re.fullmatch(r"[+-]?\d+,\d+", word) for word in w) for w in marked)
     return decimal > 0.5 * len(lines)

@@ -302,3 +302,29 @@ def test_sheets_that_are_runs_are_joined(tmp_path: Path, names: list[str], joine
 
 def rows_of_run(run: int) -> list[list[object]]:
     return [["+" if s > 0 else "-", float(x), float(d)] for r, x, s, d in long_rows() if r == str(run)]
+
+
+def test_blocks_below_a_header_with_a_row_of_units(tmp_path: Path) -> None:
+    """`Run 1 backward` above each block says run and side, although its targets are listed as they rise."""
+    words = dict(zip(SIDES, ("forward", "backward"), strict=True))
+    text = "".join(
+        f"Run {r} {words[s]}\nPos;Err\nmm;um\n"
+        + "".join(f"{x:g};{d}\n" for x, d in zip(TARGETS, deviation(r, s), strict=True))
+        for r in RUNS
+        for s in SIDES
+    )
+    holds_the_truth(imported(tmp_path, written(tmp_path, f"Axis X\n{text}")))
+
+
+def test_decimal_commas_between_blanks_beside_other_words(tmp_path: Path) -> None:
+    rows = [f"{r}  {'+' if s > 0 else '-'}  {de(x)}  {de(d)}" for r, x, s, d in long_rows()]
+    holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join(["Run  Dir  X[mm]  Dev[um]", *rows]))))
+
+
+def test_a_mean_behind_each_target_is_no_reading_without_one(tmp_path: Path) -> None:
+    lines = ["No;Target X [mm];Dir;Deviation [um]"]
+    for i, x in enumerate(TARGETS):
+        lines += [f"{i + 1};{x:g};{'+' if s > 0 else '-'};{deviation(r, s)[i]}" for r in RUNS for s in SIDES]
+        lines.append(f"Mean;;;{i}.5")
+    recording = imported(tmp_path, written(tmp_path, "\n".join(lines)))
+    assert len(recording) == 6 * TARGETS.size
