@@ -43,7 +43,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
-    layout = wide.merged_targets(layout, guesses)
+    layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)

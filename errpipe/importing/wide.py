@@ -203,6 +203,31 @@ def _by_side(rows: np.ndarray, side: np.ndarray) -> list[tuple[float | None, np.
     return [(way, rows[side[rows] == way]) for way in (1.0, -1.0) if (side[rows] == way).any()]
 
 
+def side_by_side(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
+    """Two tables beside each other, whose targets stand in another order, in the order of the first: the way back."""
+    kinds = [guesses[c.header].kind for c in layout.columns]
+    at = [k for k, c in enumerate(layout.columns) if kinds[k] in ("command", "position") and c.numeric]
+    said = [run_and_side(c.header)[1] for k, c in enumerate(layout.columns) if k not in at and c.numeric]
+    if len(at) != 2 or at[0] != 0 or at[1] + 1 == len(kinds) or at[1] == 1 or {*said} != {1.0, -1.0}:
+        return layout
+    here, there = (layout.columns[k].values for k in at)
+    if (
+        np.array_equal(here, there)
+        or not np.array_equal(np.sort(here), np.sort(there))
+        or np.unique(here).size < here.size
+    ):
+        return layout
+    rows = np.argsort(there)[np.argsort(np.argsort(here))]
+    turned_columns = [
+        c if k < at[1] else RawColumn(c.header, c.unit, [c.cells[i] for i in rows], c.values[rows])
+        for k, c in enumerate(layout.columns)
+    ]
+    note = (
+        f"two tables side by side: the rows from {layout.columns[at[1]].header!r} on stand at the targets of the first"
+    )
+    return Layout(turned_columns, layout.above, [*layout.notes, note], layout.below)
+
+
 def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
     """The layout with each target also in the row of its other side, where both share one merged cell.
 

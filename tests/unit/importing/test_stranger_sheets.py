@@ -328,3 +328,14 @@ def test_a_mean_behind_each_target_is_no_reading_without_one(tmp_path: Path) -> 
         lines.append(f"Mean;;;{i}.5")
     recording = imported(tmp_path, written(tmp_path, "\n".join(lines)))
     assert len(recording) == 6 * TARGETS.size
+
+
+def test_the_way_back_beside_the_way_there(tmp_path: Path) -> None:
+    """Two tables side by side, each in the order of measuring: a row holds readings of two targets."""
+    rows = []
+    for i, x in enumerate(TARGETS):
+        j = TARGETS.size - 1 - i
+        there, back = ([deviation(r, s)[k] for r in RUNS] for s, k in zip(SIDES, (i, j), strict=True))
+        rows.append(";".join(map(str, [x, *there, "", TARGETS[j], *back])))
+    head = ["Axis X", "Forward;;;;;Backward", "Pos [mm];1 [um];2 [um];3 [um];;Pos [mm];1 [um];2 [um];3 [um]"]
+    holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join([*head, *rows]))))
