@@ -16,6 +16,7 @@ from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
+_LETTER_AND_RUN = re.compile(r"[a-z] ?\d+|\d+ ?[a-z]")
 _DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run that is called by its day
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
@@ -110,7 +111,9 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     if not readings:  # a report of the means alone: one run
         readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
-    if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
+    letters = all(_LETTER_AND_RUN.fullmatch(guessing.plain(c.header)) for c, _, _ in readings)
+    alone = letters and len({side for _, _, side in readings}) == 1  # `R1`, `R2`: readings, where no `F1` stands there
+    if alone or any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
     labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
     named = len({said[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides

@@ -339,3 +339,12 @@ def test_the_way_back_beside_the_way_there(tmp_path: Path) -> None:
         rows.append(";".join(map(str, [x, *there, "", TARGETS[j], *back])))
     head = ["Axis X", "Forward;;;;;Backward", "Pos [mm];1 [um];2 [um];3 [um];;Pos [mm];1 [um];2 [um];3 [um]"]
     holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join([*head, *rows]))))
+
+
+@pytest.mark.parametrize("letter", ["R", "D", "N", "P", "V"])
+def test_a_letter_that_all_runs_share_is_no_side(tmp_path: Path, letter: str) -> None:
+    """R1, R2, R3 are readings, or runs: they were taken as approached from above."""
+    rows = [";".join([f"{x:g}", *(str(deviation(r, 1.0)[i]) for r in RUNS)]) for i, x in enumerate(TARGETS)]
+    head = "X [mm];" + ";".join(f"{letter}{r} [um]" for r in RUNS)
+    recording = imported(tmp_path, written(tmp_path, "\n".join([head, *rows])))
+    assert recording.names("direction") == () and len(set(recording.run_labels())) == 3
