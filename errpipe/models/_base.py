@@ -115,6 +115,10 @@ class Family(Frozen, ABC):
         """How it is solved, for `validation.json`."""
         return self.solved_by or self.family_name().replace("_", " ")
 
+    def lacks(self, recording: Recording) -> str:
+        """What columns the family needs of a recording (its header is enough) and does not find, in words; or ''."""
+        return ""
+
     @abstractmethod
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
         """Fit on every row of the recording. Raises DataError, NotIdentifiable."""

@@ -50,6 +50,12 @@ class ThermalFamily(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.environment)
 
+    def lacks(self, recording: Recording) -> str:
+        """A temperature or a spindle speed is needed."""
+        if recording.names("temperature") or recording.name("spindle_speed") is not None:
+            return ""
+        return f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed"
+
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
 
@@ -135,11 +141,13 @@ class ThermalFamily(Family):
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
-
+        from errpipe.errors import DataError
         from errpipe.fitting import thermal_competition, thermal_linear
         from errpipe.fitting.solve import one_thread
         from errpipe.fitting.thermal_arithmetic import held_readings
 
+        if lacking := self.lacks(recording):
+            raise DataError(lacking)
         recording = held_readings(recording)
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)

@@ -41,6 +41,11 @@ class Season(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
 
+    def lacks(self, recording: Recording) -> str:
+        """A temperature is needed."""
+        text = f"thermal model of {self.component}: the recording has no temperature"
+        return "" if recording.names("temperature") else text
+
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         from errpipe.fitting import thermal_season
