@@ -216,9 +216,7 @@ def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]
     return "tie" if chance.get(name, 0.0) > TIE_LEVEL else ""
 
 
-def linear(
-    family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray], penalty: float = 0.0
-) -> Entrant:
+def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
     """An entrant that is gains (of the first drivers of a problem) from groups."""
     from errpipe.fitting.thermal_competition import Entrant
 
@@ -231,7 +229,7 @@ def linear(
     def parts(groups: tuple[int, ...]) -> Any:
         return tuple((name, float(g), node) for g, node in zip(known(groups), problem.drivers, strict=False) if g)
 
-    return Entrant(family, name, predict, parts, penalty=penalty)
+    return Entrant(family, name, predict, parts)
 
 
 def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> ThermalModel:

@@ -73,7 +73,7 @@ class Bilinear(ThermalFamily):
                 return (*linear_part(groups), ("products", 1.0, features.sum(gains(groups)[width:])))
 
             name = f"bilinear, ridge {RIDGE[number]:g}, products {scale:g}"
-            one = linear(self.family_name(), name, whole, gains, RIDGE[number])
+            one = linear(self.family_name(), name, whole, gains)
             return replace(one, parts=parts, linear=linear_part)
 
         return [entrant(scale, number) for scale in SCALES for number in range(len(RIDGE))]

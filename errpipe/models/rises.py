@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -38,7 +37,7 @@ class Rises(ThermalFamily):
             def gains(groups: tuple[int, ...]) -> np.ndarray:
                 return t.ridge(*problem.stacked(groups, width), strength)
 
-            return linear(family, f"rises, ridge {strength:g}", problem, gains, strength)
+            return linear(family, f"rises, ridge {strength:g}", problem, gains)
 
         def common(freedom: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
@@ -50,5 +49,5 @@ class Rises(ThermalFamily):
             return t.mean_of_sensors(*problem.stacked(groups, width)[:2])
 
         name = f"{family}, mean of sensors"
-        alone = [replace(linear(name, name, problem, mean), plain=True)] if problem.one_day else []
+        alone = [linear(name, name, problem, mean)] if problem.one_day else []
         return [*map(ridge, STRENGTHS), *map(common, FREEDOMS), *alone]

@@ -113,25 +113,25 @@ def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() 
     assert weights(False) > 0.99 and weights(True) == 0.0
 
 
-def test_among_blocks_of_one_run_the_strongest_penalty_that_ties_is_taken() -> None:
-    """A weak penalty is better by a tenth of the blocks' scatter; a third, stronger, is clearly worse."""
-    rng = np.random.default_rng(7)
+def test_of_one_run_what_is_right_ahead_is_taken_and_not_what_is_right_between() -> None:
+    """One entrant is exact beside blocks that fitted it and wrong further off, the other nearly right everywhere."""
     group = np.repeat(np.arange(5), 100)
     truth = np.tile(np.linspace(0, 20, 100), 5)
-    noise = np.repeat([0.5, 1.0, 1.5, 2.0, 2.5], 100) * rng.choice([-1.0, 1.0], 500)
 
-    def entrant(penalty: float, error: float) -> thermal_competition.Entrant:
-        name = f"penalty {penalty:g}"
-        return thermal_competition.Entrant("x", name, lambda g: truth + error * noise, lambda g: (), penalty=penalty)
+    def between(groups):
+        return np.where(np.isin(group, [g + k for g in groups for k in (-1, 0, 1)]), truth, -truth)
 
-    entrants = [entrant(0.0, 1.0), entrant(1.0, 1.03), entrant(2.0, 3.0)]
+    entrants = [
+        thermal_competition.Entrant("between", "between", between, lambda g: ()),
+        thermal_competition.Entrant("ahead", "ahead", lambda g: 0.95 * truth, lambda g: ()),
+    ]
     blocks = (thermal_competition.Grouping("run", tuple((g,) for g in range(5))),)
 
-    def chosen(cautious: bool) -> str:
-        outcome = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, cautious)
-        return outcome.weights[0][0].name
+    def most(ahead: bool) -> str:
+        outcome = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, ahead)
+        return max(outcome.weights, key=lambda pair: pair[1])[0].name
 
-    assert chosen(False) == "penalty 0" and chosen(True) == "penalty 1"
+    assert most(False) == "between" and most(True) == "ahead"
 
 
 def one_warm_up(seed: int, alike: bool) -> Recording:
