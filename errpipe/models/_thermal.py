@@ -326,7 +326,7 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     if HALF in outcome.predictions:
         p = outcome.predictions[HALF]
         left = thermal_interval.LeftOut((y - p)[rows], p[rows])
-        return thermal_interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows])
+        return thermal_interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows], problem.one_day)
     only_one = family.one_environment(problem)
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -38,6 +38,7 @@ class Bilinear(ThermalFamily):
     """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
 
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
+    bends: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every setting; none of one run, of no sensor or more than `MOST_SENSORS`, or where nothing can be lagged.
