@@ -49,9 +49,9 @@ class Season(Family):
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         from errpipe.fitting import thermal_season
-        from errpipe.fitting.thermal_arithmetic import held_readings
+        from errpipe.fitting.thermal_arithmetic import living_sensors
 
-        return thermal_season.fit(held_readings(recording), self.component, self.options, rows)
+        return thermal_season.fit(living_sensors(recording, self.component), self.component, self.options, rows)
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Season:

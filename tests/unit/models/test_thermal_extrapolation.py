@@ -12,6 +12,7 @@ from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
 from errpipe.models.rises import Rises
+from errpipe.validation.held_out import held_out
 
 STEP = 120.0  # s
 
@@ -244,3 +245,41 @@ def test_a_speed_alone_is_enough() -> None:
     since = since_start(bare.array("E_Z"), run, 3)[0][run >= 4]
     assert rms(since - model.values(bare)[run >= 4]) < 0.5 * rms(since)
     assert set(model.validity.ranges) == {bare.name("spindle_speed")}
+
+
+def days(count: int, seed: int, gains: tuple[float, ...] = (2.0,)) -> pd.DataFrame:
+    """Days of machines that take turns, each with a gain of its own, um/K, on what its first sensor shows over the room."""
+    rng, parts = np.random.default_rng(seed), []
+    for k in range(count):
+        t = STEP * np.arange(120)
+        warm = rng.uniform(5, 15) * (1 - np.exp(-t / rng.uniform(3000, 9000)))
+        room = 20 + np.cumsum(rng.normal(0, 0.05, t.size))
+        growth = gains[k % len(gains)] * warm + rng.normal(0, 0.2, t.size)
+        machine = str(k % len(gains))
+        parts.append(pd.DataFrame({"run": f"day {k}", "machine": machine, "t": t + 86400.0 * k, "T_1": room + warm}))
+        parts[-1] = parts[-1].assign(T_2=room + rng.normal(0, 0.05, t.size), E_Z=growth)
+    return pd.concat(parts, ignore_index=True)
+
+
+def test_a_sensor_that_died_is_left_out_and_days_behind_it_judge() -> None:
+    frame = days(6, 1)
+    died = recording(frame.assign(T_2=frame["T_2"].where(np.arange(len(frame)) < 300)).drop(columns="machine"))
+    family = Rises(component="E_Z")
+    fitted = family.fit(died)
+    assert "without T_2" in fitted.summary["E_Z"] and list(fitted.model.validity.ranges) == ["T_1"]
+    (figures,) = held_out(died, family)["components"]
+    assert len(figures["groups"]) == 6 and figures["rms_after"] < 0.1 * figures["rms_before"]
+
+
+def test_a_day_without_a_sensor_that_lives_judges_nothing() -> None:
+    frame = days(6, 2)
+    gone = recording(frame.assign(T_2=frame["T_2"].where(frame["run"] != "day 2")).drop(columns="machine"))
+    (figures,) = held_out(gone, Rises(component="E_Z"))["components"]
+    assert [g["label"] for g in figures["groups"]] == [f"day {k}" for k in (0, 1, 3, 4, 5)]
+
+
+def test_machines_that_differ_are_said_to_need_a_recording_each() -> None:
+    unlike, alike = (days(8, 3, gains) for gains in ((1.0, 6.0), (2.0, 2.0)))
+    family, machines = Rises(component="E_Z"), {"machine": Column(role="group", of="machine")}
+    assert "recording each" in family.fit(recording(unlike, machines)).summary["E_Z"]
+    assert "recording each" not in family.fit(recording(alike, machines)).summary["E_Z"]
