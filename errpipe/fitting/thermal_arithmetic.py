@@ -113,6 +113,11 @@ def living_sensors(recording: Recording, component: str) -> Recording:
     return replace(recording, frame=recording.frame.drop(columns=dead)) if dead else recording
 
 
+def all_known(recording: Recording) -> np.ndarray:
+    """Mask of the rows on which every temperature has a value, (rows,)."""
+    return np.isfinite(sum((recording.array(n) for n in recording.names("temperature")), np.zeros(len(recording))))
+
+
 def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
     """A few words where a sensor has died, or many measured rows lack a temperature and take no part; else ''.
 

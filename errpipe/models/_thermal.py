@@ -70,7 +70,7 @@ class ThermalFamily(Family):
 
         from errpipe.errors import DataError
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, living_sensors
+        from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, all_known, living_sensors
 
         try:
             name, folds = super().folds(recording, scheme)
@@ -79,9 +79,7 @@ class ThermalFamily(Family):
                 raise
             runs = np.unique(recording.run_codes()[holdout.measured(recording)]).size
             name, folds = super().folds(recording, "auto" if runs >= FEWEST_RUNS else holdout.HALVES)
-        living = living_sensors(recording, self.component)
-        known = np.isfinite(sum((living.array(n) for n in living.names("temperature")), np.zeros(len(living))))
-        known &= holdout.measured(recording)
+        known = holdout.measured(recording) & all_known(living_sensors(recording, self.component))
         return name, [fold for fold in folds if known[fold.test].any() and known[fold.train].any()] or folds
 
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
@@ -111,17 +109,20 @@ class ThermalFamily(Family):
 
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
         """
+        import numpy as np
+
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import held_readings, predicted_since_start, since_start_of
+        from errpipe.fitting.thermal_arithmetic import all_known, living_sensors, predicted_since_start, since_start_of
         from errpipe.fitting.validity import distance
 
         holdout.check(fold)
-        recording = held_readings(recording)
+        recording = living_sensors(recording, self.component)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.datum_rows)
         run = recording.run_codes()
         residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
-        return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
+        known = np.where(all_known(recording), since, np.nan)  # a lag goes on where its sensor has fallen silent
+        return {self.component: held_out(fold, known, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
         """The competition: rms of every family on groups left out, beside no compensation and the noise floor."""

@@ -248,7 +248,7 @@ def test_a_speed_alone_is_enough() -> None:
 
 
 def days(count: int, seed: int, gains: tuple[float, ...] = (2.0,)) -> pd.DataFrame:
-    """Days of machines that take turns, each with a gain of its own, um/K, on what its first sensor shows over the room."""
+    """Days of machines that take turns, each with a gain of its own, um/K, on what its first sensor shows."""
     rng, parts = np.random.default_rng(seed), []
     for k in range(count):
         t = STEP * np.arange(120)
@@ -276,6 +276,17 @@ def test_a_day_without_a_sensor_that_lives_judges_nothing() -> None:
     gone = recording(frame.assign(T_2=frame["T_2"].where(frame["run"] != "day 2")).drop(columns="machine"))
     (figures,) = held_out(gone, Rises(component="E_Z"))["components"]
     assert [g["label"] for g in figures["groups"]] == [f"day {k}" for k in (0, 1, 3, 4, 5)]
+
+
+def test_rows_behind_a_sensor_that_fell_silent_in_a_day_judge_nothing() -> None:
+    frame = days(6, 4)
+    row = frame.groupby("run").cumcount()
+    gone = recording(
+        frame.assign(T_1=frame["T_1"].where((frame["run"] != "day 2") | (row < 40))).drop(columns="machine")
+    )
+    (figures,) = held_out(gone, Lagged(component="E_Z"))["components"]
+    rows = {g["label"]: g["rows"] for g in figures["groups"]}
+    assert rows == {f"day {k}": 120 for k in range(6)} | {"day 2": 43}  # three readings are held
 
 
 def test_machines_that_differ_are_said_to_need_a_recording_each() -> None:
