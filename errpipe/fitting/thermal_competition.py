@@ -37,6 +37,9 @@ WARMTH = "cold or warm starts"
 # Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
 # leaves 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
 REGRET = 2.0
+# Times the rms of the best entrant on blocks of one run, up to which a plain one is taken. Chosen on seeds 111, 112 of
+# `trials.thermal`; stretches of a spindle's run (16 sensors) are within it (1.2 to 2.6) but one.
+PLAIN_REGRET = 3.0
 EXACT = 1e-9  # um2: below it a mean square is rounding
 WHOLE = 1e3  # weight of the row that holds the sum of weights at one, beside rows of unit mean square
 
@@ -51,7 +54,7 @@ class Entrant:
     predict: groups to learn from -> deviation since the start of the run on every row, um, (rows,).
     parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are constrained to physically
     possible signs, so that it may be used in environments without a fitted run. linear: gains times drivers that do not
-    depend on the groups; None: `parts` are so.
+    depend on the groups; None: `parts` are so. plain: taken before all others of one run, where it is nearly as good.
     """
 
     family: str
@@ -60,6 +63,7 @@ class Entrant:
     parts: Callable[[Groups], Parts]
     physical: bool = False
     linear: Callable[[Groups], Parts] | None = None
+    plain: bool = False
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,8 @@ def compete(
         if (score[k], left_by[k]) < (score[so_far], left_by[so_far]):
             best[entrant.family] = k
     ranked = sorted(best.values(), key=lambda k: score[k])
-    weights = _stacked([k for k in ranked if np.isfinite(score[k])], chooser)
+    weights = _plain(entrants, judged) if ahead else {}
+    weights = weights or _stacked([k for k in ranked if np.isfinite(score[k])], chooser)
     named: dict[str, dict[int, float]] = (
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )
@@ -242,6 +247,12 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
         regret = np.maximum(regret, np.sqrt(mean_squares / least))
         useful &= mean_squares <= judged[name].by_group({}).mean()
     return useful & (regret <= max(REGRET, regret[useful].min(initial=np.inf)))
+
+
+def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[int, float]:
+    """The plain entrant with the weight of one where blocks are left nearly as well by it as by the best."""
+    left = next(iter(judged.values())).mean_square()
+    return {k: 1.0 for k, e in enumerate(entrants) if e.plain and left[k] <= PLAIN_REGRET**2 * left.min()}
 
 
 def _ahead(
