@@ -231,7 +231,7 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
     last = ""
     for batch in () if lengths else source.batches(names):
         seen = None if all_measured else holdout.measured(batch)
-        for label, first, end in _stretches(batch):
+        for label, first, end in stretches(batch):
             if label in lengths and label != last:
                 raise DataError(f"run {label} comes back after run {last}: in batches the rows of a run stand together")
             lengths[label] = lengths.get(label, 0) + int(end - first)
@@ -279,7 +279,7 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
             of = np.searchsorted(starts, begins, side="right") - 1
             keys, starts = [(runs[k], str(groups[s])) for k, s in zip(of, begins, strict=True)], begins
         sampled = []
-        for label, first, end in _stretches(batch):
+        for label, first, end in stretches(batch):
             in_run = in_run if label == last else 0
             sampled.append(first + _sampled(layout, numbers[label], in_run, end - first))
             in_run, last = in_run + end - first, label
@@ -329,7 +329,7 @@ class _Watched(Recording):
         return super().array(name)
 
 
-def _stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
+def stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
     """(run, first row, row after the last) of each stretch of a batch."""
     runs, starts = batch.run_stretches
     return zip(runs, starts.tolist(), [*starts[1:].tolist(), len(batch)], strict=True)

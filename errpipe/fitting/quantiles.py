@@ -20,6 +20,11 @@ def chi2_quantile(p: float, degrees: float) -> float:
     return float(2.0 * special.gammaincinv(degrees / 2.0, p)) if degrees > 0 else float("nan")
 
 
+def chi2_tail(x: float, degrees: float) -> float:
+    """Probability that chi-squared exceeds x."""
+    return float(special.gammaincc(degrees / 2.0, x / 2.0))
+
+
 def normal_quantile(p: float) -> float:
     """Standard normal value that is not exceeded with probability p."""
     return float(special.ndtri(p))

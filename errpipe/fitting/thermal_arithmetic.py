@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -93,8 +94,37 @@ def no_usable_row(recording: Recording, component: str) -> DataError:
     )
 
 
+def dead_sensors(recording: Recording, component: str) -> list[str]:
+    """Temperatures that have gone silent for good before most of the deviations were read; not if all have.
+
+    The machine that is to be compensated has them no more, and a fit with them lacks the rows behind.
+    """
+    measured = np.flatnonzero(np.isfinite(recording.array(response_name(recording, component))))
+    names = recording.names("temperature")
+    known = {n: np.isfinite(recording.array(n)[measured]) for n in names}
+    dead = [n for n in names if measured.size and not known[n][-1] and known[n].mean() < MOST_FITTED]
+    return dead if len(dead) < len(names) else []
+
+
+def living_sensors(recording: Recording, component: str) -> Recording:
+    """The recording, with its readings held, without temperatures that have died (`dead_sensors`)."""
+    recording = held_readings(recording)
+    dead = dead_sensors(recording, component)
+    return replace(recording, frame=recording.frame.drop(columns=dead)) if dead else recording
+
+
+def all_known(recording: Recording) -> np.ndarray:
+    """Mask of the rows on which every temperature has a value, (rows,)."""
+    return np.isfinite(sum((recording.array(n) for n in recording.names("temperature")), np.zeros(len(recording))))
+
+
 def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
-    """A few words where many measured rows lack a temperature and take no part; else ''."""
+    """A few words where a sensor has died, or many measured rows lack a temperature and take no part; else ''.
+
+    recording: with short holes held (`held_readings`).
+    """
+    if dead := dead_sensors(recording, component):
+        return f"; without {', '.join(dead)}, silent at the end of the recording"
     measured = int(np.isfinite(recording.array(response_name(recording, component))).sum())
     if fitted > MOST_FITTED * measured:
         return ""

@@ -37,10 +37,8 @@ WARMTH = "cold or warm starts"
 # Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
 # leaves 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
 REGRET = 2.0
-# Times the rms of the best entrant on blocks of one run, up to which the plain one is taken. Chosen on single days of
-# seeds 111 and 112 of `trials.thermal` (6 machines, 3 days each, the other days judge): the least with which none of
-# the 36 is worse than no compensation (three without it), rms over uncompensated 0.54 -> 0.32. Judged elsewhere:
-# seed 113 0.30 -> 0.28; stretches of a spindle's run are all within it (1.2 to 2.5), of a gantry's none (4.7 to 21).
+# Times the rms of the best entrant on blocks of one run, up to which a plain one is taken. Chosen on seeds 111, 112 of
+# `trials.thermal`; stretches of a spindle's run (16 sensors) are within it (1.2 to 2.6) but one.
 PLAIN_REGRET = 3.0
 EXACT = 1e-9  # um2: below it a mean square is rounding
 WHOLE = 1e3  # weight of the row that holds the sum of weights at one, beside rows of unit mean square
@@ -56,8 +54,7 @@ class Entrant:
     predict: groups to learn from -> deviation since the start of the run on every row, um, (rows,).
     parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are constrained to physically
     possible signs, so that it may be used in environments without a fitted run. linear: gains times drivers that do not
-    depend on the groups; None: `parts` are so. penalty: how strongly a setting is held down among those of its family.
-    plain: every sensor has the same say, so that it holds where sensors that moved alike no longer do.
+    depend on the groups; None: `parts` are so. plain: taken before all others of one run, where it is nearly as good.
     """
 
     family: str
@@ -66,7 +63,6 @@ class Entrant:
     parts: Callable[[Groups], Parts]
     physical: bool = False
     linear: Callable[[Groups], Parts] | None = None
-    penalty: float = 0.0
     plain: bool = False
 
 
@@ -152,12 +148,12 @@ def compete(
     response: np.ndarray,
     rows: np.ndarray,
     group: np.ndarray,
-    cautious: bool = False,
+    ahead: bool = False,
 ) -> Outcome:
     """The mixture of entrants. response: um, (rows,); rows: mask of usable rows; group: run of each row.
 
-    cautious: groups are neighbouring blocks of one run, between which weak penalties interpolate: of each family the
-    strongest penalty within one standard error of the best is taken, and a plain entrant (`PLAIN_REGRET`) before all.
+    ahead: groups are blocks of one run in their order, between which a fit interpolates: its stretches choose that
+    predict what lies ahead of them (`_ahead`).
 
     Raises DataError where nothing can be left out.
     """
@@ -171,6 +167,8 @@ def compete(
         raise DataError("thermal model: only one group of rows, so families cannot be compared")
     judged = {name: _Judged(p, response, rows, group) for name, p in left_out.items()}
     chooser = judged[RUN] if RUN in judged else next(iter(judged.values()))
+    if ahead:
+        chooser = _ahead(entrants, groups, response, rows, group)
     left_by = chooser.mean_square()
     score = np.where(_admitted(judged, {w.name for w in ways if w.decides}), left_by, np.inf)
     best: dict[str, int] = {}
@@ -178,11 +176,9 @@ def compete(
         so_far = best.setdefault(entrant.family, k)
         if (score[k], left_by[k]) < (score[so_far], left_by[so_far]):
             best[entrant.family] = k
-    if cautious:
-        best = {f: _simplest(k, entrants, chooser, score) for f, k in best.items()}
     ranked = sorted(best.values(), key=lambda k: score[k])
-    plain = [k for k in ranked if cautious and entrants[k].plain and score[k] <= PLAIN_REGRET**2 * score.min()]
-    weights = dict.fromkeys(plain, 1.0) or _stacked([k for k in ranked if np.isfinite(score[k])], chooser)
+    weights = _plain(entrants, judged) if ahead else {}
+    weights = weights or _stacked([k for k in ranked if np.isfinite(score[k])], chooser)
     named: dict[str, dict[int, float]] = (
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )
@@ -253,16 +249,29 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
     return useful & (regret <= max(REGRET, regret[useful].min(initial=np.inf)))
 
 
-def _simplest(best: int, entrants: Sequence[Entrant], judged: _Judged, score: np.ndarray) -> int:
-    """Of the settings of a family, the one of the strongest penalty within one standard error of the best.
+def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[int, float]:
+    """The plain entrant with the weight of one where blocks are left nearly as well by it as by the best."""
+    left = next(iter(judged.values())).mean_square()
+    return {k: 1.0 for k, e in enumerate(entrants) if e.plain and left[k] <= PLAIN_REGRET**2 * left.min()}
 
-    One-standard-error rule (Breiman, Friedman, Olshen and Stone 1984, section 3.4.3).
+
+def _ahead(
+    entrants: Sequence[Entrant], groups: Groups, response: np.ndarray, rows: np.ndarray, group: np.ndarray
+) -> _Judged:
+    """What every stretch from either end of a run, of half of its blocks or more, predicts of the rest of it.
+
+    Forward chaining (prequential analysis, Dawid 1984) in both directions of time: a later run lies ahead of all rows.
     """
-    own = [k for k, e in enumerate(entrants) if e.family == entrants[best].family and np.isfinite(score[k])]
-    least = judged.by_group({best: 1.0})
-    bound = least.mean() + least.std(ddof=1) / np.sqrt(least.size)
-    level = [k for k in own if judged.by_group({k: 1.0}).mean() <= bound]
-    return max(level, key=lambda k: (entrants[k].penalty, -score[k]), default=best)
+    rests = [rest for size in range(len(groups) // 2, len(groups)) for rest in (groups[size:], groups[:-size])]
+    ways = [Grouping("", (rest,)) for rest in rests]
+    predicted = [np.hstack([_left_out(e, way, groups, rows, group) for way in ways]) for e in entrants]
+    count = len(ways)
+    return _Judged(
+        np.array(predicted).reshape(len(entrants), count * rows.size),
+        np.tile(response, count),
+        np.tile(rows, count),
+        np.tile(group, count),
+    )
 
 
 def _left_out(entrant: Entrant, way: Grouping, groups: Groups, rows: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -19,7 +19,6 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
-from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
@@ -96,10 +95,8 @@ class LinearProblem:
 
 
 def problem(recording: Recording, component: str, rows: np.ndarray | None, datum_rows: int) -> LinearProblem:
-    """The problem of the rows of a mask. Raises DataError without temperature and speed, or a row that has all."""
+    """The problem of the rows of a mask. Raises DataError without a row that has all."""
     names = recording.names("temperature")
-    if not names and recording.name("spindle_speed") is None:
-        raise DataError(f"thermal model of {component}: the recording has no temperature, nor a spindle speed")
     own, response = len(recording), response_name(recording, component)
     measured = np.isfinite(sum((recording.array(n) for n in names), recording.array(response)))
     recording, again, group, witnesses = started(recording, measured if rows is None else measured & rows)

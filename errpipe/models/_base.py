@@ -83,12 +83,14 @@ class Family(Frozen, ABC):
 
     documents: names of the JSON files that its fit adds. seasonal: whether `train` gives a predictor of the deviation
     since the start of each run. competes: whether it has entrants for a competition of thermal families.
-    default_scheme: of the hold-out. solved_by: how it is solved, where its name does not say so.
+    bends: whether what it learns bends, which rows of one run cannot show of another. default_scheme: of the hold-out.
+    solved_by: how it is solved, where its name does not say so.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
     seasonal: ClassVar[bool] = False
     competes: ClassVar[bool] = False
+    bends: ClassVar[bool] = False
     default_scheme: ClassVar[str] = "auto"
     solved_by: ClassVar[str] = ""
 
@@ -114,6 +116,10 @@ class Family(Frozen, ABC):
     def method_name(self) -> str:
         """How it is solved, for `validation.json`."""
         return self.solved_by or self.family_name().replace("_", " ")
+
+    def lacks(self, recording: Recording) -> str:
+        """What columns the family needs of a recording (its header is enough) and does not find, in words; or ''."""
+        return ""
 
     @abstractmethod
     def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:

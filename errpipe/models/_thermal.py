@@ -27,6 +27,8 @@ COMPETITION = "competition.json"
 MOST_OPERANDS = 48  # of one sum; a table takes 64
 MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
 TIE_LEVEL = 0.05  # p over runs left out
+MACHINE = "machine"  # group of a recording
+UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit says so (from taste)
 
 
 class ThermalFamily(Family):
@@ -50,26 +52,35 @@ class ThermalFamily(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.environment)
 
+    def lacks(self, recording: Recording) -> str:
+        """A temperature or a spindle speed is needed."""
+        if recording.names("temperature") or recording.name("spindle_speed") is not None:
+            return ""
+        return f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed"
+
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
 
-        Fewer than three runs: each half by the other. A block between two that fit is interpolated, which says little
-        of the next run: of 12 simulated days (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times
-        as far off as such blocks (0.8 times as far as halves), and their 90 % width held 65 % (89 %) of the rows.
+        A group in which a temperature is silent throughout judges nothing. Fewer than three runs: each half by the
+        other. A block between two that fit is interpolated, which says little of the next run: of 12 simulated days
+        (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
+        as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """
         import numpy as np
 
         from errpipe.errors import DataError
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS
+        from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, all_known, living_sensors
 
         try:
-            return super().folds(recording, scheme)
+            name, folds = super().folds(recording, scheme)
         except DataError:
             if scheme is not None:
                 raise
             runs = np.unique(recording.run_codes()[holdout.measured(recording)]).size
-            return super().folds(recording, "auto" if runs >= FEWEST_RUNS else holdout.HALVES)
+            name, folds = super().folds(recording, "auto" if runs >= FEWEST_RUNS else holdout.HALVES)
+        known = holdout.measured(recording) & all_known(living_sensors(recording, self.component))
+        return name, [fold for fold in folds if known[fold.test].any() and known[fold.train].any()] or folds
 
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
@@ -98,17 +109,20 @@ class ThermalFamily(Family):
 
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
         """
+        import numpy as np
+
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import held_readings, predicted_since_start, since_start_of
+        from errpipe.fitting.thermal_arithmetic import all_known, living_sensors, predicted_since_start, since_start_of
         from errpipe.fitting.validity import distance
 
         holdout.check(fold)
-        recording = held_readings(recording)
+        recording = living_sensors(recording, self.component)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.datum_rows)
         run = recording.run_codes()
         residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
-        return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
+        known = np.where(all_known(recording), since, np.nan)  # a lag goes on where its sensor has fallen silent
+        return {self.component: held_out(fold, known, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
         """The competition: rms of every family on groups left out, beside no compensation and the noise floor."""
@@ -135,12 +149,14 @@ class ThermalFamily(Family):
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
-
+        from errpipe.errors import DataError
         from errpipe.fitting import thermal_competition, thermal_linear
         from errpipe.fitting.solve import one_thread
-        from errpipe.fitting.thermal_arithmetic import held_readings
+        from errpipe.fitting.thermal_arithmetic import living_sensors
 
-        recording = held_readings(recording)
+        if lacking := self.lacks(recording):
+            raise DataError(lacking)
+        recording = living_sensors(recording, self.component)
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
             recording = problem.recording
@@ -179,7 +195,11 @@ def _said(outcome: Outcome) -> str:
     way = HALF if HALF in outcome.left else next(iter(outcome.left))
     left = outcome.left[way]
     made_of = " + ".join(f"{w:.2g} {e.name}" for e, w in outcome.weights) or "nothing"
-    return f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each {way} left out; {made_of}"
+    said = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each {way} left out; {made_of}"
+    other = outcome.left.get(MACHINE, left)[MIXTURE]
+    if other <= UNLIKE_MACHINES * left[MIXTURE]:
+        return said
+    return f"{said}; {other:.3g} um on each {MACHINE} left out: machines that differ need a recording each"
 
 
 def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:
@@ -208,9 +228,7 @@ def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]
     return "tie" if chance.get(name, 0.0) > TIE_LEVEL else ""
 
 
-def linear(
-    family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray], penalty: float = 0.0
-) -> Entrant:
+def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
     """An entrant that is gains (of the first drivers of a problem) from groups."""
     from errpipe.fitting.thermal_competition import Entrant
 
@@ -223,7 +241,7 @@ def linear(
     def parts(groups: tuple[int, ...]) -> Any:
         return tuple((name, float(g), node) for g, node in zip(known(groups), problem.drivers, strict=False) if g)
 
-    return Entrant(family, name, predict, parts, penalty=penalty)
+    return Entrant(family, name, predict, parts)
 
 
 def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> ThermalModel:
@@ -320,7 +338,7 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     if HALF in outcome.predictions:
         p = outcome.predictions[HALF]
         left = thermal_interval.LeftOut((y - p)[rows], p[rows])
-        return thermal_interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows])
+        return thermal_interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows], problem.one_day)
     only_one = family.one_environment(problem)
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -38,6 +38,7 @@ class Bilinear(ThermalFamily):
     """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
 
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
+    bends: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every setting; none of one run, of no sensor or more than `MOST_SENSORS`, or where nothing can be lagged.
@@ -73,7 +74,7 @@ class Bilinear(ThermalFamily):
                 return (*linear_part(groups), ("products", 1.0, features.sum(gains(groups)[width:])))
 
             name = f"bilinear, ridge {RIDGE[number]:g}, products {scale:g}"
-            one = linear(self.family_name(), name, whole, gains, RIDGE[number])
+            one = linear(self.family_name(), name, whole, gains)
             return replace(one, parts=parts, linear=linear_part)
 
         return [entrant(scale, number) for scale in SCALES for number in range(len(RIDGE))]

@@ -38,7 +38,7 @@ class Lagged(ThermalFamily):
 
         def lasso(number: int) -> Entrant:
             name = f"lagged, lasso {LASSO[number]:g}"
-            return linear(f"{family}, lasso", name, problem, lambda groups: path(groups)[number], LASSO[number])
+            return linear(f"{family}, lasso", name, problem, lambda groups: path(groups)[number])
 
         @cache
         def shrunk(groups: tuple[int, ...]) -> np.ndarray:
@@ -46,6 +46,6 @@ class Lagged(ThermalFamily):
 
         def ridge(number: int) -> Entrant:
             name = f"lagged, ridge {RIDGE[number]:g}"
-            return linear(f"{family}, ridge", name, problem, lambda groups: shrunk(groups)[number], RIDGE[number])
+            return linear(f"{family}, ridge", name, problem, lambda groups: shrunk(groups)[number])
 
         return [*map(lasso, range(len(LASSO))), *map(ridge, range(len(RIDGE)))]

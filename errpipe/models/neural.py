@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
@@ -27,6 +27,7 @@ class Neural(ThermalFamily):
     """A multilayer perceptron of one hidden layer with tanh, zero where nothing has warmed up."""
 
     family: Literal["neural"] = Field("neural", description="Model family.")
+    bends: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """A network alone, and one beside a ridge that knows the rates too; none without a temperature."""

@@ -41,12 +41,17 @@ class Season(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
 
+    def lacks(self, recording: Recording) -> str:
+        """A temperature is needed."""
+        text = f"thermal model of {self.component}: the recording has no temperature"
+        return "" if recording.names("temperature") else text
+
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         from errpipe.fitting import thermal_season
-        from errpipe.fitting.thermal_arithmetic import held_readings
+        from errpipe.fitting.thermal_arithmetic import living_sensors
 
-        return thermal_season.fit(held_readings(recording), self.component, self.options, rows)
+        return thermal_season.fit(living_sensors(recording, self.component), self.component, self.options, rows)
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Season:

@@ -87,15 +87,16 @@ class Terms(ModelSpec, Family):
 
     def fit_batches(self, source: Source) -> Fitted:
         """`fit` of a recording that is read batch by batch. Raises DataError, NotIdentifiable."""
-        from errpipe.fitting import history
+        from errpipe.fitting import history, seldom
 
-        fitted = history.fitted(source, self, self._response)
+        fitted = history.fitted(seldom.held(source), self, self._response)
         return Fitted(fitted, summary=fit_summary(fitted))
 
     def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
         """Every fold of a recording that is read batch by batch."""
-        from errpipe.fitting import batches, history, holdout
+        from errpipe.fitting import batches, history, holdout, seldom
 
+        source = seldom.held(source)
         layout = batches.survey(source, self, scheme)
         gathered = batches.gather(source, self, layout, self._response)
         folds = history.all_left_out(gathered, source.manifest)

@@ -227,6 +227,8 @@ def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, 
             if name not in recording.frame.columns:
                 yield ("rules", k, "trust", j), _no_column(recording, name)
     yield from _responses(stage, recording)
+    if hasattr(stage, "lacks") and (lacking := stage.lacks(recording)):
+        yield ("family",), lacking
     yield from _holdout(stage, recording)
     yield from _pairs(stage, recording)
     if getattr(stage, "iso230_2", False):

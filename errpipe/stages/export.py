@@ -56,7 +56,7 @@ class Export(CompileOptions, SignOptions, Stage):
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
         recording = _artefacts.recording_in(context.needed("recording"))
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
-        passed = _gate(model, recording, self, context)
+        passed = _gate(model, self, context)
         model = passed.model
         guard = _guard(context, recording) if self.guard else None
         context.progress(0.2, "compiling")
@@ -78,7 +78,7 @@ class Export(CompileOptions, SignOptions, Stage):
         return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})
 
 
-def _gate(model: ErrorModel, recording: Recording, options: Export, context: Context) -> Passed:
+def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
     """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated."""
     from dataclasses import replace
 
@@ -90,7 +90,7 @@ def _gate(model: ErrorModel, recording: Recording, options: Export, context: Con
         title = _artefacts.ungated_title(model.title)
         passed = Passed(model.model_copy(update={"title": title}), (), ())
     else:
-        passed = pass_gate(model, validations, recording)
+        passed = pass_gate(model, validations)
     if options.readings_per_shift is None:
         return passed
     return replace(passed, model=with_readings(passed.model, validations, options.readings_per_shift))

@@ -69,7 +69,10 @@ def judged(
         "validation": VERSION,
         "scheme": label,
         "method": family.method_name,
-        "components": [component_figures(recording, name, left) for name, left in by_component.items()],
+        "components": [
+            component_figures(recording, name, left, halves=label == holdout.HALVES)
+            for name, left in by_component.items()
+        ],
     }
     if label == holdout.HALVES:
         _of_one_run(document)
@@ -142,9 +145,16 @@ def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
 
 
 def component_figures(
-    recording: Recording, component: str, folds: Sequence[HeldOut], gains: dict[str, float] | None = None
+    recording: Recording,
+    component: str,
+    folds: Sequence[HeldOut],
+    gains: dict[str, float] | None = None,
+    halves: bool = False,
 ) -> dict[str, Any]:
-    """Figures of one component over its held-out groups. gains: rms by gain where it is known from further rows."""
+    """Figures of one component over its held-out groups. gains: rms by gain where it is known from further rows.
+
+    halves: whether the groups are blocks of halves that predicted each other.
+    """
     if not folds:
         raise DataError(f"validate: no held-out rows of {component}")
     name = recording.name("error", component=component)
@@ -156,8 +166,12 @@ def component_figures(
     readings = recording.array(name)[rows[order]] if name else None
     floor = noise_floor(recording, rows[order], after[order], readings)
     best = _least_that_ties(gains)
-    chance = significance.p_value(recording, folds, best) if best > 0.0 else 1.0
-    chosen = best if chance <= significance.LEVEL else 0.0
+    if halves:
+        chance, runs = significance.p_of_halves(folds, best)
+    else:
+        chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
+    chance = chance if best > 0.0 else 1.0
+    chosen = best if chance <= (significance.HALVES_LEVEL if halves else significance.LEVEL) else 0.0
     figures = {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
@@ -175,7 +189,7 @@ def component_figures(
         "rms_at_gain": gains[f"{chosen:g}"],
         "half_width90_at_gain": half_width90([replace(f, after=_at_gain(f, chosen)) for f in folds]),
         "p_value": chance,
-        "runs": significance.independent_runs(recording, folds),
+        "runs": runs,
         "verdict": "do nothing" if chosen == 0.0 else ("model" if chosen == 1.0 else "partial gain"),
         "groups": [_group(f, k, folds) for k, f in enumerate(folds)],
     }

@@ -230,3 +230,17 @@ def test_a_check_imports_nothing_heavy(where: Path) -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[0] for name in run.stderr.split()}
     assert not loaded & {"pandas", "scipy", "sklearn", "numba", "matplotlib", "pyarrow", "jinja2", "http"}
+
+
+@pytest.mark.parametrize("family", ["auto", "lagged", "season"])
+def test_a_thermal_family_without_a_temperature(family: str, where: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stages = f"  - {{kind: ingest, recording: rec}}\n  - kind: fit\n    family: {family}\n    component: EXX\n"
+    (where / "p.yaml").write_text(f"pipeline: 1\nstages:\n{stages}")
+    assert main(["check", "p.yaml"]) == 0
+    manifest = where / "rec" / "recording.yaml"
+    manifest.write_text(re.sub(r'\{"role": "temperature"[^}]*\}', "{role: ignore}", manifest.read_text()))
+    capsys.readouterr()
+    assert main(["check", "p.yaml"]) == 2
+    assert re.search(r"p[.]yaml:5:\d+  .*has no temperature", capsys.readouterr().err)
+    assert main(["run", "p.yaml", "--out", "../out"]) == 2
+    assert "has no temperature" in capsys.readouterr().err

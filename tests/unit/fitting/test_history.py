@@ -134,6 +134,23 @@ def test_batches_and_memory_give_the_same_model_and_the_same_held_out_figures(tm
             np.testing.assert_allclose(one.after, other.after, rtol=1e-9, atol=1e-9)
 
 
+def test_readings_between_empty_rows_are_held_over_the_borders_of_batches(tmp_path):
+    """Every fifth row holds a reading of the nut, no run begins with one, and a long hole stays empty."""
+    recording, family = log(), Terms(**MODEL)
+    nut = recording.array("T_nut").copy()
+    nut[np.arange(len(recording)) % 5 != 3] = np.nan
+    nut[2100:2300] = np.nan
+    recording = recording.with_columns({"T_nut": nut}, {})
+    source = on_disk(recording, tmp_path, 131)
+    whole = family.fit(recording).model
+    assert 8500 < whole.components[0].rows < 8850  # of those with a deviation, all but the long hole
+    for one, other in zip(family.fit_batches(source).model.components, whole.components, strict=True):
+        same([t.values() for t in one.terms], [t.values() for t in other.terms])
+        same([one.rms_after, one.rows, one.half_width90], [other.rms_after, other.rows, other.half_width90])
+    judged, _ = held_out.judged_in_batches(source, family, None)
+    same(judged, held_out.judged(recording, family, None)[0])
+
+
 def test_states_go_on_over_the_borders_of_batches(tmp_path):
     """Batches of 701 rows cut every run and the session: lags, first values and speeds start from where they were."""
     recording, family = log(), Terms(**MODEL)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
+import pytest
 
+from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting import thermal_competition, thermal_linear
 from errpipe.fitting.thermal_arithmetic import limits, since_start
@@ -12,6 +16,7 @@ from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
 from errpipe.models.rises import Rises
+from errpipe.validation.held_out import held_out
 
 STEP = 120.0  # s
 
@@ -113,49 +118,48 @@ def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() 
     assert weights(False) > 0.99 and weights(True) == 0.0
 
 
-def test_among_blocks_of_one_run_the_strongest_penalty_that_ties_is_taken() -> None:
-    """A weak penalty is better by a tenth of the blocks' scatter; a third, stronger, is clearly worse."""
-    rng = np.random.default_rng(7)
+def test_of_one_run_what_is_right_ahead_is_taken_and_not_what_is_right_between() -> None:
+    """One entrant is exact beside blocks that fitted it and wrong further off, the other nearly right everywhere."""
     group = np.repeat(np.arange(5), 100)
     truth = np.tile(np.linspace(0, 20, 100), 5)
-    noise = np.repeat([0.5, 1.0, 1.5, 2.0, 2.5], 100) * rng.choice([-1.0, 1.0], 500)
 
-    def entrant(penalty: float, error: float) -> thermal_competition.Entrant:
-        name = f"penalty {penalty:g}"
-        return thermal_competition.Entrant("x", name, lambda g: truth + error * noise, lambda g: (), penalty=penalty)
+    def between(groups):
+        return np.where(np.isin(group, [g + k for g in groups for k in (-1, 0, 1)]), truth, -truth)
 
-    entrants = [entrant(0.0, 1.0), entrant(1.0, 1.03), entrant(2.0, 3.0)]
+    entrants = [
+        thermal_competition.Entrant("between", "between", between, lambda g: ()),
+        thermal_competition.Entrant("ahead", "ahead", lambda g: 0.95 * truth, lambda g: ()),
+    ]
     blocks = (thermal_competition.Grouping("run", tuple((g,) for g in range(5))),)
 
-    def chosen(cautious: bool) -> str:
-        outcome = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, cautious)
-        return outcome.weights[0][0].name
+    def most(ahead: bool) -> str:
+        outcome = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, ahead)
+        return max(outcome.weights, key=lambda pair: pair[1])[0].name
 
-    assert chosen(False) == "penalty 0" and chosen(True) == "penalty 1"
+    assert most(False) == "between" and most(True) == "ahead"
 
 
-def one_warm_up(seed: int, alike: bool) -> Recording:
-    """Six sensors on a warm-up that cools later. alike: all show the growth, each wandering a little; else one does."""
+def one_warm_up(seed: int, sensors: int) -> Recording:
+    """Sensors that all show the growth, each wandering a little, on a warm-up that cools later."""
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(600)
     warm = 20 * np.where(t < t[400], 1 - np.exp(-t / 9000), np.exp(-np.maximum(t - t[400], 0) / 9000))
-    drift = np.cumsum(rng.normal(0, 0.03, (t.size, 6)), axis=0)
-    shown = np.outer(warm, rng.uniform(0.5, 1.5, 6)) if alike else np.cumsum(rng.normal(0, 0.3, (t.size, 6)), axis=0)
-    frame = {f"T_{k}": 20 + (shown + drift)[:, k] for k in range(6)}
-    growth = warm if alike else frame["T_0"] - 20
-    return recording(pd.DataFrame({"run": "a", "t": t} | frame | {"E_Z": growth + rng.normal(0, 0.05, t.size)}))
+    wander = np.cumsum(rng.normal(0, 0.03, (t.size, sensors)), axis=0)
+    shown = np.outer(warm, rng.uniform(0.5, 1.5, sensors)) + wander
+    frame = {f"T_{k}": 20 + shown[:, k] for k in range(sensors)}
+    return recording(pd.DataFrame({"run": "a", "t": t} | frame | {"E_Z": warm + rng.normal(0, 0.05, t.size)}))
 
 
-def test_of_one_run_the_mean_of_sensors_is_taken_where_they_move_alike_and_only_there() -> None:
-    for seed in range(5):
-        whole = one_warm_up(seed, alike=True)
+@pytest.mark.parametrize("sensors", [6, 12])
+def test_of_one_run_sensors_that_move_alike_predict_the_other_half(sensors: int) -> None:
+    """Of many sensors their mean, for so few blocks cannot tell their gains apart."""
+    for seed in range(2):
+        whole = one_warm_up(seed, sensors)
         rows = np.arange(len(whole)) < 300
         y = since_start(whole.array("E_Z"), whole.run_codes(), 3)[0]
         model = Rises(component="E_Z").train(whole, rows)
-        assert [p[0] for p in model.parts] == ["rises, mean of sensors"] * 6
         assert rms((y - model.values(whole))[~rows]) < 0.05 * rms(y[~rows])
-        apart = Rises(component="E_Z").train(one_warm_up(seed, alike=False), rows)
-        assert "rises, mean of sensors" not in [p[0] for p in apart.parts]
+        assert sensors == 6 or {name for name, *_ in model.parts} == {"rises, mean of sensors"}
 
 
 def test_what_was_proved_on_warming_is_predicted_of_cooling() -> None:
@@ -249,3 +253,53 @@ def test_a_speed_alone_is_enough() -> None:
     since = since_start(bare.array("E_Z"), run, 3)[0][run >= 4]
     assert rms(since - model.values(bare)[run >= 4]) < 0.5 * rms(since)
     assert set(model.validity.ranges) == {bare.name("spindle_speed")}
+
+
+def days(count: int, seed: int, gains: tuple[float, ...] = (2.0,)) -> pd.DataFrame:
+    """Days of machines that take turns, each with a gain of its own, um/K, on what its first sensor shows."""
+    rng, parts = np.random.default_rng(seed), []
+    for k in range(count):
+        t = STEP * np.arange(120)
+        warm = rng.uniform(5, 15) * (1 - np.exp(-t / rng.uniform(3000, 9000)))
+        room = 20 + np.cumsum(rng.normal(0, 0.05, t.size))
+        growth = gains[k % len(gains)] * warm + rng.normal(0, 0.2, t.size)
+        machine = str(k % len(gains))
+        parts.append(pd.DataFrame({"run": f"day {k}", "machine": machine, "t": t + 86400.0 * k, "T_1": room + warm}))
+        parts[-1] = parts[-1].assign(T_2=room + rng.normal(0, 0.05, t.size), E_Z=growth)
+    return pd.concat(parts, ignore_index=True)
+
+
+def test_a_sensor_that_died_is_left_out_and_days_behind_it_judge() -> None:
+    frame = days(6, 1)
+    died = recording(frame.assign(T_2=frame["T_2"].where(np.arange(len(frame)) < 300)).drop(columns="machine"))
+    family = Rises(component="E_Z")
+    fitted = family.fit(died)
+    assert "without T_2" in fitted.summary["E_Z"] and list(fitted.model.validity.ranges) == ["T_1"]
+    (figures,) = held_out(died, family)["components"]
+    assert len(figures["groups"]) == 6 and figures["rms_after"] < 0.1 * figures["rms_before"]
+
+
+def test_a_day_without_a_sensor_that_lives_judges_nothing() -> None:
+    frame = days(6, 2)
+    gone = recording(frame.assign(T_2=frame["T_2"].where(frame["run"] != "day 2")).drop(columns="machine"))
+    (figures,) = held_out(gone, Rises(component="E_Z"))["components"]
+    assert [g["label"] for g in figures["groups"]] == [f"day {k}" for k in (0, 1, 3, 4, 5)]
+
+
+def test_rows_behind_a_sensor_that_fell_silent_in_a_day_judge_nothing(monkeypatch) -> None:
+    """Whatever the model makes of them: a lag goes on from what it was."""
+    frame = days(6, 4)
+    seen = (frame["run"] != "day 2") | (frame.groupby("run").cumcount() < 40)
+    gone = recording(frame.assign(T_1=frame["T_1"].where(seen)).drop(columns="machine"))
+    family, told = Lagged(component="E_Z"), SimpleNamespace(values=lambda r: np.zeros(len(r)), validity=Validity())
+    monkeypatch.setattr(Lagged, "train", lambda self, recording, rows: told)
+    (figures,) = held_out(gone, family)["components"]
+    rows = {g["label"]: g["rows"] for g in figures["groups"]}
+    assert rows == {f"day {k}": 120 for k in range(6)} | {"day 2": 43}  # three readings are held
+
+
+def test_machines_that_differ_are_said_to_need_a_recording_each() -> None:
+    unlike, alike = (days(8, 3, gains) for gains in ((1.0, 6.0), (2.0, 2.0)))
+    family, machines = Rises(component="E_Z"), {"machine": Column(role="group", of="machine")}
+    assert "recording each" in family.fit(recording(unlike, machines)).summary["E_Z"]
+    assert "recording each" not in family.fit(recording(alike, machines)).summary["E_Z"]

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from errpipe.domain.error_model import ErrorModel
 from errpipe.errors import GateError
 from errpipe.fitting import holdout
 from errpipe.formats import manifest_folder
 from errpipe.models.auto import Auto
-from errpipe.models.rises import Rises
 from errpipe.validation.gate import pass_gate
 from errpipe.validation.held_out import held_out
 from errpipe.validation.predict import predict
-from tests.unit.models.test_competition import machine, rms
+from tests.unit.models.test_competition import machine
 from trials import folder
 from trials.thermal import logs
 
@@ -90,20 +88,10 @@ def since(values: np.ndarray, recording) -> np.ndarray:
     return out
 
 
-def widened(model: ErrorModel, times: float) -> ErrorModel:
-    (own,) = model.components
-    return model.model_copy(update={"components": (own.model_copy(update={"half_width90": times * own.half_width90}),)})
-
-
-def test_a_correction_as_uncertain_as_it_is_large_is_not_exported() -> None:
-    one, family = machine(2, seasons=("winter",), runs=1), Rises(component="E_Z")
-    model, document = family.fit(one).model, held_out(one, family)
-    assert document["components"][0]["gain"] > 0.0
-    assert pass_gate(model, [document], one).left_out == ()
-    told = predict(model, one)
-    size, half = rms(told["E_Z_predicted"].to_numpy()), rms((told["E_Z_upper"] - told["E_Z_lower"]).to_numpy() / 2)
-    with pytest.raises(GateError, match="measure further ones"):
-        pass_gate(widened(model, 1.7 * size / half), [document], one)
-    assert pass_gate(widened(model, 1.6 * size / half), [document], one).left_out == ()
-    elsewhere = document | {"scheme": "leave-one-run-out"}
-    assert pass_gate(widened(model, 5.0 * size / half), [elsewhere], one).left_out == ()
+def test_a_log_of_one_day_that_helps_is_exported_and_one_that_wanders_is_not() -> None:
+    one = machine(2, seasons=("winter",), runs=1)
+    assert pass_gate(FAMILY.fit(one).model, [held_out(one, FAMILY)]).left_out == ()
+    walk = np.cumsum(np.random.default_rng(1).normal(0.0, 1.0, len(one)))
+    wanders = one.with_columns({"E_Z": walk}, {})
+    with pytest.raises(GateError, match=r"independent rows.*measure further days"):
+        pass_gate(FAMILY.fit(wanders).model, [held_out(wanders, FAMILY)])

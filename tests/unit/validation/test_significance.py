@@ -12,6 +12,7 @@ from scipy.stats import ttest_rel
 
 from errpipe.cli.app import main
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.fitting.judging import HeldOut
 from errpipe.formats import manifest_folder
 from errpipe.models.terms import Terms
 from errpipe.validation import significance
@@ -85,3 +86,34 @@ def test_what_runs_do_not_agree_on_is_not_exported(tmp_path: Path, offsets, code
     assert bool(exported) == (code == 0)
     if code == 0:
         assert json.loads((tmp_path / "out" / "export" / "export.json").read_text())["judged"]
+
+
+def halves(deviation: np.ndarray, sensor: np.ndarray) -> list[HeldOut]:
+    """Six blocks of one run, each half predicted by the gain of the other one."""
+    out, half = [], deviation.size // 2
+    for rows, others in ((slice(0, half), slice(half, None)), (slice(half, None), slice(0, half))):
+        gain = sensor[others] @ deviation[others] / (sensor[others] @ sensor[others])
+        for block in np.array_split(np.arange(deviation.size)[rows], 3):
+            left = deviation[block] - gain * sensor[block]
+            out.append(HeldOut("", block, deviation[block], left, np.zeros(block.size), 0.0))
+    return out
+
+
+def test_two_series_that_wander_on_their_own_seldom_pass_as_halves_of_one_run() -> None:
+    """Pairs of random walks; rows taken for independent, a third of them would pass."""
+    rng, passed = np.random.default_rng(4), 0
+    for _ in range(300):
+        folds = halves(*np.cumsum(rng.normal(size=(2, 600)), axis=1))
+        passed += significance.p_of_halves(folds, 1.0)[0] <= significance.HALVES_LEVEL
+    assert passed <= 9
+
+
+def test_a_sensor_that_shows_the_deviation_passes_as_halves_of_one_run() -> None:
+    rng = np.random.default_rng(5)
+    t = np.linspace(0.0, 1.0, 400)
+    duty = np.repeat(rng.uniform(0.0, 1.0, 8), 50)
+    warm = np.array([np.exp(-(t[k] - t[: k + 1]) / 0.08) @ duty[: k + 1] for k in range(400)])
+    growth, shown = 2.0 * warm + rng.normal(0, 1.0, 400), warm + rng.normal(0, 0.3, 400)
+    p, worth = significance.p_of_halves(halves(growth, shown), 1.0)
+    assert p < 1e-6 and 2 < worth < 40
+    assert significance.p_of_halves(halves(growth, rng.normal(0, 1.0, 400)), 1.0)[0] > 0.05

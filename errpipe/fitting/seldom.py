@@ -1,0 +1,112 @@
+"""Temperatures that are logged more seldom than rows, held from reading to reading in a recording read batch by batch.
+
+One pass finds how far apart the readings of each such sensor usually are, and the first one of every run, which the
+rows before it take. Every later pass holds the last reading of a run over the borders of batches.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from errpipe.domain.batch import Batch
+from errpipe.domain.recording import Recording
+from errpipe.fitting.batches import Source, stretches
+from errpipe.fitting.validity import LONGEST_HELD
+
+
+@dataclass
+class _Sensor:
+    """steps: rows from one reading to the next -> how often; last: row of the latest reading, -1 before any.
+
+    first: run -> (row within the run, value) of its first reading, degC.
+    """
+
+    steps: Counter[int] = field(default_factory=Counter)
+    first: dict[str, tuple[int, float]] = field(default_factory=dict)
+    last: int = -1
+
+    def rows_between(self) -> int:
+        """Usual number of rows from one reading to the next: their median, rounded down; at least 1."""
+        steps, counts = np.array(sorted(self.steps.items()), dtype=np.int64).reshape(-1, 2).T
+        if not steps.size:
+            return 1
+        middle = np.array([(counts.sum() - 1) // 2, counts.sum() // 2])
+        return max(int(steps[np.searchsorted(np.cumsum(counts), middle, side="right")].mean()), 1)
+
+
+def held(source: Source) -> Source:
+    """The source with seldom logged temperatures as `thermal_arithmetic.short_holes_held` has them in memory."""
+    sensors = _surveyed(source, [n for n in source.ends.names("temperature") if n not in source.complete])
+    limits = {n: LONGEST_HELD * s.rows_between() for n, s in sensors.items() if s.rows_between() > 1}
+    if not limits:
+        return source
+
+    def batches(names: Sequence[str] | None = None, **options: Any) -> Iterator[Recording]:
+        kept = [n for n in limits if names is None or n in names]
+        read = source.batches(names, **options)
+        return _held(read, {n: (sensors[n], limits[n]) for n in kept}) if kept else read
+
+    return replace(source, batches=batches)
+
+
+def _surveyed(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
+    """What one pass finds of each sensor."""
+    sensors = {n: _Sensor() for n in names}
+    at, begin, current = 0, 0, None
+    for batch in source.batches([*source.manifest.names("run"), *names]) if names else ():
+        known = {n: np.flatnonzero(~np.isnan(batch.array(n))) for n in names}
+        for run, first, end in stretches(batch):
+            if run != current:
+                begin, current = at + first, run
+            for name, sensor in sensors.items():
+                row = int(np.searchsorted(known[name], first))
+                if run not in sensor.first and row < known[name].size and known[name][row] < end:
+                    row = int(known[name][row])
+                    sensor.first[run] = (at + row - begin, float(batch.array(name)[row]))
+        for name, sensor in sensors.items():
+            rows = known[name] + at
+            if rows.size:
+                before = rows[:1] if sensor.last < 0 else np.array([sensor.last])
+                steps, counts = np.unique(np.diff(rows, prepend=before), return_counts=True)
+                sensor.steps.update({s: c for s, c in zip(steps.tolist(), counts.tolist(), strict=True) if s})
+                sensor.last = int(rows[-1])
+        at += len(batch)
+    return sensors
+
+
+def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]]) -> Iterator[Recording]:
+    """The batches with the readings of some sensors held for at most so many rows."""
+    in_run, current = 0, None
+    latest: dict[str, tuple[int, float]] = {}  # row within the run, and value, of the last reading before a stretch
+    for batch in batches:
+        columns = {n: batch.array(n).copy() for n in sensors}
+        for run, first, end in stretches(batch):
+            if run != current:
+                in_run, current, latest = 0, run, {}
+            row = in_run + np.arange(end - first)
+            for name, (sensor, limit) in sensors.items():
+                values = columns[name][first:end]
+                known = np.flatnonzero(~np.isnan(values))
+                at, value = latest.get(name, (-1, np.nan))
+                rows, readings = np.r_[at, row[known]], np.r_[value, values[known]]
+                before = np.searchsorted(rows, row, side="right") - 1
+                near = row - rows[before] <= limit
+                columns[name][first:end] = np.where(near, readings[before], np.nan)
+                start, begun = sensor.first.get(run, (0, np.nan))
+                early = (row < start) & (start - row <= limit)
+                columns[name][first:end][early] = begun
+                latest[name] = (int(rows[-1]), float(readings[-1]))
+            in_run += end - first
+        yield _with(batch, columns)
+
+
+def _with(batch: Recording, columns: dict[str, np.ndarray]) -> Recording:
+    """The batch with other values, and with what the rows before it left behind."""
+    if isinstance(batch, Batch):
+        return Batch(batch.manifest, batch.columns | columns, len(batch), batch.past)
+    return batch.with_columns(columns, {})
