@@ -48,7 +48,7 @@ class Table:
         self.colour = USUAL
         self.rows = [np.flatnonzero(fold == f) for f in range(int(fold.max()) + 1)]
         self.stretches = stretches(fold)
-        self._store = np.empty((run.size, room), order="F")
+        self._store = np.zeros((run.size, room), order="F")
         self._seen: dict[tuple[int, int], int] = {}
         self.width = 0
         self._forget_products()
@@ -137,7 +137,7 @@ class Table:
         """Append columns (rows, k); returns their indices."""
         first, last = self.width, self.width + columns.shape[1]
         if last > self._store.shape[1]:
-            grown = np.empty((self.n, 2 * last), order="F")
+            grown = np.zeros((self.n, 2 * last), order="F")
             grown[:, :first] = self.W
             self._store = grown
         each = np.ascontiguousarray(columns.T, dtype=float)

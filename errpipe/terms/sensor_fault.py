@@ -73,10 +73,7 @@ class SensorFault(Term):
         else:
             before = read[: self.first][np.isfinite(read[: self.first])]
             held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
-            stretch = ("as the others say", self.sensor, self.first, self.last)
-            if stretch not in recording.derived:
-                recording.derived[stretch] = reconstructed(recording, self.sensor, inside)
-            lie = recording.derived[stretch] - held
+            lie = reconstructed(recording, self.sensor, inside) - held
         return np.where(inside, lie * self._reach(recording), 0.0)[:, None]
 
     def _reach(self, recording: Recording) -> np.ndarray | float:
@@ -119,12 +116,13 @@ def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.n
     if good.sum() < 10:
         return read
     A = recording.derived["others", sensor]
-    size = np.maximum(A[good].std(axis=0), 1e-9)
+    known = A[good]
+    size = np.maximum(known.std(axis=0), 1e-9)
     size[0] = 1.0
-    A = A / size
+    known /= size
     ridge = 1e-3 * good.sum() * np.diag(np.r_[0.0, np.ones(A.shape[1] - 1)])
-    weights = np.linalg.lstsq(A[good].T @ A[good] + ridge, A[good].T @ read[good], rcond=None)[0]
-    return A @ weights
+    weights = np.linalg.lstsq(known.T @ known + ridge, known.T @ read[good], rcond=None)[0]
+    return A / size @ weights
 
 
 def _others(recording: Recording, sensor: str) -> np.ndarray:
