@@ -69,6 +69,7 @@ STATUS = (
     "not_finite",
     "holding",
 )
+STATUS_BIT = {name: 1 << n for n, name in enumerate(STATUS)}
 # Why a reading is not believed, and what stands in for it: the codes a controller shows per input.
 FAULTS = ("none", "missing", "stale", "range", "rate")
 SOURCES = ("reading", "substitute", "held", "default")
