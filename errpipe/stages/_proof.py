@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from errpipe.errors import GateError, VerifyError
 
 if TYPE_CHECKING:
-
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
